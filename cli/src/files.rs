@@ -1,14 +1,16 @@
 //! Files as commands read and write them: models, volumes, whole files, and what is said about them.
 
 pub use crate::volume::without_mark;
-use crate::volume::{Stream, Volume};
+use crate::volume::{Reading, Stream, Volume};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 /// Largest model file that is read, in bytes.
 const MAX_MODEL_BYTES: u64 = 4 << 30;
@@ -232,31 +234,24 @@ pub fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite, and what
-/// its reader has to say ([`Volume::notes`]), are noted on standard error.
+/// Reads a volume file and says on standard error what its reader has to say ([`Volume::notes`]).
 ///
 /// # Errors
-/// As [`Volume::open`], and for a range whose low end is above its high one.
-pub fn open_volume(path: &Path, range: Option<(f32, f32)>) -> Result<Volume> {
-    let mut volume = Volume::open(path)?;
-    volume.set_range(range).with_context(|| format!("{}", path.display()))?;
+/// As [`Volume::open_as`].
+pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
+    let volume = Volume::open_as(path, reading, None)?;
     say_notes(&volume);
-    let broken = volume.data().non_finite();
-    if broken > 0 {
-        note(&format!(
-            "{}: {broken} of {} voxels are NaN or infinite; they count as the ends of the range (NaN as the \
-             low end)",
-            path.display(),
-            volume.data().len()
-        ));
-    }
     Ok(volume)
 }
 
-/// Says on standard error what a volume's reader has to say.
+/// Says on standard error what a volume's reader has to say, the same only once.
 pub fn say_notes(volume: &Volume) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     for text in volume.notes() {
-        note(&format!("{}: {text}", volume.source().display()));
+        let text = format!("{}: {text}", volume.source().display());
+        if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
+            note(&text);
+        }
     }
 }
 
@@ -264,15 +259,6 @@ pub fn say_notes(volume: &Volume) {
 pub fn note(text: &str) {
     // Nobody may be listening there, which is no reason to fail.
     let _ = writeln!(std::io::stderr().lock(), "note: {text}");
-}
-
-/// Reads a scalar range `LO,HI`, as an option's value.
-///
-/// # Errors
-/// When it is not two numbers.
-pub fn parse_range(text: &str) -> Result<(f32, f32), String> {
-    let [low, high] = parse_numbers(text)?;
-    Ok((low, high))
 }
 
 /// Reads exactly `N` comma-separated numbers.

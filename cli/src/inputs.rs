@@ -368,7 +368,9 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
             table.path.display()
         )
     })?;
-    let volume = Volume::open(&path)?;
+    let reading =
+        table.manifest.as_ref().map(crate::dataset::Manifest::reading).transpose()?.unwrap_or_default();
+    let volume = crate::files::open_volume(&path, &reading)?;
     if let Some(manifest) = &table.manifest
         && let Some(what) = manifest.changed(name, &path)?
     {

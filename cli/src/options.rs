@@ -2,6 +2,7 @@
 
 use crate::device::Device;
 use crate::machine;
+use crate::volume::{Fill, Range, Reading};
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{MAX_IMAGE_SIDE, Shading, Skipping};
@@ -22,6 +23,29 @@ pub struct RenderArgs {
     /// What renders.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
+}
+
+/// How volume files are read, as options.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct VolumeArgs {
+    /// The array to read from a VTK file that holds several; else its active scalars.
+    #[arg(long, value_name = "NAME")]
+    pub array: Option<String>,
+    /// Values that stand for voxels without data: numbers separated by commas, none, or auto for values that are the
+    /// least or the greatest, frequent, and far from all others. Such voxels are shown as the low end of the range.
+    #[arg(long, default_value_t, value_name = "VALUE,…|auto|none", allow_hyphen_values = true)]
+    pub fill: Fill,
+    /// Scalar range that maps to [0, 1]: two numbers, data for the voxels' own range, or auto: 0 to 255 for unsigned
+    /// bytes, the voxels' own range for other types.
+    #[arg(long, default_value_t, value_name = "LO,HI|data|auto", allow_hyphen_values = true)]
+    pub range: Range,
+}
+
+impl VolumeArgs {
+    /// What readers are told.
+    pub fn reading(&self) -> Reading {
+        Reading { array: self.array.clone(), fill: self.fill.clone(), range: self.range }
+    }
 }
 
 /// [`Shading`] as an option.

@@ -12,6 +12,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 pub trait VolumeSource: Send + Sync {
     /// Its voxels.
     fn view(&self) -> VolumeView<'_>;
+
+    /// What a user should know of how it was read, a sentence each.
+    fn notes(&self) -> &[String] {
+        &[]
+    }
 }
 
 /// A predictor that is ready for one volume.

@@ -32,6 +32,8 @@ pub(crate) struct Facts {
     pub(crate) dims: [usize; 3],
     pub(crate) kind: &'static str,
     pub(crate) range: (f32, f32),
+    /// The least and the greatest value of its voxels.
+    pub(crate) own_range: (f32, f32),
     pub(crate) spacing: Vec3,
     /// Half the whole box in its scene space.
     pub(crate) half_extent: Vec3,
@@ -43,6 +45,7 @@ impl Facts {
             dims: view.shape().dims,
             kind: view.scalars().scalar_type().into(),
             range: view.range(),
+            own_range: view.own_range(),
             spacing: view.shape().spacing,
             half_extent: view.shape().half_extent,
         }
@@ -57,6 +60,36 @@ impl Facts {
             Vec3::from_array([0, 1, 2].map(|a| end(a, crop[a][0]))),
             Vec3::from_array([0, 1, 2].map(|a| end(a, crop[a][1] + 1))),
         ]
+    }
+}
+
+/// A volume whose voxels' own range maps to [0, 1].
+pub(crate) struct Spanned {
+    whole: Arc<dyn VolumeSource>,
+    range: (f32, f32),
+}
+
+impl Spanned {
+    pub(crate) fn new(whole: Arc<dyn VolumeSource>) -> Self {
+        let range = whole.view().own_range();
+        Self { whole, range }
+    }
+}
+
+impl VolumeSource for Spanned {
+    fn view(&self) -> VolumeView<'_> {
+        let view = self.whole.view();
+        let shape = view.shape();
+        let options = VolumeOptions {
+            strides: Some(view.strides()),
+            spacing: shape.spacing.to_array(),
+            range: Some(self.range),
+        };
+        VolumeView::with(view.scalars(), shape.dims, options).expect("it was checked with another range")
+    }
+
+    fn notes(&self) -> &[String] {
+        self.whole.notes()
     }
 }
 

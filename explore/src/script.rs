@@ -22,6 +22,7 @@
 //! | `rest` | true: waits until the picture is at full quality |
 //! | `full_frame` | true: draws the view at full quality in one go, for the log |
 //! | `crop` | `[[first, last], …]` voxels along x, y, z; null for all |
+//! | `span_data` | true: the transfer function spans the voxels' own range, not 0 … 255 |
 //! | `map` | true: counts where the samples go |
 //! | `save_transfer`, `load_transfer` | a file |
 //! | `undo` | true |
@@ -59,6 +60,8 @@ pub(crate) enum Action {
     Open(PathBuf),
     /// First and last voxel along x, y, z; null for all.
     Crop(Option<[[usize; 2]; 3]>),
+    /// True: the voxels' own range maps to [0, 1].
+    SpanData(bool),
     Screenshot(Shot),
     Rest(bool),
     FullFrame(bool),

@@ -22,6 +22,8 @@ pub(crate) enum Command {
     Step(usize),
     Cancel,
     Crop(Option<Crop>),
+    /// Lets the voxels' own range map to [0, 1].
+    SpanData,
     LoadTransfer(PathBuf),
     SaveTransfer {
         file: PathBuf,

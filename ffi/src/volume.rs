@@ -79,7 +79,8 @@ pub struct entire_volume_desc {
     /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
     pub spacing: [f32; 3],
     /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-    /// maximum of the voxels.
+    /// maximum of the voxels without a fill value: one that is the least or the greatest of all, in one voxel
+    /// of a thousand or more, and far from all others.
     pub range: [f32; 2],
     /// Must be 0.
     pub reserved: u32,

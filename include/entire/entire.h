@@ -436,7 +436,8 @@ typedef struct entire_volume_desc {
     float spacing[3];
     /**
      * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-     * maximum of the voxels.
+     * maximum of the voxels without a fill value: one that is the least or the greatest of all, in one voxel
+     * of a thousand or more, and far from all others.
      */
     float range[2];
     /**

@@ -20,6 +20,7 @@ pub use format::{TRACE_FORMAT, Trace, TraceDraw, TracePoint, TraceVolume};
 use anyhow::{Context, Result};
 use entire_cli::dataset::Timing;
 use entire_cli::enlarge::enlarge;
+use entire_cli::identity::difference;
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
 use entire_cli::path::{FlightPath, PathFile};
@@ -120,6 +121,15 @@ impl Recording<'_> {
     }
 }
 
+/// Whether volumes are the same, by their files' content where both sides say what it was.
+fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
+    let same = |(a, b): (&TraceVolume, &TraceVolume)| {
+        let unknown = a.files.is_empty() || b.files.is_empty();
+        (&a.file, a.enlarge) == (&b.file, b.enlarge) && (unknown || difference(&a.files, &b.files).is_none())
+    };
+    then.len() == now.len() && then.iter().zip(now).all(same)
+}
+
 impl Trace {
     /// What of it differs from a recording, so that it cannot be gone on with; nothing where it can.
     pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
@@ -128,7 +138,7 @@ impl Trace {
         let repeats = |f: &Vec<TracePoint>| f.iter().all(|p| p.seconds.len() == recording.repeats);
         let grid = |(i, f): (usize, &Vec<TracePoint>)| points(f) == recording.grid(i) && repeats(f);
         [
-            ("volumes", self.volumes == other.volumes),
+            ("volumes", same_volumes(&self.volumes, &other.volumes)),
             ("path", self.path == other.path),
             ("hold", self.hold == other.hold),
             ("scales", self.scales == other.scales),

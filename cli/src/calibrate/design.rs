@@ -175,6 +175,8 @@ mod tests {
         };
         Pool {
             volumes: Vec::new(),
+            files: Vec::new(),
+            reading: Default::default(),
             candidates: rows.iter().map(candidate).collect(),
             priors: vec![ModelFile::default()],
             expected: vec![1.0; rows.len()],

@@ -10,9 +10,10 @@ use super::others::{Mark, Others};
 use super::pool::Pool;
 use crate::dataset::{Clock, TimedFrame, Timing, noise_floor};
 use crate::enlarge::enlarge;
+use crate::identity;
 use crate::metrics::median;
 use crate::volume::Volume;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use entire_core::predict::UnitCosts;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
@@ -222,7 +223,10 @@ impl<'a> Measuring<'a> {
         let path = &self.pool.volumes[volume];
         let named = || path.display().to_string();
         if !self.volumes.contains_key(&key) {
-            let opened = Volume::open(path).with_context(named)?;
+            let opened = Volume::open_as(path, &self.pool.reading, None)?;
+            if let Some(what) = identity::difference(&self.pool.files[volume], &identity::of_volume(path)?) {
+                bail!("{} was written anew during the calibration: {what}; calibrate again", path.display());
+            }
             let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
             // Four bytes is the largest scalar.
             let bytes = |v: &Volume| v.dims().iter().product::<usize>() * 4;

@@ -16,6 +16,7 @@ use crate::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed
 use crate::fit::FitContext;
 use crate::fit::analytic::counts;
 use crate::inputs::{Layout, work_of};
+use crate::volume::Reading;
 use anyhow::{Context, Result, ensure};
 use entire_core::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, blank_prior, fit_quality};
 use entire_core::features::PROBE_SIDE;
@@ -42,6 +43,8 @@ const PICTURES_SHARE: f64 = 0.08;
 pub struct Settings {
     /// Volumes whose frames are rendered.
     pub volumes: Vec<PathBuf>,
+    /// How they are read.
+    pub reading: Reading,
     /// What each sample computes.
     pub shading: Shading,
     /// How empty space is skipped.

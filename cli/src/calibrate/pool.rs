@@ -3,10 +3,12 @@
 use super::Settings;
 use crate::collection::Job;
 use crate::dataset::{Scene, Table, TimedFrame};
+use crate::files::open_volume;
+use crate::identity::{self, Identity};
 use crate::inputs::{Layout, measure, work_of};
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
-use crate::volume::Volume;
-use anyhow::{Context, Result, ensure};
+use crate::volume::Reading;
+use anyhow::{Result, ensure};
 use entire_core::calibrate::blank_prior;
 use entire_core::features::{Changes, PROBE_SIDE};
 use entire_core::model::ModelFile;
@@ -46,6 +48,10 @@ pub struct Candidate {
 pub struct Pool {
     /// The volume files.
     pub volumes: Vec<PathBuf>,
+    /// What they are.
+    pub files: Vec<Vec<Identity>>,
+    /// How they are read.
+    pub reading: Reading,
     /// The candidates; a frame's number is its index.
     pub candidates: Vec<Candidate>,
     /// The models that calibration may start from; at least one.
@@ -73,10 +79,11 @@ impl Pool {
             steps: settings.steps.clone(),
         };
         scenes.check()?;
+        let files = settings.volumes.iter().map(|path| identity::of_volume(path)).collect::<Result<_>>()?;
         let mut frames = Vec::new();
         let mut places = Vec::new();
         for (v, path) in settings.volumes.iter().enumerate() {
-            let volume = Volume::open(path).with_context(|| path.display().to_string())?;
+            let volume = open_volume(path, &settings.reading)?;
             let voxels = volume.view().shape().voxels;
             let factors: &[usize] = if voxels < SMALL_VOLUME { &[2, 1] } else { &[1] };
             let job = Job::from_path(path);
@@ -153,6 +160,7 @@ impl Pool {
         let model = priors[0].to_model()?;
         let rows: Vec<f32> = candidates.iter().flat_map(|c| c.rows[0].iter().copied()).collect();
         let expected = crate::fit::predict_rows(&model, &rows, layouts[0].width())?;
-        Ok(Self { volumes: settings.volumes.clone(), candidates, priors, expected })
+        let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
+        Ok(Self { volumes, files, reading, candidates, priors, expected })
     }
 }

@@ -2,9 +2,10 @@
 
 use crate::dataset::{MANIFEST_FORMAT, Manifest, Scene, parse_shading, parse_skipping};
 use crate::enlarge::{enlarge, resample};
+use crate::identity::{self, Identity};
 use crate::machine;
 use crate::scenes::SceneDistribution;
-use crate::volume::Volume;
+use crate::volume::{Reading, Volume};
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
 use entire_vk_raycaster::Renderer;
@@ -85,6 +86,8 @@ pub struct Protocol {
     pub enlarge: usize,
     /// Edge in voxels that volumes are resampled to instead.
     pub proxy: Option<usize>,
+    /// How volume files are read.
+    pub reading: Reading,
 }
 
 impl Protocol {
@@ -106,6 +109,8 @@ impl Protocol {
             volumes: Vec<VolumeOf>,
             #[serde(default)]
             resampled_to_edge: Option<usize>,
+            #[serde(default)]
+            reading: Reading,
             #[serde(default = "one")]
             passes: u32,
             #[serde(default)]
@@ -148,6 +153,7 @@ impl Protocol {
             termination: s.termination,
             enlarge: s.enlarged_trilinearly_by,
             proxy: s.resampled_to_edge,
+            reading: s.reading,
         };
         let jobs =
             s.volumes.into_iter().map(|v| Job { path: v.path, member: v.member, time_step: v.time_step });
@@ -231,6 +237,9 @@ impl Protocol {
         if let Some(edge) = self.proxy {
             settings["resampled_to_edge"] = json!(edge);
         }
+        if self.reading != Reading::default() {
+            settings["reading"] = json!(self.reading);
+        }
         if self.passes > 1 {
             settings["passes"] = json!(self.passes);
         }
@@ -288,5 +297,10 @@ pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
             compare(old, new);
         }
     }
+    let changed = |(name, then): (&String, &Vec<Identity>)| {
+        let what = identity::difference(then, new.files.get(name)?)?;
+        Some(format!("{name} was written anew since the table was begun ({what})"))
+    };
+    out.extend(old.files.iter().filter_map(changed));
     out
 }

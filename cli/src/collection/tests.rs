@@ -4,7 +4,7 @@ use super::*;
 use crate::dataset::{COLUMNS, Clock, MANIFEST_FORMAT, Manifest, Table};
 use crate::scenes::SceneDistribution;
 use crate::scripted::ScriptedRenderer;
-use crate::volume::VolumeData;
+use crate::volume::{Reading, VolumeData};
 use anyhow::bail;
 use entire_core::scene::{Shading, Skipping};
 use serde_json::json;
@@ -25,6 +25,7 @@ fn protocol() -> Protocol {
         termination: 0.99,
         enlarge: 1,
         proxy: None,
+        reading: Reading::default(),
     }
 }
 

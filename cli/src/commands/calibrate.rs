@@ -7,7 +7,7 @@ use crate::dataset::{Clock, Writer, left_out, read_tables};
 use crate::device::{self, Device};
 use crate::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
 use crate::interrupt;
-use crate::options::{SkipOption, thread_pool};
+use crate::options::{SkipOption, VolumeArgs, thread_pool};
 use crate::progress::templated_bar;
 use crate::steering::race::shipped_files;
 use anyhow::{Context, Result, ensure};
@@ -44,7 +44,7 @@ pub struct Options {
         value_name = "CSV",
         requires = "out",
         conflicts_with_all = ["volumes", "table", "seconds", "frames", "skip", "termination", "min_size",
-            "max_size", "steps", "device", "picture_error", "seed"]
+            "max_size", "steps", "device", "picture_error", "seed", "array", "fill", "range"]
     )]
     pub data: Vec<PathBuf>,
     /// What each sample computes, or all modes one after another.
@@ -71,6 +71,9 @@ pub struct Options {
     /// Frames at most.
     #[arg(long, default_value_t = 500, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=100_000))]
     pub frames: u32,
+    /// How volumes are read.
+    #[command(flatten)]
+    pub volume_args: VolumeArgs,
     /// How empty space is skipped.
     #[arg(long, value_enum, default_value_t)]
     pub skip: SkipOption,
@@ -197,6 +200,7 @@ pub fn run(options: &Options) -> Result<()> {
         }
         let settings = Settings {
             volumes: volumes.clone(),
+            reading: options.volume_args.reading(),
             shading,
             skipping: options.skip.into(),
             termination: options.termination,

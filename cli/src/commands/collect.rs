@@ -3,15 +3,14 @@
 use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
 use crate::dataset::{Clock, Manifest, Table, Writer, noise_floor};
 use crate::device;
-use crate::files::read_model_file;
+use crate::files::{open_volume, read_model_file};
 use crate::identity::{self, Identity};
 use crate::interrupt;
 use crate::machine;
-use crate::options::RenderArgs;
+use crate::options::{RenderArgs, VolumeArgs};
 use crate::progress::progress_bar;
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::teacher::Teacher;
-use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
@@ -42,7 +41,7 @@ pub struct Options {
     /// working folder.
     #[arg(long, value_name = "TABLE", conflicts_with_all = [
         "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",
-        "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy",
+        "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy", "array", "fill", "range",
     ])]
     pub like: Option<PathBuf>,
     /// Frames per volume.
@@ -68,6 +67,9 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
+    /// How volumes are read.
+    #[command(flatten)]
+    pub volume_args: VolumeArgs,
     /// Predict the frames by this model instead of rendering them, so that a model that needs very many
     /// frames can be distilled from one that needs few; every clock reads the prediction.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
@@ -133,6 +135,7 @@ fn protocol(options: &Options) -> Protocol {
         termination: options.render.termination,
         enlarge: options.enlarge,
         proxy: options.proxy,
+        reading: options.volume_args.reading(),
     }
 }
 
@@ -224,20 +227,10 @@ pub fn run(options: &Options) -> Result<()> {
             let differences = differences(&old, &manifest);
             ensure!(
                 differences.is_empty(),
-                "cannot go on with {}: {}; use the same settings and machine, or another --out",
+                "cannot go on with {}: {}; use the same settings, files and machine, or another --out",
                 options.out.display(),
                 differences.join("; ")
             );
-            for job in &jobs {
-                if let Some(what) = old.changed(&job.name(), &job.path)? {
-                    bail!(
-                        "cannot go on with {}: {} was written anew since the table was begun: {what}; put the \
-                         file back, or collect into another --out",
-                        options.out.display(),
-                        job.path.display()
-                    );
-                }
-            }
             if old.files.is_empty() {
                 crate::files::note(&format!(
                     "{} does not say what the volumes' files were; they are taken for unchanged",
@@ -289,7 +282,7 @@ pub fn run(options: &Options) -> Result<()> {
     let files: HashMap<PathBuf, Vec<Identity>> =
         jobs.iter().filter_map(|j| Some((j.path.clone(), manifest.files.get(&j.name())?.clone()))).collect();
     let mut open = |path: &Path| {
-        let volume = Volume::open(path)?;
+        let volume = open_volume(path, &protocol.reading)?;
         if let Some(then) = files.get(path)
             && let Some(what) = identity::difference(then, &identity::of_volume(path)?)
         {

@@ -4,17 +4,16 @@ use crate::commands::steer::describe;
 use crate::dataset::Clock;
 use crate::device;
 use crate::enlarge::enlarge;
-use crate::files::{say_notes, write_json, write_whole};
+use crate::files::{open_volume, write_json, write_whole};
 use crate::interrupt;
 use crate::machine::{self, Provenance};
-use crate::options::{RenderArgs, parse_distance, parse_size};
+use crate::options::{RenderArgs, VolumeArgs, parse_distance, parse_size};
 use crate::path::Generated;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::play::DrawSettings;
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
-use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
 use entire_core::control::StepLimits;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
@@ -67,6 +66,9 @@ pub struct Options {
     /// Random scenes rendered to calibrate, at six steps each.
     #[arg(long, default_value_t = 80, value_name = "N")]
     pub calibrate: usize,
+    /// How the volume is read.
+    #[command(flatten)]
+    pub volume_args: VolumeArgs,
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
@@ -179,8 +181,7 @@ pub fn run(options: &Options) -> Result<()> {
     };
     ensure!(options.calibrate >= 8, "--calibrate is {}; at least 8 scenes are needed", options.calibrate);
     let shown = file.display().to_string();
-    let volume = Volume::open(&file)?;
-    say_notes(&volume);
+    let volume = open_volume(&file, &options.volume_args.reading())?;
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
     let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
     let view = volume.view();

@@ -1,6 +1,7 @@
 //! `entire encode`: turn a volume into its feature vector.
 
-use crate::files::{digits, open_model, open_volume, parse_range};
+use crate::files::{digits, open_model, open_volume};
+use crate::options::VolumeArgs;
 use anyhow::{Context, Result, bail};
 use entire_core::nn::{Executor, VolumeNet};
 use std::io::Write;
@@ -8,8 +9,7 @@ use std::path::PathBuf;
 
 /// Turn a volume into its feature vector.
 ///
-/// The volume is mapped to [0, 1] over its range (0…255 for unsigned bytes, else the finite minimum…maximum;
-/// --range sets another, such as an ensemble's), resampled to the network's input and encoded. Prints the
+/// The volume is mapped to [0, 1] over its range (--range sets another, such as an ensemble's), resampled to the network's input and encoded. Prints the
 /// features on one line, comma-separated, 9 significant digits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -21,9 +21,9 @@ pub struct Options {
     pub model: PathBuf,
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
     pub volume: PathBuf,
-    /// Scalar range that maps to [0, 1].
-    #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
-    pub range: Option<(f32, f32)>,
+    /// How the volume is read.
+    #[command(flatten)]
+    pub volume_args: VolumeArgs,
     /// Threads to use; 0 for as many as the machine has.
     #[arg(
         long,
@@ -44,7 +44,7 @@ pub fn run(options: &Options) -> Result<()> {
         );
     };
     let net = VolumeNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
-    let volume = open_volume(&options.volume, options.range)?;
+    let volume = open_volume(&options.volume, &options.volume_args.reading())?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(options.threads.into())
         .build()

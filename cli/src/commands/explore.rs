@@ -3,7 +3,7 @@
 #[cfg(feature = "explore")]
 mod surroundings;
 
-use crate::options::{ShadeOption, SkipOption, parse_size};
+use crate::options::{ShadeOption, SkipOption, VolumeArgs, parse_size};
 use crate::path::parse_target;
 use crate::steering::contenders::ControllerKind;
 use anyhow::{Context, Result, bail};
@@ -27,6 +27,9 @@ pub struct Options {
     /// The volume file, or those of a time series in order; none for an empty window.
     #[arg(value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
+    /// How volumes are read.
+    #[command(flatten)]
+    pub volume_args: VolumeArgs,
     /// Time that frames should not exceed: 33ms, 0.033s or 30fps.
     #[arg(long, default_value = "33ms", value_name = "TIME", allow_hyphen_values = true)]
     pub target: String,
@@ -108,7 +111,10 @@ fn open(options: &Options, target: f64) -> Result<()> {
         script: options.script.clone(),
         log: options.log.clone(),
     };
-    entire_explore::run(window, std::sync::Arc::new(surroundings::Surroundings { model }))
+    entire_explore::run(
+        window,
+        std::sync::Arc::new(surroundings::Surroundings { model, reading: options.volume_args.reading() }),
+    )
 }
 
 #[cfg(test)]

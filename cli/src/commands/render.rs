@@ -1,9 +1,9 @@
 //! `entire render`: render one frame and time it.
 
 use crate::device;
-use crate::files::{open_volume, parse_list, parse_numbers, parse_range, write_whole};
+use crate::files::{open_volume, parse_list, parse_numbers, write_whole};
 use crate::metrics::median;
-use crate::options::RenderArgs;
+use crate::options::{RenderArgs, VolumeArgs};
 use crate::path::camera;
 use crate::report::encode_png;
 use anyhow::{Context, Result};
@@ -52,10 +52,9 @@ pub struct Options {
     /// Parallel (orthographic) projection: half of the height that is seen, in bounding-sphere radii.
     #[arg(long, value_name = "RADII", conflicts_with = "fov", allow_hyphen_values = true)]
     pub parallel_scale: Option<f32>,
-    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other
-    /// types.
-    #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
-    pub range: Option<(f32, f32)>,
+    /// How the volume is read.
+    #[command(flatten)]
+    pub volume_args: VolumeArgs,
     /// How often the frame is rendered.
     #[arg(
         long,
@@ -114,7 +113,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     .checked()?;
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
-    let volume = open_volume(&options.volume, options.range)?;
+    let volume = open_volume(&options.volume, &options.volume_args.reading())?;
     let mut renderer = device::open(options.render.device)?;
     renderer.set_block_edge(options.block_edge).context("--block-edge")?;
     let view = volume.view();

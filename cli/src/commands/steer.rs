@@ -3,10 +3,12 @@
 use crate::dataset::{Clock, Scene, Writer};
 use crate::device;
 use crate::enlarge::enlarge;
-use crate::files::{note, open_model, say_notes, write_json};
+use crate::files::{note, open_model, open_volume, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
-use crate::options::{RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size};
+use crate::options::{
+    RenderArgs, VolumeArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
+};
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::pictures::scaled_size;
 use crate::steering::contenders::ControllerKind;
@@ -101,6 +103,9 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
+    /// How the volumes are read.
+    #[command(flatten)]
+    pub volume_args: VolumeArgs,
     /// Which clock counts; `auto` is the one that --model or else the machine's model (`entire calibrate`)
     /// predicts, where there is one, else the device's. A
     /// model of another clock is refused.
@@ -174,8 +179,7 @@ pub fn run(options: &Options) -> Result<()> {
         .volumes
         .iter()
         .map(|file| {
-            let volume = Volume::open(file)?;
-            say_notes(&volume);
+            let volume = open_volume(file, &options.volume_args.reading())?;
             if options.enlarge == 1 { Ok(volume) } else { enlarge(&volume, options.enlarge) }
         })
         .collect::<Result<Vec<Volume>>>()?;

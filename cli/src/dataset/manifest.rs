@@ -3,6 +3,7 @@
 use super::feature_table::stem;
 use crate::files::{read_text, write_whole};
 use crate::identity::{self, Identity};
+use crate::volume::Reading;
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -77,6 +78,17 @@ impl Manifest {
         match self.files.get(name) {
             Some(then) => Ok(identity::difference(then, &identity::of_volume(path)?)),
             None => Ok(None),
+        }
+    }
+
+    /// How the table's volumes were read.
+    ///
+    /// # Errors
+    /// When it says so in a way that this version does not know.
+    pub fn reading(&self) -> Result<Reading> {
+        match self.settings.get("reading") {
+            Some(reading) => serde_json::from_value(reading.clone()).context("settings.reading"),
+            None => Ok(Reading::default()),
         }
     }
 

@@ -249,7 +249,7 @@ impl<'a> Database<'a> {
             volume: volume.path.clone(),
             volume_name: volume.name.clone(),
             time: volume.time,
-            range: volume.range,
+            reading: volume.reading.clone(),
             camera: [pose.rx, pose.ry, pose.dz],
             fov_y_deg: job.fov_y_deg,
             transfer_name: job.transfers[at.transfer].name.clone(),

@@ -8,6 +8,7 @@ use crate::identity::{self, Identity};
 use crate::options::parse_size;
 use crate::path::Transfer;
 use crate::report::{Column, Table};
+use crate::volume::Reading;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Arcball, Camera};
 use rayon::prelude::*;
@@ -31,8 +32,8 @@ pub struct VolumeFile {
     pub path: PathBuf,
     /// Its size and that of its data files.
     pub bytes: u64,
-    /// Scalar range that maps to 0 … 1.
-    pub range: Option<[f32; 2]>,
+    /// How it is read.
+    pub reading: Reading,
     /// What its files are: it and the data files that its header names.
     pub files: Vec<Identity>,
 }
@@ -157,7 +158,7 @@ impl Job {
         let text = |v: &dyn erased::Text| fnv1a(v.text().as_bytes());
         let mut names = HashSet::new();
         if let Some(volume) =
-            volumes.iter().find(|v| !names.insert(format!("{} {} {:?}", v.name, v.time, v.range)))
+            volumes.iter().find(|v| !names.insert(format!("{} {} {}", v.name, v.time, v.reading.key())))
         {
             bail!(
                 "volumes: {} is not the first by the name {}; give it a name",
@@ -340,7 +341,7 @@ fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     let text = |v: &VolumeFile| {
         let name = if told.name { v.name.as_str() } else { "" };
         let time = if told.time { v.time.to_string() } else { String::new() };
-        format!("{}\n{:?}\n{name}\n{time}", identity::key(&v.files), v.range)
+        format!("{}\n{}\n{name}\n{time}", identity::key(&v.files), v.reading.key())
     };
     let number = |text: String| {
         let count = same.entry(text.clone()).or_insert(0);
@@ -443,8 +444,8 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
             let meta = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
             ensure!(meta.is_file(), "volumes: {} is no file; give volume files", path.display());
             let time = if entry.series { time as u32 } else { 0 };
-            let (path, range, files) = (path.clone(), entry.range, Vec::new());
-            out.push(VolumeFile { name, time, path, bytes: 0, range, files });
+            let (path, reading, files) = (path.clone(), entry.reading(), Vec::new());
+            out.push(VolumeFile { name, time, path, bytes: 0, reading, files });
         }
     }
     out.par_iter_mut().try_for_each(|volume| -> Result<()> {

@@ -1,5 +1,6 @@
 //! A job file as it is written, before it is checked and spread out into tasks.
 
+use crate::volume::{Fill, Range, Reading};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -55,8 +56,35 @@ pub struct VolumesEntry {
     /// Whether the files are time steps of one volume.
     #[serde(default)]
     pub series: bool,
-    /// Scalar range that maps to 0 … 1.
-    pub range: Option<[f32; 2]>,
+    /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for the voxels' own.
+    pub range: Option<RangeEntry>,
+    /// The array to read from a VTK file that holds several.
+    pub array: Option<String>,
+    /// Values that stand for voxels without data: `"none"`, or numbers separated by commas.
+    #[serde(default)]
+    pub fill: Fill,
+}
+
+/// A scalar range.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(untagged, expecting = "two numbers, the low one first, or \"data\"")]
+pub enum RangeEntry {
+    /// Low and high end.
+    Numbers([f32; 2]),
+    /// A word, or numbers as `--range` has them.
+    Text(Range),
+}
+
+impl VolumesEntry {
+    /// How the files are read.
+    pub fn reading(&self) -> Reading {
+        let range = match self.range {
+            Some(RangeEntry::Numbers([low, high])) => Range::Given(low, high),
+            Some(RangeEntry::Text(range)) => range,
+            None => Range::Default,
+        };
+        Reading { array: self.array.clone(), fill: self.fill.clone(), range }
+    }
 }
 
 /// Views of a database.

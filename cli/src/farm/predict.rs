@@ -131,7 +131,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
     bar.set_length(job.volumes.len() as u64);
     let mut out = Vec::with_capacity(job.len());
     for (index, file) in job.volumes.iter().enumerate() {
-        let volume = open_volume(&file.path, file.range.map(|[a, b]| (a, b)))?;
+        let volume = open_volume(&file.path, &file.reading)?;
         let view = volume.view();
         let summary = VolumeSummary::new(&view, SummaryOptions::default())
             .with_context(|| format!("{}", file.path.display()))?;

@@ -2,6 +2,7 @@
 
 use crate::identity::Identity;
 use crate::path::Transfer;
+use crate::volume::Reading;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -17,8 +18,9 @@ pub struct Order {
     pub volume_name: String,
     /// Time step.
     pub time: u32,
-    /// Scalar range that maps to 0 … 1.
-    pub range: Option<[f32; 2]>,
+    /// How it is read.
+    #[serde(default)]
+    pub reading: Reading,
     /// Rotation about x and y in degrees, distance in bounding-sphere radii.
     pub camera: [f32; 3],
     /// Vertical field of view, degrees.

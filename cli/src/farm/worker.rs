@@ -10,6 +10,7 @@ use crate::files::{make_folder_of, open_volume, write_whole};
 use crate::identity;
 use crate::options::{ShadeOption, SkipOption};
 use crate::report::encode_png;
+use crate::volume::Reading;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
@@ -60,7 +61,7 @@ enum Painter {
 struct Own {
     renderer: Box<dyn entire_vk_raycaster::Renderer>,
     settings: (Shading, Skipping, f32, Device),
-    held: Option<(PathBuf, Option<[f32; 2]>)>,
+    held: Option<(PathBuf, Reading)>,
     transfer: Option<crate::path::Transfer>,
 }
 
@@ -255,13 +256,13 @@ impl Own {
         .checked()?;
         let clock = Instant::now();
         let mut load_s = 0.0;
-        if self.held.as_ref().is_none_or(|(path, range)| *path != order.volume || *range != order.range) {
+        if self.held.as_ref().is_none_or(|(path, how)| *path != order.volume || *how != order.reading) {
             self.held = None;
-            let volume = open_volume(&order.volume, order.range.map(|[a, b]| (a, b)))?;
+            let volume = open_volume(&order.volume, &order.reading)?;
             self.renderer
                 .set_volume(&volume.view())
                 .with_context(|| format!("{}", order.volume.display()))?;
-            self.held = Some((order.volume.clone(), order.range));
+            self.held = Some((order.volume.clone(), order.reading.clone()));
             self.transfer = None;
             load_s = clock.elapsed().as_secs_f64();
         }

@@ -24,7 +24,8 @@
 //! | any type with a NIfTI slope, intercept other than 1, 0 | 32-bit float of value × slope + intercept |
 //!
 //! NaN and infinite voxels are kept; they count as the ends of the range when a view normalizes them (see
-//! [`VolumeView::normalize`]). Axes stay in the file's order, the fastest is x; positions and directions in
+//! [`VolumeView::normalize`]). Voxels that hold a fill value ([`VolumeView::fill_values`], or those that
+//! [`Reading::fill`] names) get the least of all other values, and [`Volume::notes`] says so. Axes stay in the file's order, the fastest is x; positions and directions in
 //! space are not used, voxel spacings are.
 
 mod element;
@@ -33,15 +34,18 @@ mod metaimage;
 mod nifti;
 mod nrrd;
 mod openscivis;
+mod reading;
 mod several;
 mod stream;
 mod vti;
 
 pub use element::{Element, Endian};
+pub use reading::{Fill, Range, Reading};
 pub use stream::{Companions, Folder, NoCompanions, Stream, Watcher, without_mark};
 
 use anyhow::{Context, Result, bail};
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
+use reading::{hide_fill, narrow, non_finite};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -87,14 +91,6 @@ impl VolumeData {
     /// The element type.
     pub fn scalar_type(&self) -> ScalarType {
         self.scalars().scalar_type()
-    }
-
-    /// Number of voxels that are NaN or infinite.
-    pub fn non_finite(&self) -> usize {
-        match self {
-            Self::F32(v) => v.iter().filter(|v| !v.is_finite()).count(),
-            _ => 0,
-        }
     }
 }
 
@@ -235,26 +231,20 @@ impl Volume {
     /// unreadable file, an unknown format, a broken header, a zero size, more or fewer bytes of voxels than
     /// the header calls for, several components or time steps.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        Self::open_watched(path, None)
+        Self::open_as(path, &Reading::default(), None)
     }
 
-    /// As [`Volume::open`], with somebody who follows how far it is read and may stop it.
+    /// As [`Volume::open`], as `reading` says; somebody may follow how far it is read and stop it.
     ///
     /// # Errors
-    /// As [`Volume::open`], and the watcher's own.
-    pub fn open_watched(path: impl AsRef<Path>, watcher: Option<Arc<dyn Watcher>>) -> Result<Self> {
-        Self::open_any(path.as_ref(), watcher, None)
-    }
-
-    /// As [`Volume::open`], of the array of that name, in a format that may hold several (VTK).
-    ///
-    /// # Errors
-    /// As [`Volume::open`]; when there is no array of that name, or the format has no names.
-    pub fn open_array(path: impl AsRef<Path>, array: &str) -> Result<Self> {
-        Self::open_any(path.as_ref(), None, Some(array))
-    }
-
-    fn open_any(path: &Path, watcher: Option<Arc<dyn Watcher>>, array: Option<&str>) -> Result<Self> {
+    /// As [`Volume::open`], and the watcher's own; when there is no array of that name, or the format has no names;
+    /// when every voxel holds a fill value that is given.
+    pub fn open_as(
+        path: impl AsRef<Path>,
+        reading: &Reading,
+        watcher: Option<Arc<dyn Watcher>>,
+    ) -> Result<Self> {
+        let path = path.as_ref();
         let shown = path.display();
         let mut stream = Stream::open_watched(path, watcher.as_ref())?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
@@ -269,7 +259,7 @@ impl Volume {
         };
         let folder = Folder::new(path.parent().unwrap_or(Path::new(""))).watched(watcher);
         let mut volume =
-            Self::read_any(format, stream, &name, &folder, array).with_context(|| format!("{shown}"))?;
+            Self::read_any(format, stream, &name, &folder, reading).with_context(|| format!("{shown}"))?;
         if volume.name.is_empty() {
             volume.name = stem(&name).to_owned();
         }
@@ -288,7 +278,7 @@ impl Volume {
         file_name: &str,
         companions: &dyn Companions,
     ) -> Result<Self> {
-        Self::read_any(format, stream, file_name, companions, None)
+        Self::read_any(format, stream, file_name, companions, &Reading::default())
     }
 
     fn read_any(
@@ -296,12 +286,13 @@ impl Volume {
         stream: Stream<'_>,
         file_name: &str,
         companions: &dyn Companions,
-        array: Option<&str>,
+        reading: &Reading,
     ) -> Result<Self> {
+        let array = reading.array.as_deref();
         if let Some(array) = array.filter(|_| format != Format::VtkImage) {
             bail!("array {array:?} is asked for; a file of this format holds one volume without a name");
         }
-        let parts = match format {
+        let mut parts = match format {
             Format::Nrrd => nrrd::read(stream, companions),
             Format::MetaImage => metaimage::read(stream, companions),
             Format::VtkImage => vti::read(stream, array),
@@ -310,8 +301,16 @@ impl Volume {
             Format::Raw => openscivis::read_raw(stream, file_name, companions),
         }?;
         let spacing = parts.spacing.map(|s| s as f32);
-        let volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
-        Ok(Self { notes: parts.notes, ..volume })
+        // Sizes are checked before a voxel is looked at.
+        let mut notes = parts.notes;
+        notes.extend(hide_fill(&mut parts.data, parts.dims, &reading.fill)?);
+        let mut volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
+        notes.extend(non_finite(&volume.view()));
+        notes.extend(narrow(&volume.view(), reading.range));
+        let range = reading.range_of(&volume.view());
+        volume.set_range(range)?;
+        volume.notes = notes;
+        Ok(volume)
     }
 
     /// The voxels as the core takes them: with spacing, and the range where one was set (else the default of

@@ -278,12 +278,13 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     );
 }
 
-/// Writes a volume of 8³ voxels of one level; one voxel of 255 makes the range.
+/// Writes a volume of 8³ voxels of one level, but for one voxel of 0 and one of 255.
 fn write_level(path: &Path, level: u8) {
     let head = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: raw\n\n";
     let mut bytes = head.as_bytes().to_vec();
     bytes.push(255);
-    bytes.resize(head.len() + 512, level);
+    bytes.resize(head.len() + 511, level);
+    bytes.push(0);
     std::fs::write(path, bytes).unwrap();
 }
 

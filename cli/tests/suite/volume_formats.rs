@@ -1,6 +1,6 @@
 //! Every reader against files that other people's libraries wrote (see fixtures/make_volumes.py).
 
-use entire_cli::volume::{Volume, VolumeData};
+use entire_cli::volume::{Reading, Volume, VolumeData};
 use std::path::{Path, PathBuf};
 
 fn fixtures() -> PathBuf {
@@ -392,6 +392,9 @@ fn vti_of(points: &str, cells: &str) -> String {
 fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     let array =
         |name: &str, values: &str| format!("<DataArray type=\"UInt8\" Name=\"{name}\">{values}</DataArray>");
+    let open_array = |path: &Path, array: &str| {
+        Volume::open_as(path, &Reading { array: Some(array.to_owned()), ..Reading::default() }, None)
+    };
     let points = |name: &str| array(name, "0 1 2 3 4 5 6 7 8 9 10 11");
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.vti");
@@ -402,9 +405,9 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     let first = Volume::open(&path).unwrap();
     assert!(!cells(&first));
     assert!(first.notes()[0].contains("\"a\" is read, the first of \"a\", \"c\""), "{:?}", first.notes());
-    assert_eq!(Volume::open_array(&path, "c").unwrap().data(), &VolumeData::U8(vec![5, 6]));
-    assert!(!cells(&Volume::open_array(&path, "vtkGhostType").unwrap()));
-    let message = format!("{:#}", Volume::open_array(&path, "b").unwrap_err());
+    assert_eq!(open_array(&path, "c").unwrap().data(), &VolumeData::U8(vec![5, 6]));
+    assert!(!cells(&open_array(&path, "vtkGhostType").unwrap()));
+    let message = format!("{:#}", open_array(&path, "b").unwrap_err());
     assert!(message.contains("\"b\" is not in the file; it has \"a\", \"vtkGhostType\", \"c\""), "{message}");
 
     // Of the cells, where no scalars of the points are active.
@@ -415,14 +418,14 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     assert!(cells(&Volume::open(&path).unwrap()));
     // A name that begins like those of VTK counts where it is active, and ids never do.
     write(vti_of(&format!("Scalars=\"vtkDensity\">{}{}", points("a"), points("vtkDensity")), ">"));
-    assert_eq!(Volume::open(&path).unwrap().notes().len(), 0);
+    assert!(!Volume::open(&path).unwrap().notes().iter().any(|n| n.contains("is read")));
     write(vti_of(&format!("GlobalIds=\"i\">{}", points("i")), &format!(">{}", array("c", "5 6"))));
     assert!(cells(&Volume::open(&path).unwrap()));
     write(vti_of(&format!("Scalars=\"vtkGhostType\">{}", points("vtkGhostType")), ">"));
     let message = format!("{:#}", Volume::open(&path).unwrap_err());
     assert!(message.contains("keeps for itself (\"vtkGhostType\")"), "{message}");
 
-    let message = format!("{:#}", Volume::open_array(fixtures().join("scaled.nii"), "a").unwrap_err());
+    let message = format!("{:#}", open_array(&fixtures().join("scaled.nii"), "a").unwrap_err());
     assert!(message.contains("holds one volume without a name"), "{message}");
 }
 
@@ -505,7 +508,8 @@ fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
     for (skip, right) in [(-1, b"567"), (-3, b"345"), (-5, b"123")] {
         std::fs::write(&path, header(skip)).unwrap();
         let volume = Volume::open(&path).unwrap();
-        assert_eq!((volume.data(), volume.notes().len()), (&VolumeData::U8(right.to_vec()), 0));
+        assert_eq!(volume.data(), &VolumeData::U8(right.to_vec()));
+        assert!(!volume.notes().iter().any(|n| n.contains("behind")), "{:?}", volume.notes());
     }
     check("a.nrrd", header(-6).as_bytes(), "last 3 bytes before 5 others, there are 7");
     check("a.nrrd", header(i64::MIN).as_bytes(), "there are 7");

@@ -4,6 +4,7 @@
 mod camera;
 mod frame;
 mod nodes;
+mod range;
 mod transfer;
 mod volume;
 

@@ -139,7 +139,8 @@ pub struct VolumeOptions {
     /// Voxel spacing along x, y, z, in any common unit of length; 1 by default.
     pub spacing: [f32; 3],
     /// The scalar range that maps to [0, 1] (an ensemble shares one). Without it 0…255 for unsigned bytes, the finite
-    /// minimum…maximum for other types, which takes a scan over the voxels.
+    /// minimum…maximum for other types without [fill values](VolumeView::fill_values), which takes a scan over the
+    /// voxels.
     pub range: Option<(f32, f32)>,
 }
 
@@ -156,15 +157,15 @@ impl Default for VolumeOptions {
 #[derive(Clone, Copy, Debug)]
 pub struct VolumeView<'a> {
     scalars: Scalars<'a>,
-    dims: [usize; 3],
-    strides: [usize; 3],
+    pub(super) dims: [usize; 3],
+    pub(super) strides: [usize; 3],
     spacing: Vec3,
     range: (f32, f32),
 }
 
 impl<'a> VolumeView<'a> {
     /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the
-    /// finite minimum…maximum for other types (a scan over the voxels).
+    /// finite minimum…maximum for other types without [fill values](Self::fill_values) (a scan over the voxels).
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size of 0, [`ErrorKind::SizeMismatch`] for one over
@@ -297,44 +298,6 @@ impl<'a> VolumeView<'a> {
     #[inline]
     pub fn normalize(&self, value: f32) -> f32 {
         normalize(self.range, value)
-    }
-
-    fn default_range(&self) -> (f32, f32) {
-        let (lo, hi) = match self.scalars {
-            Scalars::U8(_) => return (0.0, 255.0),
-            Scalars::U16(values) => self.extremes(values, f32::from),
-            Scalars::I16(values) => self.extremes(values, f32::from),
-            Scalars::F32(values) => self.extremes(values, |v| v),
-        };
-        if lo <= hi { (lo, hi) } else { (0.0, 1.0) }
-    }
-
-    /// The least and the greatest finite value; the greater first where there is none.
-    fn extremes<T: Copy>(&self, values: &[T], number: impl Fn(T) -> f32) -> (f32, f32) {
-        /// Side by side, so that compilers vectorize.
-        const LANES: usize = 32;
-        let mut lanes = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-        let mut take = |values: &[T]| {
-            for ((lo, hi), &v) in lanes.0.iter_mut().zip(&mut lanes.1).zip(values) {
-                let v = number(v);
-                let v = if v.is_finite() { v } else { f32::NAN };
-                *lo = if v < *lo { v } else { *lo };
-                *hi = if v > *hi { v } else { *hi };
-            }
-        };
-        let ([nx, ny, nz], stride) = (self.dims, self.strides[0]);
-        for (z, y) in (0..nz).flat_map(|z| (0..ny).map(move |y| (z, y))) {
-            let at = self.index(0, y, z);
-            if stride == 1 {
-                let (chunks, rest) = values[at..at + nx].as_chunks::<LANES>();
-                chunks.iter().for_each(|chunk| take(chunk));
-                take(rest);
-            } else {
-                (0..nx).for_each(|x| take(&values[at + x * stride..][..1]));
-            }
-        }
-        let lo = lanes.0.into_iter().fold(f32::INFINITY, f32::min);
-        (lo, lanes.1.into_iter().fold(f32::NEG_INFINITY, f32::max))
     }
 }
 

@@ -5,6 +5,7 @@ use crate::camera::Axis;
 use crate::exchange;
 use crate::loading::Job;
 use crate::scene::Crop;
+use crate::scene::Spanned;
 use crate::script::Action;
 use crate::state::Command;
 use crate::transfer::{Curve, Opacity};
@@ -14,6 +15,7 @@ use ash::vk;
 use entire_core::GaussianLobe;
 use entire_core::scene::{Arcball, Shading, Skipping};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use winit::dpi::PhysicalSize;
 use winit::event_loop::ActiveEventLoop;
 
@@ -30,6 +32,7 @@ impl App {
                 }
             }
             Command::Crop(crop) => self.crop(crop)?,
+            Command::SpanData => self.span_data()?,
             Command::MapWork => {
                 let size = self.state.viewport;
                 if self.scene.is_some() {
@@ -116,6 +119,20 @@ impl App {
             source: Some(scene.whole.clone()),
             crop: crop.filter(|c| *c != all),
             curve: Some(self.state.edited.curve.clone()),
+            shading: self.state.shading,
+            skipping: self.state.skipping,
+        })
+    }
+
+    /// Maps the voxels' own range to [0, 1]; the transfer function becomes a preset for it.
+    fn span_data(&mut self) -> Result<()> {
+        let Some(scene) = &self.scene else { return Ok(()) };
+        self.start(Job {
+            path: scene.path.clone(),
+            index: scene.index,
+            source: Some(Arc::new(Spanned::new(scene.whole.clone()))),
+            crop: scene.crop,
+            curve: None,
             shading: self.state.shading,
             skipping: self.state.skipping,
         })
@@ -237,6 +254,10 @@ impl App {
             }
             Action::Crop(crop) => {
                 self.crop(crop)?;
+                self.waiting = Waiting::Volume;
+            }
+            Action::SpanData(_) => {
+                self.span_data()?;
                 self.waiting = Waiting::Volume;
             }
             Action::Screenshot(shot) => {

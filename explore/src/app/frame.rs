@@ -135,7 +135,10 @@ impl App {
         state.crop_draft = scene.crop.unwrap_or(scene.facts.dims.map(|n| [0, n - 1]));
         state.path = Some(scene.path.clone());
         state.work = None;
-        state.say(format!("{title} in {seconds:.2} s"));
+        match scene.whole.notes() {
+            [] => state.say(format!("{title} in {seconds:.2} s")),
+            notes => state.say(format!("{title} in {seconds:.2} s; {}", notes.join("; "))),
+        }
         state.changed.transfer = true;
         state.changed.replaced = true;
         state.picture = Some(Shown { steered: STEERED, full: None });

@@ -231,11 +231,21 @@ fn files(ui: &mut Ui, state: &mut State) {
     });
 }
 
-fn about(ui: &mut Ui, state: &State) {
+fn about(ui: &mut Ui, state: &mut State) {
     ui.label(&state.device);
     if let Some(facts) = &state.facts {
         let [x, y, z] = facts.dims;
         ui.label(format!("{x} × {y} × {z} voxels, {}, {} … {}", facts.kind, facts.range.0, facts.range.1));
+        let (low, high) = facts.own_range;
+        if facts.range != facts.own_range && low < high {
+            ui.horizontal(|ui| {
+                ui.label(format!("its voxels hold {low} … {high}"));
+                let why = "The transfer function spans the voxels' own range";
+                if ui.button("Span the data").on_hover_text(why).clicked() {
+                    state.commands.push(Command::SpanData);
+                }
+            });
+        }
         ui.label(format!("spacing {} × {} × {}", facts.spacing.x, facts.spacing.y, facts.spacing.z));
         ui.label(&state.bricks);
     }

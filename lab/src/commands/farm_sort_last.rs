@@ -8,6 +8,7 @@ use entire_cli::farm::load::Loads;
 use entire_cli::farm::simulate::{World, simulate};
 use entire_cli::files::open_volume;
 use entire_cli::metrics::median;
+use entire_cli::volume::Reading;
 use entire_core::scene::{Arcball, GaussianLobe, TransferFunction};
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -91,7 +92,7 @@ pub fn run(options: &Options) -> Result<()> {
         }
         None => Compositing { latency: options.latency, per_byte: options.per_byte },
     };
-    let volume = open_volume(&options.volume, None)?;
+    let volume = open_volume(&options.volume, &Reading::default())?;
     let lobes = vec![GaussianLobe { center: 0.4, width: 0.01, height: 0.1 }];
     let scene = Scene {
         volume: volume.view(),

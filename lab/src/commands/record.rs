@@ -112,7 +112,8 @@ pub fn run(options: &Options) -> Result<()> {
         .volumes
         .iter()
         .map(|file| {
-            let named = TraceVolume { file: file.clone(), enlarge: options.enlarge };
+            let files = entire_cli::identity::of_volume(file)?;
+            let named = TraceVolume { file: file.clone(), enlarge: options.enlarge, files };
             let volume = named.open()?;
             Ok((named, volume))
         })
@@ -193,7 +194,8 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     let mut table = Writer::create(&options.out)?;
     let mut number = 0;
     for file in &options.volumes {
-        let volume = TraceVolume { file: file.clone(), enlarge: options.enlarge }.open()?;
+        let volume =
+            TraceVolume { file: file.clone(), enlarge: options.enlarge, files: Vec::new() }.open()?;
         let view = volume.view();
         let shown = file.display().to_string();
         let bar = progress_bar(&format!("calibrate {shown}"));

@@ -4,6 +4,7 @@ use anyhow::{Context, Result};
 use entire_cli::device::{self, Device};
 use entire_cli::files::{open_volume, write_whole};
 use entire_cli::report::encode_png;
+use entire_cli::volume::Reading;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Shading, Skipping, TransferFunction};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::{Deserialize, Serialize};
@@ -46,7 +47,7 @@ pub fn compare(device: Device, volumes: &[PathBuf], side: u32, folder: &Path) ->
     .to_table()?;
     let mut found = Vec::new();
     for path in volumes {
-        let volume = open_volume(path, None)?;
+        let volume = open_volume(path, &Reading::default())?;
         renderer.set_volume(&volume.view()).with_context(|| path.display().to_string())?;
         twin.set_volume(&volume.view())?;
         renderer.set_transfer(&table)?;

@@ -7,10 +7,11 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_cli::collection::{Job, Protocol, differences, time_scene};
 use entire_cli::dataset::{Manifest, Scene, Writer, parse_shading};
 use entire_cli::files::make_folder;
+use entire_cli::identity;
 use entire_cli::machine;
 use entire_cli::progress::templated_bar;
 use entire_cli::scenes::SceneDistribution;
-use entire_cli::volume::Volume;
+use entire_cli::volume::{Reading, Volume};
 use entire_core::scene::{Arcball, Skipping};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
@@ -55,6 +56,7 @@ pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
         termination: 0.99,
         enlarge: if low { 1 } else { paper.enlarge },
         proxy: low.then_some(paper.proxy),
+        reading: Reading::default(),
     })
 }
 
@@ -143,10 +145,13 @@ impl Open {
         path: PathBuf,
         protocol: Protocol,
         (kind, low): (Kind, bool),
-        jobs: &[Job],
+        (jobs, root): (&[Job], &Path),
         renderer: &dyn Renderer,
     ) -> Result<Self> {
         let mut manifest = protocol.manifest(jobs, renderer)?;
+        for job in jobs {
+            manifest.files.insert(job.name(), identity::of_volume(&root.join(&job.path))?);
+        }
         let mut runs = Vec::new();
         if let Some(old) = Manifest::read(&path)? {
             let found = differences(&old, &manifest);
@@ -196,7 +201,7 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
             }
             let protocol = protocol(paper, mode, low)?;
             let path = table_path(work.out, &place.set.name, mode, kind, low);
-            let mut open = Open::new(path, protocol, (kind, low), &place.jobs, renderer)?;
+            let mut open = Open::new(path, protocol, (kind, low), (&place.jobs, &place.root), renderer)?;
             let mut frames = if kind == Kind::Varied {
                 varied.clone()
             } else {

@@ -4,6 +4,7 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_cli::dataset::Clock;
 use entire_cli::files::{gzip, read_decompressed, write_whole};
+use entire_cli::identity::Identity;
 use entire_cli::options::{ShadeOption, SkipOption};
 use entire_cli::path::PathFile;
 use entire_core::scene::{Shading, Skipping};
@@ -21,6 +22,9 @@ pub struct TraceVolume {
     pub file: PathBuf,
     /// Enlargement at load.
     pub enlarge: usize,
+    /// What its files were; empty where that was not kept.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub files: Vec<Identity>,
 }
 
 /// How frames were drawn.

@@ -20,6 +20,8 @@ pub(crate) struct Data {
     origin: [f64; 3],
     summary: OnceLock<VolumeSummary>,
     copied: bool,
+    /// Values that stand for voxels without data.
+    fill: Vec<f32>,
     /// Axes of the array along x, y, z.
     order: [usize; 3],
     /// What time steps share, and the number of this one.
@@ -93,7 +95,14 @@ impl Data {
 ///     ``array[x, y, z]``.
 /// range : (float, float), optional
 ///     Scalar values that the transfer function's ends belong to. Default: 0 to 255 for ``uint8``, else the
-///     smallest and the largest finite voxel.
+///     smallest and the largest finite voxel that holds no fill value.
+/// fill : "auto", None, float or sequence of float, optional
+///     Values that stand for voxels without data. Such voxels, those that a masked array hides, and NaN count
+///     as the low end of the range; a warning says how many there are. "auto" (the default) finds them where
+///     no range is given: the least or the greatest value of all, in one voxel of a thousand or more, far from
+///     all others. None takes every value as data.
+///
+/// Masked arrays, and arrays with a fill value above all others, are copied.
 ///
 /// Raises
 /// ------
@@ -162,6 +171,82 @@ fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'
     }
 }
 
+/// Values that stand for voxels without data, as Python gives them.
+pub(crate) enum Fill {
+    /// To be found.
+    Auto,
+    /// These; none for `None`.
+    Values(Vec<f32>),
+}
+
+impl<'py> FromPyObject<'_, 'py> for Fill {
+    type Error = PyErr;
+
+    fn extract(given: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        if given.is_none() {
+            return Ok(Self::Values(Vec::new()));
+        }
+        if let Ok(word) = given.extract::<String>() {
+            return match word.as_str() {
+                "auto" => Ok(Self::Auto),
+                other => Err(PyValueError::new_err(format!(
+                    "fill is {other:?}; it must be \"auto\", None, a number or numbers"
+                ))),
+            };
+        }
+        match given.extract::<f32>() {
+            Ok(value) => Ok(Self::Values(vec![value])),
+            Err(_) => Ok(Self::Values(given.extract()?)),
+        }
+    }
+}
+
+/// What a masked array hides, as an array of bool, if anything.
+fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let ma = array.py().import("numpy.ma")?;
+    if !array.is_instance(&ma.getattr("MaskedArray")?)? {
+        return Ok(None);
+    }
+    calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
+}
+
+/// A copy of an array in which voxels under a mask, and those of the values, hold the least of all others; and how
+/// many they are.
+fn hide<'py>(
+    array: &Bound<'py, PyAny>,
+    mask: Option<&Bound<'py, PyAny>>,
+    values: &[f32],
+) -> PyResult<(Bound<'py, PyAny>, usize)> {
+    let py = array.py();
+    let numpy = py.import("numpy")?;
+    calling(py, || {
+        let copy = numpy.call_method1("array", (asarray(array)?,))?;
+        // As they are compared in a file: rounded to 32-bit floats.
+        let narrow = copy.call_method1("astype", ("float32",))?;
+        let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
+        if let Some(mask) = mask {
+            hidden = numpy.call_method1("logical_or", (hidden, mask))?;
+        }
+        let count: usize = numpy.call_method1("count_nonzero", (&hidden,))?.extract()?;
+        let seen = numpy.call_method1("logical_not", (&hidden,))?;
+        let seen = numpy.call_method1("logical_and", (seen, numpy.call_method1("isfinite", (&narrow,))?))?;
+        let others = copy.get_item(&seen)?;
+        if others.len()? == 0 {
+            return Err(PyValueError::new_err(
+                "every voxel is hidden by a mask or a fill value; nothing is left to draw",
+            ));
+        }
+        copy.set_item(&hidden, others.call_method0("min")?)?;
+        Ok((copy, count))
+    })
+}
+
+/// Says something to whoever calls, once for each place.
+fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
+    let text = std::ffi::CString::new(text)?;
+    PyErr::warn(py, &py.get_type::<pyo3::exceptions::PyUserWarning>(), &text, 1)
+}
+
 /// A slice over everything that an array's strides reach.
 ///
 /// # Safety
@@ -181,7 +266,28 @@ impl Volume {
         origin: [f64; 3],
         order: [usize; 3],
         range: Option<(f32, f32)>,
+        fill: &Fill,
     ) -> PyResult<Data> {
+        let mask = mask_of(array)?;
+        let (kept_fill, asked) = match fill {
+            Fill::Values(values) => (values.clone(), !values.is_empty()),
+            Fill::Auto => (Vec::new(), false),
+        };
+        if mask.is_some() || asked {
+            let (hidden, count) = hide(array, mask.as_ref(), &kept_fill)?;
+            if count > 0 {
+                warn(
+                    py,
+                    &format!(
+                        "{count} voxels are hidden by a mask or a fill value; they count as the low end"
+                    ),
+                )?;
+            }
+            let mut data = Self::look_at(py, &hidden, spacing, origin, order, range, &Fill::Auto)?;
+            data.copied = true;
+            data.fill = kept_fill;
+            return Ok(data);
+        }
         let given = asarray(array)?;
         let mut kept = given.cast::<PyUntypedArray>()?.clone();
         if kept.ndim() != 3 {
@@ -226,9 +332,60 @@ impl Volume {
         };
         let options = VolumeOptions { strides: Some(strides), spacing, range };
         let view = detached(py, || VolumeView::with(scalars, dims, options)).map_err(raise)?;
+        let (found, broken) = match (range, fill) {
+            (None, Fill::Auto) => detached(py, || (view.fill_values(), view.non_finite())),
+            _ => (Vec::new(), 0),
+        };
+        if broken > 0 {
+            warn(
+                py,
+                &format!(
+                    "{broken} of {} voxels are NaN or infinite; NaN counts as the low end of the range, \
+                     infinities as its ends",
+                    view.shape().voxels
+                ),
+            )?;
+        }
+        if !found.is_empty() {
+            let (low, high) = view.range();
+            let list = found.iter().map(f32::to_string).collect::<Vec<_>>().join(", ");
+            warn(
+                py,
+                &format!(
+                    "{list} is taken as a fill value, far from all others ({low} to {high}): its voxels count as the \
+                     low end; fill=None takes it as data"
+                ),
+            )?;
+            // Voxels below the range count as its low end as they are.
+            if found.iter().any(|f| *f > high) {
+                let (hidden, _) = hide(array, None, &found)?;
+                let none = Fill::Values(Vec::new());
+                let mut data = Self::look_at(py, &hidden, spacing, origin, order, Some((low, high)), &none)?;
+                (data.copied, data.fill) = (true, found);
+                return Ok(data);
+            }
+        }
+        // What is said to be data counts in the range, however far it lies.
+        let view = match (range, fill) {
+            (None, Fill::Values(_)) if !matches!(scalars, Scalars::U8(_)) => {
+                let options = VolumeOptions { range: Some(detached(py, || view.own_range())), ..options };
+                VolumeView::with(scalars, dims, options).map_err(raise)?
+            }
+            _ => view,
+        };
         let owner = kept.into_any().unbind();
         let series = Arc::new(Guarded::new(Series::default()));
-        Ok(Data { view, origin, summary: OnceLock::new(), copied, order, series, step: 0, owner })
+        Ok(Data {
+            view,
+            origin,
+            summary: OnceLock::new(),
+            copied,
+            fill: Vec::new(),
+            order,
+            series,
+            step: 0,
+            owner,
+        })
     }
 }
 
@@ -236,7 +393,7 @@ impl Volume {
 impl Volume {
     #[new]
     #[pyo3(signature = (array, spacing = [1.0, 1.0, 1.0], *, origin = [0.0, 0.0, 0.0], axes = "zyx",
-        range = None))]
+        range = None, fill = Fill::Auto))]
     fn new(
         py: Python<'_>,
         array: &Bound<'_, PyAny>,
@@ -244,6 +401,7 @@ impl Volume {
         origin: [f64; 3],
         axes: &str,
         range: Option<(f32, f32)>,
+        fill: Fill,
     ) -> PyResult<Self> {
         let order = match axes {
             "zyx" => [2, 1, 0],
@@ -257,7 +415,7 @@ impl Volume {
         if origin.iter().any(|v| !v.is_finite()) {
             return Err(PyValueError::new_err(format!("origin is {origin:?}; all three must be finite")));
         }
-        Self::look_at(py, array, spacing, origin, order, range).map(|data| Self(Arc::new(data)))
+        Self::look_at(py, array, spacing, origin, order, range, &fill).map(|data| Self(Arc::new(data)))
     }
 
     /// The next time step: another array of the same shape and type, or the same one after it was written to.
@@ -293,8 +451,9 @@ impl Volume {
     ) -> PyResult<Self> {
         let before = &*self.0;
         let range = Some(before.view.range());
-        let mut data =
-            Self::look_at(py, array, before.spacing().to_array(), before.origin, before.order, range)?;
+        let fill = Fill::Values(before.fill.clone());
+        let spacing = before.spacing().to_array();
+        let mut data = Self::look_at(py, array, spacing, before.origin, before.order, range, &fill)?;
         data.series = before.series.clone();
         let mut series = before.series.lock(py)?;
         // What changed since another time step nobody said.

@@ -178,3 +178,55 @@ def test_what_is_no_time_step_is_refused(voxels):
             volume.next(other)
     with pytest.raises(ValueError):
         volume.next(voxels, ((0, voxels.shape[0] + 1), (0, 1), (0, 1)))
+
+
+def _values(shape=(12, 11, 10)):
+    return np.random.default_rng(3).random(shape, np.float32)
+
+
+@pytest.mark.parametrize("fill", [-9999.0, 1e20, 9.969209968386869e36])
+def test_fill_values_do_not_decide_the_range(fill):
+    array = _values()
+    data = array.copy()
+    array[::3] = fill
+    expected = np.delete(data, np.s_[::3], axis=0)
+    with pytest.warns(UserWarning, match="taken as a fill value"):
+        volume = entire.Volume(array)
+    assert volume.range == (expected.min(), expected.max())
+    # Only voxels above the range must be changed, in a copy.
+    assert volume.copied == (fill > 0)
+    assert array[0, 0, 0] == np.float32(fill)
+    assert volume.array.max() == (expected.max() if fill > 0 else array.max())
+    assert entire.Volume(array, fill=None).range == (min(fill, expected.min()), max(np.float32(fill), expected.max()))
+    with pytest.warns(UserWarning, match="hidden by a mask or a fill value"):
+        assert entire.Volume(array, fill=fill).range == volume.range
+    # The next time step hides the same values.
+    assert volume.next(array).range == volume.range
+
+
+def test_masked_arrays_hide_their_voxels():
+    array = np.arange(1000, dtype=np.int16).reshape(10, 10, 10)
+    masked = np.ma.masked_greater(array, 499)
+    with pytest.warns(UserWarning, match="500 voxels are hidden"):
+        volume = entire.Volume(masked)
+    assert (volume.range, volume.copied, volume.array.max()) == ((0, 499), True, 499)
+    # An empty mask hides nothing.
+    assert entire.Volume(np.ma.masked_array(array)).range == (0, 999)
+    with pytest.raises(ValueError, match="every voxel is hidden"):
+        entire.Volume(np.ma.masked_all((4, 4, 4)))
+
+
+def test_nan_is_said_once_and_decides_nothing():
+    array = _values()
+    array[0] = np.nan
+    with pytest.warns(UserWarning, match="110 of 1320 voxels are NaN or infinite"):
+        volume = entire.Volume(array)
+    assert volume.range == (np.nanmin(array), np.nanmax(array))
+
+
+def test_a_fill_value_is_auto_none_or_numbers():
+    with pytest.raises(ValueError, match='fill is "never"'):
+        entire.Volume(np.zeros((4, 4, 4), np.float32), fill="never")
+    array = np.arange(64, dtype=np.float32).reshape(4, 4, 4)
+    with pytest.warns(UserWarning, match="2 voxels"):
+        assert entire.Volume(array, fill=[0.0, 63.0]).range == (1, 62)

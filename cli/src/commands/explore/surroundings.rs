@@ -9,6 +9,7 @@ use crate::steering::fit::SteeringModel;
 use crate::steering::play::RAYCASTER;
 use crate::steering::race::shipped_file;
 use crate::steering::rivals::StepResponse;
+use crate::volume::Reading;
 use crate::volume::{Volume, Watcher};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -30,6 +31,8 @@ const FIXED_SHARE: f32 = 0.1;
 pub(super) struct Surroundings {
     /// The model file that was given, by its name.
     pub(super) model: Option<(String, Model)>,
+    /// How volumes are read.
+    pub(super) reading: Reading,
 }
 
 /// A volume file in memory.
@@ -38,6 +41,10 @@ struct Opened(Volume);
 impl VolumeSource for Opened {
     fn view(&self) -> VolumeView<'_> {
         self.0.view()
+    }
+
+    fn notes(&self) -> &[String] {
+        self.0.notes()
     }
 }
 
@@ -130,7 +137,7 @@ fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
 
 impl Host for Surroundings {
     fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>> {
-        let volume = Volume::open_watched(file, Some(Arc::new(Follower(Arc::clone(progress)))))?;
+        let volume = Volume::open_as(file, &self.reading, Some(Arc::new(Follower(Arc::clone(progress)))))?;
         Ok(Arc::new(Opened(volume)))
     }
 
@@ -315,7 +322,7 @@ mod tests {
         let file = folder.path().join("v.nrrd");
         let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 64 64 64\nencoding: raw\n\n";
         std::fs::write(&file, [header.as_bytes(), &[7; 64 * 64 * 64]].concat()).unwrap();
-        let host = Surroundings { model: None };
+        let host = Surroundings { model: None, reading: Reading::default() };
         let progress = Arc::new(Progress::default());
         let volume = host.open(&file, &progress).unwrap();
         assert_eq!((volume.view().shape().dims, progress.share()), ([64; 3], 1.0));

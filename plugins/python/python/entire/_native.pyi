@@ -34,6 +34,7 @@ class Volume:
         origin: _Triple = ...,
         axes: Literal["zyx", "xyz"] = "zyx",
         range: tuple[float, float] | None = None,
+        fill: Literal["auto"] | float | Sequence[float] | None = "auto",
     ) -> Self: ...
     def next(
         self,

@@ -1,0 +1,253 @@
+//! What a caller says of how a file becomes a volume: which array, which values are no data, which range maps to
+//! [0, 1].
+
+use super::VolumeData;
+use anyhow::{Result, ensure};
+use entire_core::scene::{Scalars, VolumeView};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// Width of the range of unsigned bytes below which a volume looks empty or flat over 0…255.
+const NARROW: f32 = 64.0;
+
+/// How a file becomes a volume. The default finds everything out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Reading {
+    /// The array's name, in a format that may hold several (VTK); else the active scalars.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub array: Option<String>,
+    /// Values that stand for voxels without data.
+    pub fill: Fill,
+    /// The scalar range that maps to [0, 1].
+    pub range: Range,
+}
+
+impl Reading {
+    /// The range to set on a volume whose fill values are hidden; `None` for the default.
+    pub(super) fn range_of(&self, view: &VolumeView<'_>) -> Option<(f32, f32)> {
+        let bytes = matches!(view.scalars(), Scalars::U8(_));
+        match self.range {
+            Range::Given(low, high) => Some((low, high)),
+            Range::Data => Some(view.own_range()),
+            // What is taken as data counts.
+            Range::Default => (!bytes && self.fill != Fill::Found).then(|| view.own_range()),
+        }
+    }
+
+    /// The text that stands for it.
+    pub fn key(&self) -> String {
+        format!("{:?} {} {}", self.array, self.fill, self.range)
+    }
+}
+
+/// Values that stand for voxels without data; such voxels are shown as the low end of the range.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Fill {
+    /// Those that [`VolumeView::fill_values`] finds: `auto`.
+    #[default]
+    Found,
+    /// None: `none`.
+    None,
+    /// These: numbers separated by commas.
+    Values(Vec<f32>),
+}
+
+/// The scalar range that maps to [0, 1].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Range {
+    /// 0…255 for unsigned bytes, the finite minimum…maximum for other types: `auto`.
+    #[default]
+    Default,
+    /// The finite minimum…maximum, for unsigned bytes, too: `data`.
+    Data,
+    /// From the first to the second: two numbers separated by a comma.
+    Given(f32, f32),
+}
+
+fn numbers(text: &str) -> Result<Vec<f32>, String> {
+    text.split(',')
+        .map(|word| word.trim().parse().map_err(|_| format!("{:?} is not a number", word.trim())))
+        .collect()
+}
+
+impl FromStr for Fill {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "auto" => Ok(Self::Found),
+            "none" => Ok(Self::None),
+            list => numbers(list).map(Self::Values).map_err(|e| format!("{e}; give auto, none, or numbers")),
+        }
+    }
+}
+
+impl FromStr for Range {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "auto" => Ok(Self::Default),
+            "data" => Ok(Self::Data),
+            pair => match numbers(pair)?[..] {
+                [low, high] => Ok(Self::Given(low, high)),
+                _ => Err("two numbers separated by a comma are expected, or data".to_owned()),
+            },
+        }
+    }
+}
+
+impl fmt::Display for Fill {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Found => f.write_str("auto"),
+            Self::None => f.write_str("none"),
+            Self::Values(values) => {
+                f.write_str(&values.iter().map(f32::to_string).collect::<Vec<_>>().join(","))
+            }
+        }
+    }
+}
+
+impl fmt::Display for Range {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Default => f.write_str("auto"),
+            Self::Data => f.write_str("data"),
+            Self::Given(low, high) => write!(f, "{low},{high}"),
+        }
+    }
+}
+
+macro_rules! as_text {
+    ($($kind:ty)*) => {$(
+        impl TryFrom<String> for $kind {
+            type Error = String;
+
+            fn try_from(text: String) -> Result<Self, String> {
+                text.parse()
+            }
+        }
+
+        impl From<$kind> for String {
+            fn from(value: $kind) -> Self {
+                value.to_string()
+            }
+        }
+    )*};
+}
+as_text!(Fill Range);
+
+/// Puts the low end of the range of all other voxels where one holds a fill value. Gives what a user should know of
+/// it, if anything.
+///
+/// # Errors
+/// When every voxel holds one of the values that were given.
+pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) -> Result<Option<String>> {
+    let (values, found) = match fill {
+        Fill::Found => (VolumeView::new(data.scalars(), dims)?.fill_values(), true),
+        Fill::None => return Ok(None),
+        Fill::Values(values) => (values.clone(), false),
+    };
+    if values.is_empty() {
+        return Ok(None);
+    }
+    let is_fill = |v: f32| values.contains(&v) || v.is_nan() && values.iter().any(|f| f.is_nan());
+    let (mut low, mut high, mut hidden) = (f32::INFINITY, f32::NEG_INFINITY, 0usize);
+    for v in data.scalars().iter() {
+        if is_fill(v) {
+            hidden += 1;
+        } else if v.is_finite() {
+            (low, high) = (low.min(v), high.max(v));
+        }
+    }
+    ensure!(low <= high, "every voxel holds a fill value ({fill}); give other values, or none");
+    macro_rules! replace {
+        ($($kind:ident $number:ty),*) => {
+            match data {
+                $(VolumeData::$kind(voxels) => {
+                    for v in voxels.iter_mut().filter(|v| is_fill(f32::from(**v))) {
+                        *v = low as $number;
+                    }
+                })*
+            }
+        };
+    }
+    replace!(U8 u8, U16 u16, I16 i16, F32 f32);
+    let list = values.iter().map(f32::to_string).collect::<Vec<_>>().join(", ");
+    let (share, all) = (100.0 * hidden as f64 / data.len() as f64, data.len());
+    Ok(match (found, hidden) {
+        (true, _) => Some(format!(
+            "{hidden} of {all} voxels ({share:.1} %) hold {list}, far from all others ({low} to {high}): taken as a \
+             fill value and shown as the low end; `--fill none` takes it as data"
+        )),
+        (false, 0) => Some(format!("no voxel holds the fill value {list}")),
+        (false, _) => None,
+    })
+}
+
+/// What a user should know of the range that a volume is shown over, if anything.
+pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
+    let (low, high) = view.own_range();
+    let narrow = range == Range::Default && view.range() != (low, high) && high - low < NARROW;
+    narrow.then(|| {
+        format!(
+            "its bytes hold {low} to {high}, a small part of 0 to 255, which is what a transfer function spans; \
+             `--range data` spans the voxels' own range"
+        )
+    })
+}
+
+/// What a user should know of voxels that are no numbers, if anything.
+pub(super) fn non_finite(view: &VolumeView<'_>) -> Option<String> {
+    let (broken, all) = (view.non_finite(), view.shape().voxels);
+    (broken > 0).then(|| {
+        format!(
+            "{broken} of {all} voxels are NaN or infinite; they count as the ends of the range (NaN as the low end)"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_and_numbers_are_read_and_written() {
+        for text in ["auto", "none", "-9999", "1,-2.5"] {
+            assert_eq!(text.parse::<Fill>().unwrap().to_string(), text);
+        }
+        assert!("-9999;".parse::<Fill>().unwrap_err().contains("auto, none"));
+        for text in ["auto", "data", "-1024,3071"] {
+            assert_eq!(text.parse::<Range>().unwrap().to_string(), text);
+        }
+        for wrong in ["1", "0,1,2", "date"] {
+            assert!(wrong.parse::<Range>().is_err(), "{wrong}");
+        }
+        let reading = Reading { fill: Fill::None, range: Range::Given(0.0, 2.0), ..Reading::default() };
+        let text = serde_json::to_string(&reading).unwrap();
+        assert_eq!(text, r#"{"fill":"none","range":"0,2"}"#);
+        assert_eq!(serde_json::from_str::<Reading>(&text).unwrap(), reading);
+        assert_eq!(serde_json::from_str::<Reading>("{}").unwrap(), Reading::default());
+    }
+
+    #[test]
+    fn fill_values_become_the_low_end() {
+        let mut data = VolumeData::U16((0..100).map(|i| if i < 40 { 65535 } else { i }).collect());
+        let note = hide_fill(&mut data, [10, 10, 1], &Fill::Found).unwrap().unwrap();
+        assert!(note.contains("40 of 100 voxels (40.0 %) hold 65535") && note.contains("40 to 99"), "{note}");
+        assert_eq!(data, VolumeData::U16((0..100).map(|i| i.max(40)).collect()));
+        let mut data = VolumeData::F32(vec![f32::NAN, 7.0, 1.0, 2.0]);
+        let note = hide_fill(&mut data, [4, 1, 1], &Fill::Values(vec![7.0, f32::NAN])).unwrap();
+        assert_eq!((note, data), (None, VolumeData::F32(vec![1.0, 1.0, 1.0, 2.0])));
+        let mut all = VolumeData::U8(vec![3; 8]);
+        assert!(hide_fill(&mut all, [8, 1, 1], &Fill::Values(vec![3.0])).is_err());
+        assert!(
+            hide_fill(&mut all, [8, 1, 1], &Fill::Values(vec![4.0])).unwrap().unwrap().contains("no voxel")
+        );
+    }
+}

@@ -1,0 +1,139 @@
+//! Values that stand for voxels without data, and bytes that fill a small part of their range.
+
+use crate::support::{entire, float_nrrd, picture, render, stderr, succeeds};
+use entire_cli::volume::{Fill, Range, Reading, Volume, VolumeData};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports").join(name)
+}
+
+fn open(path: &Path, fill: Fill) -> Volume {
+    Volume::open_as(path, &Reading { fill, ..Reading::default() }, None).unwrap()
+}
+
+fn ends(values: impl Iterator<Item = f32>) -> (f32, f32) {
+    values.fold((f32::MAX, f32::MIN), |(lo, hi), v| (lo.min(v), hi.max(v)))
+}
+
+/// Each file has 1920 of 7680 voxels of one value; the range is that of the others, as pynrrd reads them.
+#[test]
+fn fill_values_do_not_decide_the_range() {
+    let fields = ["minus-9999", "netcdf", "minus-flt-max", "1e20"];
+    let values = [-9999.0, 9.969_21e36, f32::MIN, 1e20];
+    for (name, fill) in fields.into_iter().zip(values) {
+        let path = fixture(&format!("fill-{name}.nrrd"));
+        let volume = open(&path, Fill::Found);
+        assert_eq!(volume.view().range(), (0.000_101_613_06, 1.0), "{name}");
+        let note = &volume.notes()[0];
+        assert!(
+            note.contains("1920 of 7680 voxels (25.0 %)") && note.contains("--fill none"),
+            "{name}: {note}"
+        );
+        // Nothing is left of it, so that no interpolated sample lies beyond the range either.
+        assert_eq!(ends(volume.data().scalars().iter()), (0.000_101_613_06, 1.0), "{name}");
+        let kept = open(&path, Fill::None);
+        let range = kept.view().range();
+        assert_eq!(range, (fill.min(0.000_101_613_06), fill.max(1.0)), "{name}");
+        assert!(kept.notes().is_empty(), "{:?}", kept.notes());
+        let named = open(&path, Fill::Values(vec![fill]));
+        assert_eq!((named.data(), named.notes().len()), (volume.data(), 0), "{name}");
+    }
+    let ct = open(&fixture("fill-ct.nrrd"), Fill::Found);
+    assert_eq!((ct.view().range(), ct.notes().len()), ((-999.0, 4000.0), 1));
+    let none = open(&fixture("fill-none.nrrd"), Fill::Found);
+    assert_eq!((none.view().range(), none.notes().len()), ((0.000_010_420_832, 1.0), 0));
+    let nan = open(&fixture("fill-nan.nrrd"), Fill::Found);
+    assert_eq!(nan.view().range(), (0.000_101_613_06, 1.0));
+    assert!(nan.notes()[0].contains("1920 of 7680 voxels are NaN or infinite"), "{:?}", nan.notes());
+}
+
+/// A volume is drawn alike with a fill value and with the low end in its place, whichever side the value is on.
+#[test]
+fn fill_values_are_drawn_as_the_low_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let value = |i: usize, fill: f32| if i.is_multiple_of(5) { fill } else { 0.1 + (i % 97) as f32 / 100.0 };
+    let mut pictures = Vec::new();
+    for (name, fill) in [("low", 0.1), ("minus", -9999.0), ("plus", 1e20)] {
+        let file = format!("{name}.nrrd");
+        let bytes = float_nrrd([16, 16, 16], (0..4096).map(|i| value(i, fill)));
+        std::fs::write(folder.path().join(&file), bytes).unwrap();
+        let output = entire(folder.path(), &render(&file, "10,20,2.5", "0.9,0.05,0.7", "32x32", &[]));
+        assert!(output.status.success(), "{}", stderr(&output));
+        assert_eq!(stderr(&output).contains("taken as a fill value"), name != "low", "{}", stderr(&output));
+        pictures.push(picture(&folder.path().join("out.png")));
+    }
+    assert!(pictures[0].2.iter().any(|&v| v > 0), "the picture is black");
+    assert!(pictures[0] == pictures[1] && pictures[0] == pictures[2], "fill values show");
+}
+
+/// Bytes of 3 to 17 are black under a transfer function over 0 to 255, which is said, and visible with their range.
+#[test]
+fn bytes_of_a_narrow_range_are_said_and_can_be_spanned() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes: Vec<u8> = (0..4096u32).map(|i| 3 + (i % 15) as u8).collect();
+    let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 16 16 16\nencoding: raw\n\n";
+    std::fs::write(folder.path().join("dim.nrrd"), [header.as_bytes(), &bytes].concat()).unwrap();
+    let drawn = |more: &[&str]| {
+        let arguments = render("dim.nrrd", "10,20,2.5", "0.8,0.02,0.7", "32x32", more);
+        let output = entire(folder.path(), &arguments);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let lit = picture(&folder.path().join("out.png")).2.iter().any(|&v| v > 0);
+        (lit, stderr(&output))
+    };
+    let (lit, said) = drawn(&[]);
+    assert!(!lit && said.contains("its bytes hold 3 to 17") && said.contains("--range data"), "{lit} {said}");
+    let (lit, said) = drawn(&["--range", "data"]);
+    assert!(lit && !said.contains("note"), "{lit} {said}");
+    assert_eq!(drawn(&["--range", "3,17"]), (true, String::new()));
+    let reading = Reading { range: Range::Data, ..Reading::default() };
+    let volume = Volume::open_as(folder.path().join("dim.nrrd"), &reading, None).unwrap();
+    assert_eq!((volume.view().range(), volume.data()), ((3.0, 17.0), &VolumeData::U8(bytes)));
+}
+
+/// A table keeps how its volumes were read; the features of its frames are those of the same volume.
+#[test]
+fn tables_keep_how_volumes_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let value = |i: usize| if i.is_multiple_of(5) { -9999.0 } else { 0.1 + (i % 97) as f32 / 100.0 };
+    let bytes = float_nrrd([16, 16, 16], (0..4096).map(value));
+    std::fs::write(folder.path().join("v.nrrd"), bytes).unwrap();
+    let collect = |out: &str, more: &[&str]| {
+        let mut arguments = vec![
+            "collect",
+            "v.nrrd",
+            "--device",
+            "cpu",
+            "--frames",
+            "2",
+            "--repeats",
+            "1",
+            "--max-size",
+            "32",
+            "--out",
+            out,
+        ];
+        arguments.extend_from_slice(more);
+        entire(folder.path(), &arguments)
+    };
+    for (out, more) in
+        [("found.csv", &[][..]), ("kept.csv", &["--fill", "none"]), ("low.csv", &["--fill", "-9999"])]
+    {
+        let output = collect(out, more);
+        assert!(output.status.success(), "{}", stderr(&output));
+        succeeds(folder.path(), &["features", "--data", out, "--quiet"]);
+    }
+    let features = |name: &str| {
+        let packed = std::fs::File::open(folder.path().join(format!("{name}.features.csv.gz"))).unwrap();
+        let mut text = String::new();
+        flate2::read::GzDecoder::new(packed).read_to_string(&mut text).unwrap();
+        // The first line names the table.
+        text.split_once('\n').unwrap().1.to_owned()
+    };
+    assert_eq!(features("found"), features("low"));
+    assert_ne!(features("found"), features("kept"));
+    let output = collect("kept.csv", &["--resume"]);
+    let text = stderr(&output);
+    assert!(!output.status.success() && text.contains("reading was"), "{text}");
+}
