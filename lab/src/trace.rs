@@ -432,6 +432,24 @@ mod tests {
     }
 
     #[test]
+    fn a_recording_is_not_gone_on_with_after_a_volume_was_written_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("v.nrrd");
+        let volume = |bytes: &[u8]| {
+            std::fs::write(&file, bytes).unwrap();
+            let files = entire_cli::identity::of_volume(&file).unwrap();
+            [TraceVolume { file: file.clone(), enlarge: 1, files }]
+        };
+        let then = volume(b"one");
+        assert!(same_volumes(&then, &volume(b"one")));
+        assert!(!same_volumes(&then, &volume(b"two")));
+        let unknown = [TraceVolume { files: Vec::new(), ..then[0].clone() }];
+        assert!(same_volumes(&unknown, &volume(b"two")));
+        assert!(!same_volumes(&then, &[TraceVolume { enlarge: 2, ..then[0].clone() }]));
+        assert!(!same_volumes(&then, &[]));
+    }
+
+    #[test]
     fn curves_interpolate_fall_and_keep_their_noise() {
         let c = Curve::of(&[point(1.0, &[4.0]), point(2.0, &[2.0]), point(4.0, &[0.9, 1.1])]);
         assert!((c.seconds(1.0) - 4.0).abs() < 1e-9 && (c.seconds(2f64.sqrt()) - 8f64.sqrt()).abs() < 1e-9);

@@ -187,7 +187,8 @@ pub fn calibrate(
         (rounds, warm_ups),
         start.elapsed().as_secs_f64(),
     )?
-    .with_pictures(settings.picture_error, quality);
+    .with_pictures(settings.picture_error, quality)
+    .with_files(pool.named_files());
     let mut file = chosen.file;
     report.write_into(&mut file, (renderer.backend(), &renderer.device()), &observed, &chosen.crossed)?;
     bar.finish_and_clear();
@@ -284,7 +285,8 @@ pub fn calibrate_to_tables(
         others::Others::default(),
         (0, 0),
         start.elapsed().as_secs_f64(),
-    )?;
+    )?
+    .with_files(tables.iter().filter_map(|t| t.manifest.as_ref()).flat_map(|m| m.files.clone()).collect());
     let manifest = tables.iter().find_map(|t| t.manifest.as_ref());
     let device = manifest.map_or(("not stated", "not stated"), |m| (m.renderer.as_str(), m.device.as_str()));
     let mut file = chosen.file;

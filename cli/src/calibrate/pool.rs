@@ -15,6 +15,7 @@ use entire_core::model::ModelFile;
 use entire_core::predict::{COST_QUANTITIES, COSTS};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use indicatif::ProgressBar;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Candidates per volume and size.
@@ -61,6 +62,12 @@ pub struct Pool {
 }
 
 impl Pool {
+    /// What the volumes' files are, by the names that frames have.
+    pub fn named_files(&self) -> BTreeMap<String, Vec<Identity>> {
+        let name = |path: &PathBuf| path.to_string_lossy().into_owned();
+        self.volumes.iter().map(name).zip(self.files.iter().cloned()).collect()
+    }
+
     /// Draws candidates of every volume and computes what is known of them.
     ///
     /// # Errors

@@ -4,6 +4,7 @@ use super::measuring::PictureError;
 use super::others::Others;
 use crate::bound;
 use crate::dataset::{Clock, NoiseFloor};
+use crate::identity::Identity;
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
 use anyhow::{Context, Result};
@@ -13,7 +14,7 @@ use entire_core::predict::{Quality, UpperBound};
 use entire_core::scene::Shading;
 use serde::Serialize;
 use serde_json::json;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 /// Drift between passes from which on it is said, as a share.
@@ -59,6 +60,8 @@ pub struct Report {
     pub others: Others,
     /// What coarser steps and smaller images cost pictures; `None` where too few were compared.
     pub pictures: Option<Pictures>,
+    /// Files of the volumes, by the volumes' names; empty where that is not known.
+    pub files: BTreeMap<String, Vec<Identity>>,
 }
 
 /// What compared pictures said.
@@ -77,6 +80,12 @@ impl Report {
     pub fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
         let pictures = fitted.map(|fitted| Pictures { error, fitted });
         Self { pictures, ..self }
+    }
+
+    /// With the files of its volumes.
+    #[must_use]
+    pub fn with_files(self, files: BTreeMap<String, Vec<Identity>>) -> Self {
+        Self { files, ..self }
     }
 
     /// Judges a calibration by the frames that `judged` names.
@@ -121,6 +130,7 @@ impl Report {
             noise,
             others,
             pictures: None,
+            files: BTreeMap::new(),
         })
     }
 
@@ -261,7 +271,7 @@ impl Report {
             "what": "Calibrated to a machine: analytic cost model times a learned factor",
             "clock": self.clock,
             "shading": self.shading,
-            "calibration": { "frames": self.frames, "volumes": self.volumes, "rounds": self.rounds,
+            "calibration": { "frames": self.frames, "volumes": self.volumes, "files": self.files.values().flatten().collect::<Vec<_>>(), "rounds": self.rounds,
                 "seconds": self.seconds, "prior": prior, "belief": self.belief, "folds": self.folds,
                 "judged": self.judged, "median_error": self.median_error, "rmse_over_sd": self.rmse_over_sd,
                 "noise": self.noise, "pictures": self.pictures, "others": self.others, "busy": self.others.busy() },

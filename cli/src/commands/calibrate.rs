@@ -2,17 +2,22 @@
 
 use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
+use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
-use crate::dataset::{Clock, Writer, left_out, read_tables};
+use crate::dataset::{Clock, MANIFEST_FORMAT, Manifest, Writer, left_out, read_tables};
 use crate::device::{self, Device};
 use crate::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
 use crate::interrupt;
+use crate::machine;
 use crate::options::{SkipOption, VolumeArgs, thread_pool};
 use crate::progress::templated_bar;
 use crate::steering::race::shipped_files;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::scene::Shading;
+use entire_vk_raycaster::Renderer;
+use serde_json::json;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Fit a model to this machine in a minute and a half.
@@ -222,6 +227,9 @@ pub fn run(options: &Options) -> Result<()> {
                 written += 1;
             }
         }
+        if let Some(path) = &options.table {
+            manifest_of_table(options, &report, renderer.as_ref()).write(path)?;
+        }
         write_whole(out, &file.to_bytes()?)?;
         print!("{}", report.text());
         for warning in report.warnings() {
@@ -234,6 +242,26 @@ pub fn run(options: &Options) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// What the measured frames' table was measured with.
+fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
+    Manifest {
+        format: MANIFEST_FORMAT.into(),
+        created: machine::now(),
+        machine: machine::machine(),
+        renderer: renderer.backend().into(),
+        device: renderer.device(),
+        driver: String::new(),
+        commit: machine::version(),
+        seed: options.seed,
+        // Frames differ in theirs.
+        repeats: 0,
+        step_reference: "smallest voxel spacing".into(),
+        settings: json!({ "calibration": true, "reading": options.volume_args.reading() }),
+        files: report.files.clone(),
+        other: BTreeMap::new(),
+    }
 }
 
 /// The models to start from, by their names: the one that is named, else the shipped ones.

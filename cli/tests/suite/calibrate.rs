@@ -63,6 +63,13 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let provenance: serde_json::Value =
         serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
     assert_eq!((&provenance["clock"], &provenance["shading"]), (&"cpu".into(), &"none".into()));
+    let names: Vec<&str> = provenance["calibration"]["files"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| f["name"].as_str().unwrap())
+        .collect();
+    assert_eq!(names.len(), 3, "{names:?}");
     let frames = provenance["calibration"]["frames"].as_u64().unwrap();
     assert!((8..=30).contains(&frames), "{frames}");
     for text in [model.metadata()["entire.provenance"].as_str(), &said] {
@@ -97,6 +104,19 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     assert!(predicted.status.success(), "{}", stderr(&predicted));
     assert!(stderr(&predicted).contains("predicts cpu seconds"), "{predicted:?}");
     assert!(stdout(&predicted).trim().parse::<f64>().unwrap() > 0.0);
+
+    // Its table knows its volumes: none that was written anew is taken for one that was measured.
+    let volume = std::fs::read_dir(at.join("data")).unwrap().next().unwrap().unwrap().path();
+    let mut bytes = std::fs::read(&volume).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    std::fs::write(&volume, bytes).unwrap();
+    for arguments in [
+        &["features", "--data", "frames.csv", "--quiet"][..],
+        &["calibrate", "--data", "frames.csv", "--out", "stale.safetensors", "--threads", "1"],
+    ] {
+        let stale = run(at, arguments);
+        assert!(!stale.status.success() && stderr(&stale).contains("was written anew"), "{stale:?}");
+    }
 }
 
 #[test]
