@@ -8,6 +8,7 @@ mod collect;
 mod commands;
 mod farm;
 mod predictions;
+mod reference;
 mod shipped_models;
 mod steer;
 mod train;
@@ -17,5 +18,7 @@ mod volume_formats;
 
 #[path = "../support/ball.rs"]
 mod ball;
+#[path = "../support/reference.rs"]
+mod page;
 #[path = "../support/mod.rs"]
 mod support;
