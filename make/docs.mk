@@ -2,6 +2,11 @@
 MDBOOK_VERSION := 0.5.4
 DOCS_OUT ?= out/book
 
+.PHONY: reference
+reference: ## Write the book's pages of options from the commands
+	UPDATE_REFERENCE=1 $(CARGO) test --quiet --package entire-cli --package entire-lab --features entire-cli/explore \
+		--test suite the_book_names_every_option
+
 .PHONY: docs
 docs: ## Build the book: out/book/index.html (installs mdbook into target/tools where it is missing)
 	@mdbook=$$(command -v mdbook || true); \

@@ -1,7 +1,7 @@
 //! The command line of `entire`.
 
-use crate::{commands, program};
-use clap::{Parser, Subcommand};
+use crate::{commands, program, progress};
+use clap::{CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -10,6 +10,9 @@ use std::process::ExitCode;
 #[derive(Debug, Parser)]
 #[command(name = "entire", version, propagate_version = true)]
 struct Cli {
+    /// No progress bar and no notes: results and errors alone.
+    #[arg(long, global = true)]
+    quiet: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -56,8 +59,14 @@ pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     program::run("entire", move || Cli::parse_from(args).run())
 }
 
+/// The commands with their options, as `--help` tells of them.
+pub fn command() -> clap::Command {
+    Cli::command()
+}
+
 impl Cli {
     fn run(&self) -> anyhow::Result<()> {
+        progress::keep_quiet(self.quiet);
         match &self.command {
             Command::Collect(options) => commands::collect::run(options),
             Command::Calibrate(options) => commands::calibrate::run(options),

@@ -1,5 +1,6 @@
 //! Which renderer a command uses.
 
+use crate::files::note;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_vk_raycaster::{CpuRaycaster, Renderer, VulkanOptions, VulkanRaycaster};
@@ -28,7 +29,7 @@ pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => Ok(Box::new(renderer)),
         Err(error) if device == Device::Auto => {
-            eprintln!("note: {error}; the CPU twin renders instead");
+            note(&format!("{error}; the CPU twin renders instead"));
             Ok(Box::new(CpuRaycaster::new()))
         }
         Err(error) => Err(error).context("cannot open a Vulkan device (--device cpu needs none)"),

@@ -1,5 +1,6 @@
 //! Files as commands read and write them: models, volumes, whole files, and what is said about them.
 
+use crate::progress::is_quiet;
 pub use crate::volume::without_mark;
 use crate::volume::{Reading, Stream, Volume};
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -255,8 +256,11 @@ pub fn say_notes(volume: &Volume) {
     }
 }
 
-/// Says something on standard error that is not an error.
+/// Says something on standard error that is not an error, unless the program [keeps quiet](is_quiet).
 pub fn note(text: &str) {
+    if is_quiet() {
+        return;
+    }
     // Nobody may be listening there, which is no reason to fail.
     let _ = writeln!(std::io::stderr().lock(), "note: {text}");
 }

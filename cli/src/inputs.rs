@@ -454,10 +454,9 @@ mod tests {
         features::run(&features::Options {
             data: vec![csv.clone()],
             volumenet: Vec::new(),
-            probe_sides: vec![5],
+            probe_sides: vec![5, PROBE_SIDE, 5],
             root: None,
             threads: Some(1),
-            quiet: true,
         })
         .unwrap();
         let tables = read_tables(std::slice::from_ref(&csv)).unwrap();

@@ -24,6 +24,7 @@ pub mod path;
 pub mod pictures;
 pub mod program;
 pub mod progress;
+pub mod reference;
 pub mod report;
 pub mod scenes;
 #[cfg(test)]
@@ -34,4 +35,4 @@ pub mod teacher;
 pub mod train;
 pub mod volume;
 
-pub use command_line::main_with_args;
+pub use command_line::{command, main_with_args};

@@ -98,7 +98,7 @@ impl From<SkipOption> for Skipping {
 /// When it is not two sides of 1 to [`MAX_IMAGE_SIDE`] pixels.
 pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     let wrong = || format!("{text:?} is not WIDTHxHEIGHT with sides of 1 to {MAX_IMAGE_SIDE} pixels");
-    let (w, h) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
+    let (w, h) = text.split_once(['x', 'X', '×']).ok_or_else(wrong)?;
     match (w.trim().parse(), h.trim().parse()) {
         (Ok(w), Ok(h)) if (1..=MAX_IMAGE_SIDE).contains(&w) && (1..=MAX_IMAGE_SIDE).contains(&h) => {
             Ok((w, h))

@@ -23,7 +23,7 @@ fn agrees_with_the_twin() -> Result<(), Failed> {
             "40x30",
             "--shade",
             "local",
-            "--repeat",
+            "--repeats",
             "2",
             "--json",
             "--device",
@@ -51,7 +51,7 @@ fn probe_describes_the_device() -> Result<(), Failed> {
     let output = ["10", "40", "160"]
         .into_iter()
         .map(|ms| {
-            let arguments = ["probe", "--device", "vulkan", "--json", "--frame-ms", ms, "--repeat", "3"];
+            let arguments = ["probe", "--device", "vulkan", "--json", "--frame-ms", ms, "--repeats", "3"];
             entire(folder.path(), &arguments)
         })
         .find(|output| output.status.success() || !stderr(output).contains("with longer frames"))

@@ -112,8 +112,7 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         let names: Vec<&str> = controllers.iter().map(|c| c.0).collect();
         format!("there is no controller {:?}; there are {}", options.controller, names.join(", "))
     })?;
-    let mut steer = Steer::new(controllers, controller, options.target);
-    (steer.coarsest, steer.distance) = (options.coarsest, options.image_sample_distance);
+    let steer = Steer::new(controllers, controller, options.target);
     let script = options.script.as_deref().map(Script::open).transpose()?;
     if script.is_some() && options.volumes.is_empty() {
         bail!("a script needs a volume to begin with; give one");

@@ -121,10 +121,6 @@ pub struct Options {
     pub volumes: Vec<PathBuf>,
     /// Seconds that a frame should take at most.
     pub target: f64,
-    /// The coarsest ray step that steering may choose, reference steps.
-    pub coarsest: f32,
-    /// The most pixels between neighboring rays that steering may choose, along each side.
-    pub image_sample_distance: f32,
     /// One of [`Host::controllers`].
     pub controller: String,
     /// What each sample computes.

@@ -106,6 +106,12 @@ class Page:
                 found.add(re.sub(r"[^\w\- ]", "", text).replace(" ", "-"))
         return found
 
+    def sections(self):
+        """The text from each heading to the next, headings and code included."""
+        starts = [number - 1 for number, line in self.prose if re.match(r"#{1,6} ", line)]
+        for start, end in zip([0, *starts], [*starts, len(self.lines)]):
+            yield "\n".join(self.lines[start:end])
+
     def links(self):
         """(line number, target) of every link and picture that is not an address."""
         for number, line in self.prose:
@@ -174,17 +180,48 @@ def missing_targets(pages):
                     yield f"{page.path}: `make {target}` is no target"
 
 
-def missing_commands(pages, folder):
-    """Commands and options that pages name and `--help` does not."""
-    helps = {}
+class Helps:
+    """What the built programs' `--help` says, asked once for each command."""
 
-    def text_of(program, *command):
+    def __init__(self, folder):
+        self.folder = folder
+        self.texts = {}
+
+    def __call__(self, program, *command):
         key = (program, *command)
-        if key not in helps:
-            done = run(str(folder / program), *command, "--help", timeout=60)
-            helps[key] = done.stdout if done.returncode == 0 else None
-        return helps[key]
+        if key not in self.texts:
+            done = run(str(self.folder / program), *command, "--help", timeout=60)
+            self.texts[key] = done.stdout if done.returncode == 0 else None
+        return self.texts[key]
 
+    def commands(self, *words):
+        """The commands of a program that take options themselves, as tuples of words."""
+        listed = re.search(r"^Commands:\n((?: +.*\n)+)", self(*words) or "", re.M)
+        below = re.findall(r"^  ([a-z][a-z-]*)", listed.group(1), re.M) if listed else []
+        found = [command for name in below if name != "help" for command in self.commands(*words, name)]
+        return found or [words]
+
+    def options(self, *words):
+        text = re.split(r"^Examples?\b", self(*words) or "", flags=re.M)[0]
+        found = set(re.findall(r"^(?: {6}|  -\w, )(--[a-z][a-z-]*)", text, re.M))
+        return sorted(found - {"--help", "--version"})
+
+
+def undocumented_options(pages, text_of):
+    """Options that no section names which also names their command."""
+    sections = [section for page in pages for section in page.sections()]
+    for command in (c for program in ("entire", "entire-lab") for c in text_of.commands(program)):
+        name = re.compile(rf"(?<![\w-]){re.escape(' '.join(command))}(?![\w-])")
+        told = set()
+        for section in filter(name.search, sections):
+            told.update(re.findall(r"(?<![\w-])--[a-z][a-z-]*", section))
+        for option in text_of.options(*command):
+            if option not in told:
+                yield f"{' '.join(command)} {option}"
+
+
+def missing_commands(pages, text_of):
+    """Commands and options that pages name and `--help` does not."""
     for page in pages:
         for line in page.shell():
             for part in re.split(r"\s*(?:\||&&|;)\s+", line):
@@ -307,8 +344,12 @@ def main():
         absent = [name for name in ("entire", "entire-lab") if not (folder / name).exists()]
         if absent:
             raise SystemExit(f"house: {folder} has no {' and no '.join(absent)}; build them, or name their folder with --bin-dir")
-        found = sorted(set(missing_commands(pages, folder)))
+        helps = Helps(folder)
+        found = sorted(set(missing_commands(pages, helps)))
         bars.at_most("missing-commands", len(found), 0, found)
+        documents = [page for page in pages if page in front or page.path == "CONTRIBUTING.md"]
+        found = list(undocumented_options(documents, helps))
+        bars.at_most("options-in-no-document", len(found), 0, found)
     if not options.quick:
         items = public_items()
         if items is None:

@@ -4,6 +4,7 @@
 pub mod bars;
 pub mod calibration;
 pub mod child;
+pub mod command_line;
 pub mod commands;
 pub mod farm;
 pub mod gpu;

@@ -104,12 +104,13 @@ pub struct Options {
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
+    /// table's.
+    #[arg(long, value_name = "FOLDER", requires = "data")]
+    pub root: Option<PathBuf>,
     /// Threads for what is computed of frames; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bar.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// A shading mode, or all.
@@ -217,7 +218,7 @@ pub fn run(options: &Options) -> Result<()> {
             seed: options.seed,
             picture_error: options.picture_error,
         };
-        let bar = templated_bar(options.quiet, "calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
+        let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
         let stopped = || interrupt::requested(&stop);
         let Calibrated { file, report, frames } =
             calibrate(&settings, &priors, renderer.as_mut(), &threads, &stopped, &bar)?;
@@ -288,7 +289,8 @@ fn say_prior_clock(options: &Options) -> Result<()> {
 
 /// Fits to frames that were logged.
 fn from_tables(options: &Options) -> Result<()> {
-    let tables = read_tables(&options.data)?;
+    let mut tables = read_tables(&options.data)?;
+    tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let threads = thread_pool(options.threads)?;
     say_prior_clock(options)?;
     for &shading in options.shade.modes() {

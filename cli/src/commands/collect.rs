@@ -239,7 +239,10 @@ pub fn run(options: &Options) -> Result<()> {
             }
             runs = old.other.get("runs").and_then(|r| r.as_array().cloned()).unwrap_or_default();
             if old.commit != manifest.commit {
-                eprintln!("note: the table was begun by version {}, this is {}", old.commit, manifest.commit);
+                crate::files::note(&format!(
+                    "the table was begun by version {}, this is {}",
+                    old.commit, manifest.commit
+                ));
             }
             manifest.created = old.created;
             manifest.commit = old.commit;

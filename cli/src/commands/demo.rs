@@ -224,7 +224,6 @@ pub fn run(options: &Options) -> Result<()> {
         calibration: (options.calibrate, 1),
         limits: StepLimits::default(),
         controllers: &CONTROLLERS,
-        fixed_step: None,
         target: None,
         model: None,
         shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),

@@ -1,7 +1,7 @@
 //! `entire encode`: turn a volume into its feature vector.
 
 use crate::files::{digits, open_model, open_volume};
-use crate::options::VolumeArgs;
+use crate::options::{VolumeArgs, thread_pool};
 use anyhow::{Context, Result, bail};
 use entire_core::nn::{Executor, VolumeNet};
 use std::io::Write;
@@ -24,14 +24,9 @@ pub struct Options {
     /// How the volume is read.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// Threads to use; 0 for as many as the machine has.
-    #[arg(
-        long,
-        default_value_t = 0,
-        value_name = "N",
-        value_parser = clap::value_parser!(u16).range(0..=1024)
-    )]
-    pub threads: u16,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
 }
 
 /// Runs the command.
@@ -45,10 +40,7 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let net = VolumeNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
     let volume = open_volume(&options.volume, &options.volume_args.reading())?;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(options.threads.into())
-        .build()
-        .context("cannot start threads; try --threads 1")?;
+    let pool = thread_pool(options.threads)?;
     let mut features = vec![0.0; net.feature_len()];
     net.encode(&volume.view(), &mut net.scratch(), Executor::Rayon(&pool), &mut features)
         .with_context(|| format!("{}", options.volume.display()))?;

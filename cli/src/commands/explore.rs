@@ -39,12 +39,6 @@ pub struct Options {
     /// Who steers at first. Rules that act on image resolution elsewhere act on the ray step here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
-    /// The coarsest ray step that may be chosen, reference steps.
-    #[arg(long, default_value_t = 16.0, value_name = "STEP")]
-    pub coarsest: f32,
-    /// The most pixels between rays along each side that may be chosen.
-    #[arg(long, default_value_t = 8.0, value_name = "PIXELS")]
-    pub image_sample_distance: f32,
     /// What each sample computes.
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOption,
@@ -71,12 +65,6 @@ pub struct Options {
 /// Without a display or a Vulkan device that shows pictures on it; a model that cannot be read.
 pub fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
-    if !(1.0..=64.0).contains(&options.coarsest) {
-        bail!("--coarsest is {}; it must be 1 to 64 reference steps", options.coarsest);
-    }
-    if !(1.0..=64.0).contains(&options.image_sample_distance) {
-        bail!("--image-sample-distance is {}; it must be 1 to 64 pixels", options.image_sample_distance);
-    }
     if !(options.termination > 0.0 && options.termination <= 1.0) {
         bail!("--termination is {}; it must lie in (0, 1], 1 for never", options.termination);
     }
@@ -101,8 +89,6 @@ fn open(options: &Options, target: f64) -> Result<()> {
     let window = entire_explore::Options {
         volumes: options.volumes.clone(),
         target,
-        coarsest: options.coarsest,
-        image_sample_distance: options.image_sample_distance,
         controller: options.controller.name().to_owned(),
         shading: options.shade.into(),
         skipping: options.skip.into(),
@@ -136,8 +122,6 @@ mod tests {
     #[test]
     fn options_are_checked_before_a_window_opens() {
         assert!(said(&["--target", "5 bananas"]).contains("--target"));
-        assert!(said(&["--coarsest", "0.5"]).contains("1 to 64 reference steps"));
-        assert!(said(&["--image-sample-distance", "100"]).contains("1 to 64 pixels"));
         assert!(said(&["--termination", "0"]).contains("(0, 1]"));
     }
 

@@ -88,9 +88,6 @@ pub struct Options {
     /// In which order tasks are sent.
     #[arg(long, value_enum, default_value_t)]
     pub order: OrderOption,
-    /// Keep the times that were predicted, whatever is measured.
-    #[arg(long)]
-    pub no_correction: bool,
     /// Seconds that sending a bundle costs a slot, instead of the engine's own figure.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
@@ -120,9 +117,6 @@ pub struct Options {
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of equal expected time.
     #[arg(long, value_name = "FILE.json", conflicts_with = "dry_run")]
     pub openjd: Option<PathBuf>,
-    /// Show no progress.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// A worker of `entire farm`; engines start it.
@@ -170,9 +164,7 @@ pub fn run(options: &Options) -> Result<()> {
         preview: options.preview,
         order: order(options.order),
         uniform: options.order == OrderOption::Uniform,
-        learn: !options.no_correction,
         overhead: options.overhead,
-        quiet: options.quiet,
     };
     let mut database = Database::open(&job, &driving)?;
     let program = std::env::current_exe().context("cannot find this program's own file")?;
@@ -273,7 +265,7 @@ fn setting(options: &Options, slots: usize) -> Setting {
         }),
         limit: options.time_limit,
         order: order(options.order),
-        learn: !options.no_correction,
+        learn: true,
     }
 }
 

@@ -26,7 +26,8 @@ pub struct Options {
     /// Model files whose VolumeNet encodes the volumes, for models on volume features.
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
-    /// Rays along each side of further probes, for models on cheaper or finer ones than the standard 11.
+    /// Rays along each side of further probes, 1 to 24, for models on cheaper or finer ones than the standard 11,
+    /// which is always computed.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
     /// Folder that the tables' volume names start from, where it is neither the working folder nor the
@@ -36,9 +37,6 @@ pub struct Options {
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bar.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// Runs the command.
@@ -46,12 +44,15 @@ pub struct Options {
 /// # Errors
 /// When a table, volume or encoder cannot be read, or a file cannot be written.
 pub fn run(options: &Options) -> Result<()> {
+    let mut further = Vec::new();
     for &side in &options.probe_sides {
         ensure!(
-            (1..=MAX_PROBE_SIDE).contains(&side) && side != PROBE_SIDE,
-            "--probe-sides names {side}; accepted are 1 to {MAX_PROBE_SIDE}, without {PROBE_SIDE}, which is \
-             always there"
+            (1..=MAX_PROBE_SIDE).contains(&side),
+            "--probe-sides names {side}; accepted are 1 to {MAX_PROBE_SIDE}"
         );
+        if side != PROBE_SIDE && !further.contains(&side) {
+            further.push(side);
+        }
     }
     let pool = thread_pool(options.threads)?;
     let mut encoders = Vec::new();
@@ -67,7 +68,7 @@ pub fn run(options: &Options) -> Result<()> {
         let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
         ensure!(!frames.is_empty(), "{} has no frames; collect some with `entire collect`", path.display());
         let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.to_string()).collect();
-        let bar = templated_bar(options.quiet, INPUTS_BAR);
+        let bar = templated_bar(INPUTS_BAR);
         let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
             let work = inputs.features.work(&inputs.setting);
             Ok(SceneQuantity::ALL
@@ -75,7 +76,7 @@ pub fn run(options: &Options) -> Result<()> {
                 .map(|&q| inputs.features.quantity(q, &inputs.setting, &work, inputs.changes) as f32)
                 .collect::<Vec<f32>>())
         })?;
-        for &side in &options.probe_sides {
+        for &side in &further {
             let probed: Vec<SceneQuantity> =
                 SceneQuantity::ALL.iter().copied().filter(|q| q.needs_probe()).collect();
             bar.reset();

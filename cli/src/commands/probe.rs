@@ -17,7 +17,7 @@ use std::io::Write;
 #[command(after_help = "Examples:
   entire probe
   entire probe --device cpu --json
-  ENTIRE_DEVICE=llvmpipe entire probe --device vulkan --repeat 21")]
+  ENTIRE_DEVICE=llvmpipe entire probe --device vulkan --repeats 21")]
 pub struct Options {
     /// What renders.
     #[arg(long, value_enum, default_value_t)]
@@ -32,7 +32,7 @@ pub struct Options {
         value_name = "N",
         value_parser = clap::value_parser!(u32).range(1..=1000)
     )]
-    pub repeat: u32,
+    pub repeats: u32,
     /// Print a JSON object.
     #[arg(long)]
     pub json: bool,
@@ -53,7 +53,7 @@ const MEAN: f64 = 0.1;
 pub fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.device)?;
     let options_of_probe =
-        ProbeOptions { frame_seconds: options.frame_ms * 1e-3, repeats: options.repeat as usize };
+        ProbeOptions { frame_seconds: options.frame_ms * 1e-3, repeats: options.repeats as usize };
     let found = probe(&mut *renderer, options_of_probe).context("the probe could not be rendered")?;
     let text = if options.json { as_json(&found) } else { as_text(&found) };
     writeln!(std::io::stdout().lock(), "{text}")?;

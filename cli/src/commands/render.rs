@@ -3,7 +3,7 @@
 use crate::device;
 use crate::files::{open_volume, parse_list, parse_numbers, write_whole};
 use crate::metrics::median;
-use crate::options::{RenderArgs, VolumeArgs};
+use crate::options::{RenderArgs, VolumeArgs, parse_size};
 use crate::path::camera;
 use crate::report::encode_png;
 use anyhow::{Context, Result};
@@ -24,7 +24,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
   entire render ct.nii.gz --camera -10,120,3 --tf 0.2,0.002,0.1,0.7,0.01,0.8 --size 1280x720 --step 2 \\
-      --shade local --skip distance --device vulkan --repeat 5 --out ct.png --json")]
+      --shade local --skip distance --device vulkan --repeats 5 --out ct.png --json")]
 pub struct Options {
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
     pub volume: PathBuf,
@@ -62,7 +62,7 @@ pub struct Options {
         value_name = "N",
         value_parser = clap::value_parser!(u32).range(1..=100_000)
     )]
-    pub repeat: u32,
+    pub repeats: u32,
     /// The picture to write.
     #[arg(long, value_name = "IMG.png")]
     pub out: PathBuf,
@@ -92,14 +92,6 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
     Ok(Lobes(lobes.iter().map(|&[center, width, height]| GaussianLobe { center, width, height }).collect()))
 }
 
-fn parse_size(text: &str) -> Result<(u32, u32), String> {
-    let sizes = text.split_once(['x', 'X', '×']);
-    match sizes.and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?))) {
-        Some(size) => Ok(size),
-        None => Err("width and height in pixels are expected, like 640x480".to_owned()),
-    }
-}
-
 /// Runs the command.
 pub fn run(options: &Options) -> Result<()> {
     // Everything that can be wrong is checked before the volume is loaded.
@@ -121,12 +113,12 @@ pub fn run(options: &Options) -> Result<()> {
     let table_time = renderer.set_transfer(&table)?;
     let mut repeats = Vec::new();
     let mut last: Option<Rendered> = None;
-    for _ in 0..options.repeat {
+    for _ in 0..options.repeats {
         let rendered = renderer.render(&frame)?;
         repeats.push(rendered.time);
         last = Some(rendered);
     }
-    let Rendered { image, mut counts, .. } = last.context("--repeat is 0; render at least once")?;
+    let Rendered { image, mut counts, .. } = last.context("--repeats is 0; render at least once")?;
     if counts.is_none() {
         // Once more, untimed, by a renderer that counts only when it is told to.
         renderer.count_work(true);

@@ -3,7 +3,7 @@
 use crate::farm::list::lower_bound;
 use crate::farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
 use crate::files::{write_json, write_whole};
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -41,10 +41,6 @@ pub struct Options {
     /// Tasks that a node looks at for one on the volume that it holds (--method affinity).
     #[arg(long, default_value_t = 64, value_name = "TASKS")]
     pub window: usize,
-    /// Scatter of ln(measured / predicted) for the interval of the end, where the tasks do not hold both
-    /// times.
-    #[arg(long, default_value_t = 0.15, value_name = "SD")]
-    pub log_sd: f64,
     /// Where the assignment or order goes (.csv or .json).
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
@@ -56,11 +52,6 @@ pub struct Options {
 /// Bad options or tasks, a file that cannot be written.
 pub fn run(options: &Options) -> Result<()> {
     let tasks = read_tasks(&options.tasks)?;
-    ensure!(
-        options.log_sd.is_finite() && (0.0..=3.0).contains(&options.log_sd),
-        "--log-sd is {}; it must lie in 0 to 3",
-        options.log_sd
-    );
     let speeds = match (options.nodes, options.speeds.is_empty()) {
         (Some(0), _) => bail!("--nodes is 0; at least one is needed"),
         (Some(n), _) => vec![1.0; n],
@@ -78,7 +69,7 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     // What is expected: predictions where there are any.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, farm)?;
-    let [low, middle, high] = eta(&plan, &expected, tasks, farm, options.log_sd)?;
+    let [low, middle, high] = eta(&plan, &expected, tasks, farm)?;
     let bound = lower_bound(&expected, speeds)?;
     if out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         let spans: Vec<serde_json::Value> = line

@@ -34,9 +34,8 @@ use std::path::{Path, PathBuf};
   out/skull
   entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget \
   30:60fps,60:15fps --out out/series
-  entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 2 --log observed.csv \
-  --out \
-  out/skull")]
+  entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 2 --table observed.csv \
+  --out out/skull")]
 pub struct Options {
     /// The volume file; several are the volumes of a series (see --hold), the first of which calibrates.
     #[arg(value_name = "VOLUME", required = true)]
@@ -71,8 +70,8 @@ pub struct Options {
     #[arg(long, default_value_t = 1.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
-    #[arg(long, value_name = "TABLE.csv")]
-    pub log: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.csv")]
+    pub table: Option<PathBuf>,
     /// Who plays. Rules that act on image resolution draw smaller images at the reference step.
     #[arg(
         long,
@@ -115,9 +114,6 @@ pub struct Options {
     /// ranges of their own.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub limits: (f32, f32),
-    /// The fixed controller's step; else the one that G says the median calibration scene needs.
-    #[arg(long, value_name = "STEP")]
-    pub fixed_step: Option<f32>,
     /// Enlarge the volume by this factor at load, trilinearly.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub enlarge: usize,
@@ -220,7 +216,6 @@ pub fn run(options: &Options) -> Result<()> {
         calibration: (options.calibrate, options.repeats),
         limits,
         controllers: &options.controllers,
-        fixed_step: options.fixed_step,
         target: Some(target),
         model: model.as_ref(),
         shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),
@@ -258,8 +253,8 @@ pub fn run(options: &Options) -> Result<()> {
         provenance: Provenance::of(renderer.device()),
     };
     let metrics = write(&options.out, &story, &draw, &playback)?;
-    if let Some(file) = &options.log {
-        write_log(file, options, &volumes, &path, &draw, &playback)?;
+    if let Some(file) = &options.table {
+        write_table(file, options, &volumes, &path, &draw, &playback)?;
     }
     println!("{}", table(&playback.names, &metrics).to_text());
     let by = prepared.chosen()?.title.as_str();
@@ -269,7 +264,7 @@ pub fn run(options: &Options) -> Result<()> {
 }
 
 /// Writes every frame under every controller as a timing table.
-fn write_log(
+fn write_table(
     file: &Path,
     options: &Options,
     volumes: &[Volume],
@@ -282,13 +277,13 @@ fn write_log(
     for (i, at) in path.frames.iter().enumerate() {
         let Some(lobes) = at.transfer.lobes() else {
             bail!(
-                "--log needs transfer functions made of lobes; frame {i} has control points, which timing \
+                "--table needs transfer functions made of lobes; frame {i} has control points, which timing \
                  tables do not hold"
             )
         };
         ensure!(
             at.parallel_scale.is_none(),
-            "--log needs perspective cameras; frame {i} has a parallel one, which timing tables do not hold"
+            "--table needs perspective cameras; frame {i} has a parallel one, which timing tables do not hold"
         );
         let volume = playback.volumes[i];
         for records in &playback.records {
@@ -313,7 +308,7 @@ fn write_log(
             number += 1;
         }
     }
-    println!("log        {}: {number} frames", file.display());
+    println!("table      {}: {number} frames", file.display());
     Ok(())
 }
 

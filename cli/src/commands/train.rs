@@ -4,7 +4,7 @@ use crate::calibrate::report::law_text;
 use crate::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
-use crate::files::{check_model_out, read_model_file, write_whole};
+use crate::files::{check_model_out, note, read_model_file, write_whole};
 use crate::fit::{
     DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, calibrate, parse_loss, predict_rows,
     transfer,
@@ -125,12 +125,6 @@ pub struct Options {
     /// --fine-tune, else 1e-3.
     #[arg(long)]
     pub learning_rate: Option<f64>,
-    /// Last learning rate. Unless given, a hundredth of the first.
-    #[arg(long)]
-    pub final_learning_rate: Option<f64>,
-    /// Largest norm of the gradient.
-    #[arg(long, default_value_t = 1.0)]
-    pub clip: f64,
     /// Epochs without a better validation loss after which training stops.
     #[arg(long, default_value_t = 50)]
     pub patience: usize,
@@ -175,19 +169,20 @@ pub struct Options {
     pub clock: Option<Clock>,
     /// Only frames with this shading: none, local or scatter.
     #[arg(long, value_parser = crate::dataset::parse_shading)]
-    pub shading: Option<entire_core::scene::Shading>,
+    pub shade: Option<entire_core::scene::Shading>,
     /// Use only this many training frames, chosen by the seed.
     #[arg(long, value_name = "FRAMES")]
     pub limit: Option<usize>,
     /// How weights are stored.
     #[arg(long, value_enum, default_value_t = DtypeChoice::F32)]
     pub dtype: DtypeChoice,
+    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
+    /// table's.
+    #[arg(long, value_name = "FOLDER")]
+    pub root: Option<PathBuf>,
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bar.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 fn check_loss(text: &str) -> Result<String> {
@@ -205,12 +200,13 @@ pub fn run(options: &Options) -> Result<()> {
     let started = Instant::now();
     check_model_out(&options.out)?;
     let pool = thread_pool(options.threads)?;
-    let tables = read_tables(&options.data)?;
+    let mut tables = read_tables(&options.data)?;
+    tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let pictures = options.pictures.as_deref().map(fitted_pictures).transpose()?;
     let clock = learned_clock(options, &tables)?;
-    let frames = timed(&tables, clock, options.shading)?;
-    if let Some(text) = left_out(&tables, clock, options.shading) {
-        eprintln!("note: {text}");
+    let frames = timed(&tables, clock, options.shade)?;
+    if let Some(text) = left_out(&tables, clock, options.shade) {
+        note(&text);
     }
     let mut split = Split::new(
         frames.iter().map(|f| f.0),
@@ -236,19 +232,19 @@ pub fn run(options: &Options) -> Result<()> {
         }
     }
     let count = |p: Part| parts.get(&p).map_or(0, Vec::len);
-    eprintln!(
+    note(&format!(
         "{} frames by {}: {} training, {} validation, {} test",
         refs.len(),
         split.by.name(),
         count(Part::Training),
         count(Part::Validation),
         count(Part::Test)
-    );
+    ));
     if split.validation.is_empty() && options.transfer.is_none() {
-        eprintln!(
-            "note: fewer than three {}s, so every frame trains and nothing is held out; test on other data",
+        note(&format!(
+            "fewer than three {}s, so every frame trains and nothing is held out; test on other data",
             split.by.name()
-        );
+        ));
     }
     let part_seconds = |p: Part| -> Vec<f64> {
         parts.get(&p).map_or(vec![], |f| f.iter().map(|f| seconds[&(f.table, f.number)]).collect())
@@ -257,7 +253,7 @@ pub fn run(options: &Options) -> Result<()> {
     let part = |p: Part| parts.get(&p).unwrap_or(&none);
 
     let stop = interrupt::flag()?;
-    let bar = templated_bar(options.quiet, "epoch {msg} [{bar:30}] {eta} left");
+    let bar = templated_bar("epoch {msg} [{bar:30}] {eta} left");
     let context =
         FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| interrupt::requested(&stop) };
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
@@ -295,7 +291,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut upper = UpperBound::default();
     let mut covered = BTreeMap::new();
     for p in [Part::Validation, Part::Training, Part::Test] {
-        let bar = templated_bar(options.quiet, INPUTS_BAR);
+        let bar = templated_bar(INPUTS_BAR);
         let rows = trained.layout.rows(&tables, part(p), &pool, &bar)?;
         bar.finish_and_clear();
         let predicted = predict_rows(&model, &rows, trained.layout.width())?;
@@ -313,11 +309,11 @@ pub fn run(options: &Options) -> Result<()> {
     upper.store(&mut trained.fitted.file)?;
     let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
-        eprintln!(
-            "note: repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more \
+        note(&format!(
+            "repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more \
              --repeats, or try --clock cpu",
             100.0 * (n.log_sd.exp() - 1.0)
-        );
+        ));
     }
     let provenance = json!({
         "what": trained.fitted.what,
@@ -333,7 +329,7 @@ pub fn run(options: &Options) -> Result<()> {
             "seed": t.manifest.as_ref().map(|m| m.seed),
         })).collect::<Vec<_>>(),
         "clock": clock.name(),
-        "shading": options.shading.map(|s| s.to_string()),
+        "shading": options.shade.map(|s| s.to_string()),
         "split": split,
         "training_frames": count(Part::Training),
         "settings": trained.fitted.settings,
@@ -358,9 +354,9 @@ pub fn run(options: &Options) -> Result<()> {
         trained.fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
         trained.fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
     } else if pictures.is_some() {
-        eprintln!(
-            "note: no manifest stands beside the frames, so the model does not say whose pictures --pictures \
-             compared; a session that names its renderer passes over what it states of them"
+        note(
+            "no manifest stands beside the frames, so the model does not say whose pictures --pictures \
+             compared; a session that names its renderer passes over what it states of them",
         );
     }
     write_whole(&options.out, &trained.fitted.file.to_bytes()?)?;
@@ -421,7 +417,7 @@ fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let frames: Vec<&TimedFrame> = tables
         .iter()
         .flat_map(|t| &t.frames)
-        .filter(|f| options.shading.is_none_or(|s| f.scene.shading == s))
+        .filter(|f| options.shade.is_none_or(|s| f.scene.shading == s))
         .collect();
     let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
     crate::clock::for_training(options.clock, base, frames.iter().copied())
@@ -443,15 +439,13 @@ impl Options {
             epochs: self.epochs,
             batch: self.batch,
             learning_rate: self.learning_rate,
-            final_learning_rate: self.final_learning_rate,
-            clip: self.clip,
             patience: self.patience,
             seed: self.seed,
             volumenet: self.volumenet.clone(),
             fine_tune: self.fine_tune.clone(),
             sorted_lobes: self.sorted_lobes,
-            file: None,
             dtype: self.dtype,
+            ..Recipe::default()
         }
     }
 }
@@ -519,7 +513,7 @@ fn card(
         }
     }
     let _ = writeln!(md, "\nClock: {}. A frame's time is the median of its repeats.", trained.clock.name());
-    if let Some(s) = options.shading {
+    if let Some(s) = options.shade {
         let _ = writeln!(md, "Only frames with shading {s}.");
     }
     let _ = writeln!(md, "\n## Split\n\nBy {}, never by frame; seed {}.\n", split.by.name(), options.seed);

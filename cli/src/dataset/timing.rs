@@ -160,7 +160,7 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
         all().count(),
         shading.map_or("any shading".to_owned(), |s| format!("shading {s}")),
         clock.name(),
-        if shading.is_some() { " or --shading" } else { "" },
+        if shading.is_some() { " or --shade" } else { "" },
     );
     Ok(frames)
 }

@@ -40,12 +40,8 @@ pub struct Options {
     pub order: super::dispatch::Order,
     /// Whether all tasks are taken for equally long and stay so: to compare with.
     pub uniform: bool,
-    /// Whether the base times are corrected by measured ones.
-    pub learn: bool,
     /// Seconds that a bundle costs, instead of the engine's own figure.
     pub overhead: Option<f64>,
-    /// Whether no progress is shown.
-    pub quiet: bool,
 }
 
 /// What a run did.
@@ -125,7 +121,7 @@ pub fn run(
         overhead: options.overhead.unwrap_or(engine.overhead()),
         limit: engine.limit(),
         order: options.order,
-        learn: options.learn && !options.uniform,
+        learn: !options.uniform,
     };
     let base = if options.uniform { vec![0.0; base.len()] } else { base };
     let mut planner = planner(job, base, setting);
@@ -178,7 +174,7 @@ pub fn run(
         waits: Vec::new(),
         free: vec![true; slots],
     };
-    let result = drive.run(options, start);
+    let result = drive.run(start);
     let flushed = drive.database.journal.flush();
     drop(drive);
     let table = database.write_table();
@@ -189,13 +185,9 @@ pub fn run(
 }
 
 impl Drive<'_, '_> {
-    fn run(
-        &mut self,
-        options: &Options,
-        start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>,
-    ) -> Result<Summary> {
+    fn run(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<Summary> {
         let stop = interrupt::flag()?;
-        let mut show = Show::new(options.quiet);
+        let mut show = Show::begin();
         let (clock, begin) = (Instant::now(), unix_now());
         let mut said = Vec::new();
         let (mut eta_at, mut table_at) = (None::<Instant>, Instant::now());

@@ -90,7 +90,7 @@ fn note_clock(path: &Path, model: &Model) {
     if let Some(clock) = crate::clock::of(model).filter(|c| *c != Clock::Wall) {
         note(&format!(
             "{} predicts {} seconds and tasks take wall time: expected times are off by a factor until tasks have \
-             been timed (to the end with --no-correction)",
+             been timed",
             path.display(),
             clock.name()
         ));

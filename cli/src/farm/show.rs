@@ -1,6 +1,6 @@
 //! What a farm shows while it works: a bar with rate and end on a terminal, else a line now and then.
 
-use crate::progress::templated_bar;
+use crate::progress::{is_quiet, templated_bar};
 use indicatif::ProgressBar;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -42,13 +42,12 @@ pub struct Show {
 }
 
 impl Show {
-    /// Shows nothing where `quiet`.
-    pub fn new(quiet: bool) -> Self {
+    /// A display that has shown nothing yet.
+    pub fn begin() -> Self {
         let terminal = std::io::stderr().is_terminal();
-        let bar = templated_bar(quiet || !terminal, "[{bar:28}] {pos}/{len} {wide_msg}");
         Self {
-            bar,
-            lines: !quiet && !terminal,
+            bar: templated_bar("[{bar:28}] {pos}/{len} {wide_msg}"),
+            lines: !is_quiet() && !terminal,
             line_at: Instant::now(),
             named: Vec::new(),
             cost: Duration::ZERO,

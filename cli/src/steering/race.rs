@@ -49,8 +49,6 @@ pub struct Race<'a> {
     pub limits: StepLimits,
     /// Who races.
     pub controllers: &'a [ControllerKind],
-    /// The fixed controller's step; `None` for what G says of the median calibration scene.
-    pub fixed_step: Option<f32>,
     /// Seconds that frames should not exceed; `None` to choose by [`sane_target`].
     pub target: Option<f64>,
     /// A model that steers instead of what is fitted here; what is fitted is still reported.
@@ -270,8 +268,7 @@ pub fn prepare(
         ),
     };
     let typical = median(&mut times_at(&samples, 1.0)).unwrap_or(target);
-    let fixed_step =
-        race.fixed_step.unwrap_or_else(|| race.limits.clamp(response.step_ratio((target / typical) as f32)));
+    let fixed_step = race.limits.clamp(response.step_ratio((target / typical) as f32));
     let prior = calibrated.prior();
     Ok(Some(Prepared {
         summary,

@@ -251,6 +251,10 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
         serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();
     assert!(kept.as_object_mut().unwrap().remove("files").is_some());
     std::fs::write(&manifest, kept.to_string()).unwrap();
+    let again = [&resume[..], &["--quiet"]].concat();
+    let output = collect(&volume, &out, &again).output().unwrap();
+    assert!(output.status.success() && output.stderr.is_empty(), "{}", stderr(&output));
+    std::fs::write(&manifest, kept.to_string()).unwrap();
     let output = collect(&volume, &out, &resume).output().unwrap();
     assert!(output.status.success() && stderr(&output).contains("does not say"), "{}", stderr(&output));
 }

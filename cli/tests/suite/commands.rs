@@ -134,7 +134,7 @@ fn render_writes_a_picture_and_tells_what_it_took() {
         "-20,35,2.5",
         tf,
         "40x30",
-        &["--repeat", "3", "--step", "0.5", "--shade", "local", "--json"],
+        &["--repeats", "3", "--step", "0.5", "--shade", "local", "--json"],
     );
     let printed = succeeds(folder.path(), &arguments);
     assert_eq!(printed.lines().count(), 1);
@@ -227,7 +227,7 @@ fn blocks_of_any_edge_draw_the_same_picture_with_other_work() {
 fn probed(folder: &Path, more: &[&str]) -> String {
     let mut said = String::new();
     for milliseconds in ["10", "40", "160", "640"] {
-        let probe = ["probe", "--device", "cpu", "--frame-ms", milliseconds, "--repeat", "3"];
+        let probe = ["probe", "--device", "cpu", "--frame-ms", milliseconds, "--repeats", "3"];
         let output = entire(folder, &[&probe, more].concat());
         if output.status.success() {
             return stdout(&output);
@@ -313,7 +313,7 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
         [camera.as_slice(), &["1,2"]].concat(),
         [camera.as_slice(), &["1,2,x"]].concat(),
         [camera.as_slice(), &["1,2,3", "--shade", "pretty"]].concat(),
-        [camera.as_slice(), &["1,2,3", "--repeat", "0"]].concat(),
+        [camera.as_slice(), &["1,2,3", "--repeats", "0"]].concat(),
         render("ball.nrrd", "0,0,2", "0.5,0.1", "8x8", &[]),
         render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8", &[]),
         render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8x-8", &[]),

@@ -9,6 +9,7 @@ mod commands;
 mod farm;
 mod fill_values;
 mod predictions;
+mod reference;
 mod shipped_models;
 mod steer;
 mod train;
@@ -18,5 +19,7 @@ mod volume_formats;
 
 #[path = "../support/ball.rs"]
 mod ball;
+#[path = "../support/reference.rs"]
+mod page;
 #[path = "../support/mod.rs"]
 mod support;

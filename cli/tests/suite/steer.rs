@@ -102,7 +102,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
         "olp,hybrid",
         "--max-image-sample-distance",
         "2",
-        "--log",
+        "--table",
         log_text,
         "--out",
         out_text,

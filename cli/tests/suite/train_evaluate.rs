@@ -318,8 +318,7 @@ fn compared_pictures_put_their_law_into_the_model() {
         }
     }
     std::fs::write(&pictures, &text).unwrap();
-    let mut arguments =
-        vec!["train", "--quiet", "--data", data.csv(), "--out", &out, "--model-kind", "analytic"];
+    let mut arguments = vec!["train", "--data", data.csv(), "--out", &out, "--model-kind", "analytic"];
     arguments.extend(["--pictures", &pictures]);
     let said = works(&arguments);
     assert!(said.contains("pictures: 3 scenes at 20 steps and sizes"), "{said}");
@@ -350,7 +349,7 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
     works(&["features", "--quiet", "--data", data.csv()]);
     works(&["train", "--quiet", "--data", data.csv(), "--out", &out, "--model-kind", "linear"]);
     let folder = data.path("evaluation");
-    let evaluate = ["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--out", &folder];
+    let evaluate = ["evaluate", "--model", &out, "--data", data.csv(), "--out", &folder];
     let result = || {
         let output = entire(&evaluate);
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -360,11 +359,25 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
     };
     let (with, _) = result();
     assert!(with["latency"]["transfer_seconds"].as_f64().unwrap() > 0.0);
-    std::fs::remove_dir_all(data.path("blobs")).unwrap();
+    let moved = data.path("moved");
+    std::fs::rename(data.path("blobs"), &moved).unwrap();
     let (without, err) = result();
     assert!(err.contains("note: m: no latency") && err.contains("blobs/m01/t0000.nrrd"), "{err}");
     assert!(without["latency"].is_null());
     assert_eq!(with["metrics"], without["metrics"]);
+
+    // Where a folder is named that the volumes' names start from, they are found; a quiet run notes nothing.
+    let elsewhere = tempfile::tempdir().unwrap();
+    std::fs::rename(&moved, elsewhere.path().join("blobs")).unwrap();
+    let root = elsewhere.path().to_str().unwrap();
+    std::fs::remove_file(data.path("t.features.csv.gz")).unwrap();
+    fails(&evaluate, 1, "blobs/m01/t0000.nrrd");
+    for command in [&evaluate[..], &["train", "--data", data.csv(), "--out", &out, "--model-kind", "linear"]]
+    {
+        let output = entire(&[command, &["--root", root, "--quiet"]].concat());
+        assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+    }
+    works(&["features", "--quiet", "--data", data.csv(), "--root", root]);
 
     // A row more, and the features are of another table.
     let mut text = std::fs::read_to_string(&data.csv).unwrap();
@@ -388,7 +401,7 @@ fn what_cannot_be_done_is_said() {
     train(&["--inputs", "camera,camera"], 1, "named twice");
     train(&["--test-members", "m09"], 1, "there are blobs/m01");
     train(&["--clock", "device"], 1, "choose another --clock");
-    train(&["--shading", "local"], 1, "--shading");
+    train(&["--shade", "local"], 1, "--shade");
     train(&["--preset", "12C99"], 1, "12C256");
     train(&["--loss", "cosine"], 2, "pinball:QUANTILE");
     train(&["--loss", "relative"], 1, "needs the target seconds");

@@ -13,6 +13,10 @@ use std::path::PathBuf;
 
 /// Measure the bars of render farms that need no engine.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  entire-lab farm-bars
+  entire-lab farm-bars --runs 200 --bars")]
 pub struct BarsOptions {
     /// Folder of the timing tables.
     #[arg(long, default_value = "data/timings", value_name = "DIR")]
@@ -23,9 +27,6 @@ pub struct BarsOptions {
     /// Folder for the job of a million tasks.
     #[arg(long, default_value = "out/farm-bars", value_name = "DIR")]
     pub out: PathBuf,
-    /// Random starts of the local search.
-    #[arg(long, default_value_t = 1000, value_name = "N")]
-    pub starts: u64,
     /// Simulated runs of which the end is foretold.
     #[arg(long, default_value_t = 40, value_name = "N")]
     pub runs: u64,
@@ -39,13 +40,17 @@ pub struct BarsOptions {
 /// # Errors
 /// When data cannot be read; with --bars when a bar is short.
 pub fn run_bars(options: &BarsOptions) -> Result<()> {
-    ensure!(options.starts > 0 && options.runs > 0, "--starts and --runs must be at least 1");
-    let found = studies::all(&options.data, &options.models, &options.out, options.starts, options.runs)?;
+    ensure!(options.runs > 0, "--runs is 0; at least 1 is needed");
+    let found = studies::all(&options.data, &options.models, &options.out, options.runs)?;
     if options.bars { bars::print(&found) } else { Ok(()) }
 }
 
 /// Simulate a farm on a task list with both times, and print what comes out as JSON.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  entire-lab farm-simulate tasks.csv --slots 16
+  entire-lab farm-simulate tasks.csv --slots 16 --latency 0.02 --arrival")]
 pub struct SimulateOptions {
     /// The task list.
     #[arg(value_name = "TASKS.csv")]
@@ -71,9 +76,6 @@ pub struct SimulateOptions {
     /// All tasks taken for equally long.
     #[arg(long)]
     pub uniform: bool,
-    /// Slots keep their volume.
-    #[arg(long)]
-    pub bound: bool,
 }
 
 /// Runs `entire-lab farm-simulate`.
@@ -97,7 +99,7 @@ pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
     let plain = options.arrival || options.uniform;
     let setting = Setting {
         slots: options.slots,
-        bound: options.bound,
+        bound: false,
         overhead: options.overhead.unwrap_or(options.latency + options.dispatch),
         limit: None,
         order: if plain { Order::Arrival } else { Order::LongestFirst },
@@ -115,7 +117,7 @@ pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
         speeds: vec![1.0; options.slots],
         latency: options.latency,
         dispatch: options.dispatch,
-        bound: options.bound,
+        bound: false,
         ..World::default()
     };
     let out = simulate(&mut planner, &world, &[]);
@@ -129,6 +131,9 @@ pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
 
 /// Stand in for a renderer in `entire farm`: take as long as a list says.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example, as the renderer of a job file:
+  entire-lab farm-stand-in tasks.csv --scale 0.1")]
 pub struct StandInOptions {
     /// The task list, by the job's ids.
     #[arg(value_name = "TASKS.csv")]

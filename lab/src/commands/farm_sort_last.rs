@@ -13,12 +13,21 @@ use entire_core::scene::{Arcball, GaussianLobe, TransferFunction};
 use serde::Deserialize;
 use std::path::PathBuf;
 
+/// Views; the model is fitted to the first quarter of them.
+const VIEWS: usize = 48;
+/// Seconds to load a megabyte of a part.
+const LOAD: f64 = 0.005;
+
 /// Simulate a farm whose nodes are too small for a volume: groups of nodes render a part each and composite.
 ///
 /// Parts are really rendered here, one after the other, and their times predicted by the analytic model, which is
 /// fitted to the first views. Compositing and the farm are simulated: a frame takes its slowest part and
 /// compositing, and groups of nodes take frames longest first.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  entire-lab farm-sort-last data/mr_banana.nrrd
+  entire-lab farm-sort-last data/mr_banana.nrrd --nodes 32 --parts 4,8,16 --size 512")]
 pub struct Options {
     /// The volume.
     #[arg(value_name = "VOLUME")]
@@ -29,9 +38,6 @@ pub struct Options {
     /// Parts to compare; each must divide the nodes.
     #[arg(long, value_delimiter = ',', default_value = "2,4,8", value_name = "N")]
     pub parts: Vec<usize>,
-    /// Views; the model is fitted to the first quarter of them.
-    #[arg(long, default_value_t = 48, value_name = "N")]
-    pub views: usize,
     /// Pixels along each side.
     #[arg(long, default_value_t = 256, value_name = "N")]
     pub size: u32,
@@ -47,9 +53,6 @@ pub struct Options {
     /// Measured compositings in place of both: columns parts, pixels, seconds.
     #[arg(long, value_name = "CSV")]
     pub composited: Option<PathBuf>,
-    /// Seconds to load a megabyte of a part.
-    #[arg(long, default_value_t = 0.005, value_name = "SECONDS")]
-    pub load: f64,
     /// What renders the parts.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     pub device: Device,
@@ -67,10 +70,7 @@ struct Row {
 /// # Errors
 /// When an option is out of range, the volume cannot be read or cut, or rendering fails.
 pub fn run(options: &Options) -> Result<()> {
-    ensure!(options.views >= 8, "--views is {}; at least 8 are needed", options.views);
-    for (name, value) in
-        [("--latency", options.latency), ("--per-byte", options.per_byte), ("--load", options.load)]
-    {
+    for (name, value) in [("--latency", options.latency), ("--per-byte", options.per_byte)] {
         ensure!(value.is_finite() && value >= 0.0, "{name} is {value}; it must not be negative");
     }
     for parts in &options.parts {
@@ -98,9 +98,9 @@ pub fn run(options: &Options) -> Result<()> {
         volume: volume.view(),
         table: TransferFunction::Gaussian(lobes).to_table()?,
         // Golden angles, near and far.
-        poses: (0..options.views)
+        poses: (0..VIEWS)
             .map(|i| {
-                let high = (i as f32 + 0.5) / options.views as f32;
+                let high = (i as f32 + 0.5) / VIEWS as f32;
                 Arcball {
                     rx: high.asin().to_degrees(),
                     ry: (i as f32 * 137.507_77) % 360.0,
@@ -121,11 +121,11 @@ pub fn run(options: &Options) -> Result<()> {
         renderer.device()
     );
     for &parts in &options.parts {
-        let found = measure(&scene, parts, options.views / 4, options.repeats, renderer.as_mut(), 0.99)?;
+        let found = measure(&scene, parts, VIEWS / 4, options.repeats, renderer.as_mut(), 0.99)?;
         let (predicted, measured) = found.frames(&compositing, pixels);
         let mut errors: Vec<f64> =
             predicted.iter().zip(&measured).map(|(p, m)| (p / m - 1.0).abs()).collect();
-        let load = options.load * found.bytes as f64 / 1e6;
+        let load = LOAD * found.bytes as f64 / 1e6;
         let groups = options.nodes / parts;
         let end = |base: &[f64]| {
             let volume = vec![0; base.len()];

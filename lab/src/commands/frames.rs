@@ -23,6 +23,9 @@ const VOLUMES: usize = 9;
 /// Frames of the other members that are judged, at most.
 const JUDGED: usize = 1000;
 
+/// Draws for each number of frames.
+const DRAWS: u64 = 8;
+
 /// Find how many frames of another make of machine a calibration needs.
 ///
 /// Each table is of one make of machine, and so is each prior; a table's frames are calibrated to from the priors
@@ -43,9 +46,6 @@ pub struct Options {
     /// Numbers of frames.
     #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "10,20,40,80,160,320")]
     pub frames: Vec<usize>,
-    /// Draws for each number.
-    #[arg(long, default_value_t = 8, value_name = "N")]
-    pub draws: u64,
     /// Which clock's seconds are learned.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
     pub clock: Clock,
@@ -55,9 +55,6 @@ pub struct Options {
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bar.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// Frames of a draw, by their index: to calibrate to, and to judge by.
@@ -136,7 +133,7 @@ pub fn run(options: &Options) -> Result<()> {
         options.data.len(),
         options.priors.len()
     );
-    ensure!(options.draws > 0 && !options.frames.contains(&0), "--draws and --frames must be 1 or more");
+    ensure!(!options.frames.contains(&0), "--frames must be 1 or more");
     make_folder(&options.out)?;
     let pool = thread_pool(options.threads)?;
     let priors: Vec<NamedPrior> = options
@@ -144,8 +141,8 @@ pub fn run(options: &Options) -> Result<()> {
         .iter()
         .map(|p| Ok((p.display().to_string(), read_model_file(p)?.0)))
         .collect::<Result<_>>()?;
-    let bar = templated_bar(options.quiet, "frames [{bar:30}] {pos}/{len} {msg}");
-    bar.set_length((options.data.len() * options.frames.len()) as u64 * options.draws);
+    let bar = templated_bar("frames [{bar:30}] {pos}/{len} {msg}");
+    bar.set_length((options.data.len() * options.frames.len()) as u64 * DRAWS);
     let stop = interrupt::flag()?;
     let stopped = || interrupt::requested(&stop);
     let hidden = indicatif::ProgressBar::hidden();
@@ -166,7 +163,7 @@ pub fn run(options: &Options) -> Result<()> {
         let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &stopped };
         let mut of_table = Vec::new();
         for &count in &options.frames {
-            for seed in 0..options.draws {
+            for seed in 0..DRAWS {
                 if stopped() {
                     break 'tables;
                 }

@@ -13,8 +13,11 @@ use entire_cli::device::{self, Device};
 use entire_cli::interrupt;
 use entire_cli::options::thread_pool;
 use entire_cli::steering::contenders::ControllerKind;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+/// Recorded paths, for use case 1 (`make steer-traces`).
+const RECORDED: &str = "data/steer";
 
 /// Hold every table and figure of the paper against ours.
 ///
@@ -37,6 +40,8 @@ enum Step {
     /// Every step, one after another.
     All(AllOptions),
     /// Render frames: our raycaster in every mode with the low-resolution proxy in the same run, and yt.
+    #[command(after_help = "Example:
+  entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20")]
     Collect(StepOptions),
     /// Train VolumeNets.
     Encode(EncodeOptions),
@@ -76,13 +81,12 @@ pub struct StepOptions {
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bars.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// `encode`
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Example:
+  entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python")]
 pub struct EncodeOptions {
     #[command(flatten)]
     step: StepOptions,
@@ -98,13 +102,12 @@ struct WhichEncoders {
     /// Only these lengths of the feature vector.
     #[arg(long, value_delimiter = ',', value_name = "LENGTHS")]
     features: Vec<usize>,
-    /// Leave out the encoders of all data sets together and the capacity sweep.
-    #[arg(long)]
-    own_only: bool,
 }
 
 /// `train`
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Example:
+  entire-lab paper train --data ../shared/data --only overall,ablation --runs 1")]
 pub struct TrainOptions {
     #[command(flatten)]
     step: StepOptions,
@@ -123,13 +126,12 @@ struct HowToTrain {
     /// Epochs of every network of the paper, instead of the description's.
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
-    /// Recorded paths, for use case 1 (`make steer-traces`).
-    #[arg(long, value_name = "FOLDER", default_value = "data/steer")]
-    steer: PathBuf,
 }
 
 /// `report`
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Example:
+  entire-lab paper report --bars")]
 pub struct ReportOptions {
     #[command(flatten)]
     step: StepOptions,
@@ -155,6 +157,8 @@ struct HowToReport {
 
 /// `all`
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Example:
+  entire-lab paper all --data ../shared/data")]
 pub struct AllOptions {
     #[command(flatten)]
     step: StepOptions,
@@ -224,7 +228,6 @@ fn with(step: &StepOptions, train: &HowToTrain, f: &dyn Fn(&Work<'_>) -> Result<
         out: &step.out,
         python: &step.python,
         pool: &pool,
-        quiet: step.quiet,
         deadline,
         interrupted: &interrupted,
     })
@@ -243,10 +246,7 @@ fn collect_all(work: &Work<'_>, step: &StepOptions) -> Result<()> {
 
 fn encode_all(work: &Work<'_>, step: &StepOptions, which: &WhichEncoders) -> Result<()> {
     let places = found(work)?;
-    let mut wanted = encode::encoders(work, &places, &which.sizes, &which.features);
-    if which.own_only {
-        wanted.retain(|e| e.set != encode::ALL && e.channels.is_empty());
-    }
+    let wanted = encode::encoders(work, &places, &which.sizes, &which.features);
     encode::encode(work, &places, &wanted, step.threads)
 }
 
@@ -261,7 +261,7 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
         balance(work)?;
     }
     if wanted(Panel::Steering) {
-        steer(work, step, how)?;
+        steer(work, step)?;
     }
     Ok(())
 }
@@ -290,9 +290,9 @@ fn balance(work: &Work<'_>) -> Result<()> {
 }
 
 /// Use case 1: recorded paths of a data set under every controller with the paper's network, and under ours.
-fn steer(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
-    let calibration = how.steer.join("calibration.csv.gz");
-    let folder = how.steer.join("traces");
+fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
+    let calibration = Path::new(RECORDED).join("calibration.csv.gz");
+    let folder = Path::new(RECORDED).join("traces");
     let Some((set, mode)) = work.paper.panels.get(&Panel::Steering).and_then(|p| p.first()) else {
         return Ok(());
     };
@@ -307,10 +307,9 @@ fn steer(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
             .map(|e| e.path())
     });
     if !calibration.exists() || !folder.is_dir() || network.is_none() {
-        eprintln!(
-            "note: use case 1 needs recorded paths in {} (make steer-traces) and the network of {set}; it is left out",
-            how.steer.display()
-        );
+        entire_cli::files::note(&format!(
+            "use case 1 needs recorded paths in {RECORDED} (make steer-traces) and the network of {set}; it is left out"
+        ));
         return Ok(());
     }
     let traces = control::traces_of(&folder, set)?;

@@ -30,7 +30,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   entire-lab select --data frames.csv --volume data/mr_banana.nrrd --out small.safetensors
-  entire-lab select --data frames.csv --volume data/mr_banana.nrrd --budget-us 5 --out quick.safetensors")]
+  entire-lab select --data frames.csv --volume data/mr_banana.nrrd --tolerance 0.2 --out quick.safetensors")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
@@ -47,9 +47,6 @@ pub struct Options {
     /// How much worse than the best is good enough, as a share of its error.
     #[arg(long, default_value_t = 0.05)]
     pub tolerance: f64,
-    /// Instead: the most accurate predictor that takes at most so many microseconds, cold.
-    #[arg(long, value_name = "US", conflicts_with = "tolerance")]
-    pub budget_us: Option<f64>,
     /// Rays along each side of the probes to try; what is not kept beside the tables is computed from the
     /// volumes.
     #[arg(long, value_delimiter = ',', value_name = "SIDES", default_value = "11")]
@@ -66,9 +63,6 @@ pub struct Options {
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bar.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 struct Candidate {
@@ -109,7 +103,7 @@ pub fn run(options: &Options) -> Result<()> {
     );
     let stop = interrupt::flag()?;
     let stopped = || interrupt::requested(&stop);
-    let bar = templated_bar(options.quiet, "select [{bar:30}] {pos}/{len} {msg}");
+    let bar = templated_bar("select [{bar:30}] {pos}/{len} {msg}");
     let hidden = indicatif::ProgressBar::hidden();
     let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &stopped };
     let volume = entire_cli::volume::Volume::open(&options.volume)?;
@@ -179,27 +173,13 @@ pub fn run(options: &Options) -> Result<()> {
     let floor = noise_floor(judged.frames.iter().copied(), options.clock, |f| tables[f.table].passes())
         .map_or(0.0, |n| n.mdape());
     let best = candidates.iter().map(|c| c.metrics.rmse).fold(f64::INFINITY, f64::min);
-    let chosen = match options.budget_us {
-        Some(budget) => candidates
-            .into_iter()
-            .filter(|c| 1e6 * c.cold <= budget)
-            .min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
-            .with_context(|| {
-                format!("nothing takes {budget} µs or less here; the cheapest is the first line above")
-            })?,
-        None => candidates
-            .into_iter()
-            .filter(|c| c.metrics.rmse <= best * (1.0 + options.tolerance) || c.metrics.mdape <= floor)
-            .min_by(|a, b| a.cold.total_cmp(&b.cold))
-            .context("there is no candidate")?,
-    };
+    let chosen = candidates
+        .into_iter()
+        .filter(|c| c.metrics.rmse <= best * (1.0 + options.tolerance) || c.metrics.mdape <= floor)
+        .min_by(|a, b| a.cold.total_cmp(&b.cold))
+        .context("there is no candidate")?;
     println!("chosen: {}", chosen.name);
-    let limit = if options.budget_us.is_some() {
-        chosen.metrics.rmse * 1.02
-    } else {
-        best * (1.0 + options.tolerance)
-    }
-    .max(chosen.metrics.rmse);
+    let limit = (best * (1.0 + options.tolerance)).max(chosen.metrics.rmse);
     let name = chosen.name.clone();
     let mut current = chosen;
     let mut dropped = Vec::new();
@@ -240,7 +220,7 @@ pub fn run(options: &Options) -> Result<()> {
         json!({ "what": current.fitted.what, "chosen": name, "dropped": dropped, "recipe": current.recipe,
             "metrics_on_groups_it_was_chosen_by": current.metrics, "groups": by.name(),
             "cold_seconds": current.cold,
-            "tolerance": options.tolerance, "budget_us": options.budget_us, "clock": options.clock.name(),
+            "tolerance": options.tolerance, "clock": options.clock.name(),
             "program": format!("entire {}", machine::version()), "machine": machine::machine(),
             "date": machine::now() })
         .to_string(),

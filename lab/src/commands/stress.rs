@@ -12,6 +12,9 @@ use entire_cli::steering::contenders::ControllerKind;
 use serde_json::json;
 use std::path::PathBuf;
 
+/// Frames of the long run.
+const LONG_RUN: u64 = 1_000_000;
+
 /// Play the stress scenes: each method against scripts of what is known to break it.
 ///
 /// 28 scenes on a scripted clock, the same in every run, each with a rule that says what passes. Prints the
@@ -30,9 +33,6 @@ pub struct Options {
     /// Who plays; everyone where none is named.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
     pub controllers: Vec<ControllerKind>,
-    /// Frames of the long run.
-    #[arg(long, default_value_t = 1_000_000, value_name = "FRAMES")]
-    pub soak: u64,
     /// Play the scenes that make sense there again on this device, with its clock.
     #[arg(long, value_enum)]
     pub device: Option<Device>,
@@ -57,18 +57,13 @@ pub fn run(options: &Options) -> Result<()> {
     for n in &scenes {
         ensure!(SCENES.iter().any(|s| s.number == *n), "--scenes names {n}; scenes are numbered 1 to 28");
     }
-    ensure!(
-        (1_000..=100_000_000).contains(&options.soak),
-        "--soak is {}; it must lie in 1000 to 100000000 frames",
-        options.soak
-    );
     let methods: Vec<ControllerKind> = if options.controllers.is_empty() {
         ControllerKind::value_variants().to_vec()
     } else {
         options.controllers.clone()
     };
     let bar = progress_bar("stress");
-    let verdicts = play(&scenes, &methods, options.soak, &bar);
+    let verdicts = play(&scenes, &methods, LONG_RUN, &bar);
     bar.finish_and_clear();
     let verdicts = verdicts?;
     let mut name = "scripted clock; the raycaster's CPU twin counts work".to_owned();

@@ -50,9 +50,6 @@ pub struct Options {
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bar.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// Runs the command.
@@ -74,13 +71,13 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let pool = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
-    let bar = templated_bar(options.quiet, "study [{bar:30}] {pos}/{len} {msg}");
+    let bar = templated_bar("study [{bar:30}] {pos}/{len} {msg}");
     let stopped = || interrupt::requested(&stop);
     let runner = Runner { pool: &pool, models: options.out.join("models"), bar: &bar, stop: &stopped };
     let found = runner.run(&study, options.nested)?;
     bar.finish_and_clear();
     for (set, what, why) in &found.left_out {
-        eprintln!("note: {set}, {what}: left out ({why})");
+        entire_cli::files::note(&format!("{set}, {what}: left out ({why})"));
     }
     write(&options.out, &study, &found)?;
     if let Some(folder) = &options.ship {

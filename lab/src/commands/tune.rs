@@ -88,7 +88,7 @@ pub fn run(options: &Options) -> Result<()> {
         );
     }
     let before = costs(&courses, first)?;
-    let bar = templated_bar(false, "tune [{bar:30}] {pos}/{len} values tried, {eta} left");
+    let bar = templated_bar("tune [{bar:30}] {pos}/{len} values tried, {eta} left");
     bar.set_length((options.rounds * tried.len() * TRIED) as u64);
     let (mut found, after, taken) =
         search(&courses, first, before.clone(), &tried, options.rounds, &|| bar.inc(1))?;

@@ -244,7 +244,7 @@ pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
 ///
 /// # Errors
 /// When data or models cannot be read.
-pub fn all(data: &Path, models: &Path, folder: &Path, starts: u64, runs: u64) -> Result<Vec<Bar>> {
+pub fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Result<Vec<Bar>> {
     // First: memory is that of the process at its largest.
     let (first, last, peak) = at_scale(folder)?;
     let mut pools = Vec::new();
@@ -259,7 +259,7 @@ pub fn all(data: &Path, models: &Path, folder: &Path, starts: u64, runs: u64) ->
     let first_384 = &main[..main.len().min(PAPER)];
     let (all_frames, paper) = (worst_static(main)?.0, worst_static(first_384)?.0);
     println!("static: {PAPER} tasks of {}: at worst {paper:.4}", pools[0].0);
-    let loads = with_loads(&pools[1].1, starts)?;
+    let loads = with_loads(&pools[1].1, 1000)?;
     let (error, share) = foretold(&pools, runs)?;
     thousand_nodes(main)?;
     println!("planning: {peak:.3} GB at most, {first:.2} s to the first bundle");

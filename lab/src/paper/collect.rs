@@ -233,7 +233,7 @@ pub fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -
     let template = "collect [{bar:30}] {pos}/{len}, {eta} left  {wide_msg}";
     for place in places {
         let mut tables = missing(work, place, renderer)?;
-        let bar = templated_bar(work.quiet, template);
+        let bar = templated_bar(template);
         bar.set_length(tables.iter().map(|t| t.frames.len() as u64).sum());
         bar.reset_eta();
         let few = u64::from(work.paper.frames.held_out);

@@ -175,7 +175,6 @@ fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
         probe_sides: sides,
         root: Some(place.root.clone()),
         threads: Some(work.pool.current_num_threads()),
-        quiet: work.quiet,
     })
 }
 

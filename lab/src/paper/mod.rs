@@ -44,8 +44,6 @@ pub struct Work<'a> {
     pub python: &'a std::path::Path,
     /// Threads.
     pub pool: &'a rayon::ThreadPool,
-    /// No progress bars.
-    pub quiet: bool,
     /// When to stop, where that was asked for.
     pub deadline: Option<Instant>,
     /// Whether the user asked to stop.

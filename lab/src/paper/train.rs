@@ -45,7 +45,7 @@ const BY_SET: [Panel; 7] = [
 pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     let wanted = |p: Panel| panels.is_empty() || panels.contains(&p);
-    let bar = templated_bar(work.quiet, "train [{bar:30}] {pos}/{len} parts  {wide_msg}");
+    let bar = templated_bar("train [{bar:30}] {pos}/{len} parts  {wide_msg}");
     let stop = || work.stop();
     let runner = Runner { pool: work.pool, models: work.out.join("models"), bar: &bar, stop: &stop };
     let mut todo: Vec<(Place, String, Vec<Panel>)> = Vec::new();
@@ -60,7 +60,10 @@ pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     bar.set_length(todo.iter().map(|t| t.2.len() as u64).sum::<u64>() + u64::from(wanted(Panel::Tuning)));
     for (place, mode, panels) in &todo {
         let Some(loaded) = Loaded::read(work, place, mode, clock)? else {
-            eprintln!("note: no frames of {} in mode {mode}; collect them first", place.set.name);
+            entire_cli::files::note(&format!(
+                "no frames of {} in mode {mode}; collect them first",
+                place.set.name
+            ));
             bar.inc(panels.len() as u64);
             continue;
         };
@@ -499,10 +502,10 @@ impl At<'_> {
         let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, self.proxy(&frames.training), true);
         for (size, features, preset) in &self.paper().finalists {
             let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
-                eprintln!(
-                    "note: {} has no VolumeNet {size}³F{features}; train it with `entire-lab paper encode`",
+                entire_cli::files::note(&format!(
+                    "{} has no VolumeNet {size}³F{features}; train it with `entire-lab paper encode`",
                     self.place.set.name
-                );
+                ));
                 continue;
             };
             let path: PathBuf = encoder.path(self.work.out);

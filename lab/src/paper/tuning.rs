@@ -89,7 +89,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         tables.push(Table { root: Some(place.root.clone()), ..Table::read(&path, tables.len())? });
     }
     if pieces.iter().all(|(p, _)| all[*p].set.only_tests) {
-        eprintln!("note: no frames in mode {mode}; nothing to pre-train on");
+        entire_cli::files::note(&format!("no frames in mode {mode}; nothing to pre-train on"));
         return Ok(());
     }
     let mut others: Vec<Found> = Vec::new();
@@ -113,7 +113,9 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
         let elsewhere = machine(&found[0]) != here.as_deref();
         if set == MACHINES && !elsewhere {
-            eprintln!("note: {name} is left out: its frames are of the machine that is pre-trained on");
+            entire_cli::files::note(&format!(
+                "{name} is left out: its frames are of the machine that is pre-trained on"
+            ));
             continue;
         }
         // Volumes are needed where the features of the table that is kept lack the network's.
@@ -121,7 +123,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         let lost = bare.flat_map(|t| t.frames.iter().map(move |f| (t, f)));
         let lost = lost.map(|(t, f)| (t, &f.scene.volume)).find(|(t, v)| t.resolve_volume(v).is_none());
         if let Some((_, volume)) = lost {
-            eprintln!("note: {name} is left out: {} has no {volume}", work.data.display());
+            entire_cli::files::note(&format!("{name} is left out: {} has no {volume}", work.data.display()));
             continue;
         }
         let name =
@@ -175,7 +177,9 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         let of = |t: usize| if *set == MACHINES { of_table(t).parted(known).0 } else { of_table(t) };
         let (learned, judged) = if first == last { halves(&of(*first)) } else { (of(*first), of(*last)) };
         if learned.frames.is_empty() || judged.frames.is_empty() {
-            eprintln!("note: {name} is left out: it has no frames of what is pre-trained on");
+            entire_cli::files::note(&format!(
+                "{name} is left out: it has no frames of what is pre-trained on"
+            ));
             continue;
         }
         targets.push(Target { name: name.clone(), learned, judged, renderer: *set == TOGETHER, set });

@@ -166,7 +166,9 @@ pub fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<P
     for set in paper.data_sets.iter().filter(|d| selection.has(&d.name)) {
         match Place::find(set, data)? {
             Some(place) => found.push(place),
-            None => eprintln!("note: {} is not in {}; it is left out", set.name, data.display()),
+            None => {
+                entire_cli::files::note(&format!("{} is not in {}; it is left out", set.name, data.display()))
+            }
         }
     }
     ensure!(

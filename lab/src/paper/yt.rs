@@ -31,7 +31,7 @@ pub fn collect(work: &Work<'_>, place: &Place) -> Result<()> {
     make_folder(&work.out.join("tables").join("yt"))?;
     let mut jobs: Vec<&Job> = place.jobs.iter().collect();
     jobs.sort_by_key(|j| place.frames_of(j, work.paper));
-    let bar = templated_bar(work.quiet, "yt [{bar:30}] {pos}/{len} volumes, {eta} left  {wide_msg}");
+    let bar = templated_bar("yt [{bar:30}] {pos}/{len} volumes, {eta} left  {wide_msg}");
     bar.set_length(2 * jobs.len() as u64);
     bar.reset_eta();
     for job in jobs {

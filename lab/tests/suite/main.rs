@@ -6,4 +6,8 @@ mod farm;
 mod image_resolution;
 mod online_learning;
 mod paper;
+mod reference;
 mod study;
+
+#[path = "../../../cli/tests/support/reference.rs"]
+mod page;

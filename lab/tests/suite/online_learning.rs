@@ -125,7 +125,6 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
     let path = |p: &Path| p.to_str().unwrap().to_owned();
     let options = Train::parse_from([
         "train",
-        "--quiet",
         "--threads=1",
         "--epochs=150",
         "--batch=32",

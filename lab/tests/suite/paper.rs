@@ -57,7 +57,7 @@ fn description(to: &Path) {
 
 fn paper(folder: &Path, step: &str, more: &[&str]) -> (Output, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
-        .args(["paper", step, "--quiet", "--threads", "2", "--device", "cpu", "--description", "paper.json"])
+        .args(["paper", step, "--threads", "2", "--device", "cpu", "--description", "paper.json"])
         .arg("--data")
         .arg(repository().join("data"))
         .args(if more.contains(&"--out") { &[][..] } else { &["--out", "out"] })

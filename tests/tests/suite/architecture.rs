@@ -212,16 +212,17 @@ const CORE: &Rooms = &[
 
 /// A room is a folder or a file. Commands are what nobody else uses.
 const CLI: &Rooms = &[
-    ("device", &[]),
     ("volume", &[]),
-    ("files", &["volume"]),
+    ("progress", &[]),
+    ("files", &["progress", "volume"]),
+    ("device", &["files"]),
     ("identity", &["volume"]),
     ("interrupt", &[]),
     ("machine", &[]),
     ("metrics", &[]),
     ("path", &["files"]),
     ("program", &[]),
-    ("progress", &[]),
+    ("reference", &[]),
     ("report", &["files"]),
     ("pictures", &[]),
     ("teacher", &[]),
@@ -326,7 +327,7 @@ const CLI: &Rooms = &[
             "volume",
         ],
     ),
-    ("command_line", &["commands", "program"]),
+    ("command_line", &["commands", "program", "progress"]),
 ];
 
 const LAB: &Rooms = &[
@@ -359,6 +360,7 @@ const LAB: &Rooms = &[
             "trace",
         ],
     ),
+    ("command_line", &["commands"]),
 ];
 
 /// The rooms that a crate's source folder has: its folders, and its files but for the two that open it; those

@@ -19,6 +19,7 @@ use anyhow::{Context, Result, ensure};
 use entire_core::model::{Key, Model};
 use entire_core::nn::{Level, PredNet, Storage};
 use entire_core::predict::UpperBound;
+use indicatif::ProgressBar;
 use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -46,7 +47,7 @@ pub struct Options {
     pub clock: Clock,
     /// Only frames with this shading: none, local or scatter.
     #[arg(long, value_parser = crate::dataset::parse_shading)]
-    pub shading: Option<entire_core::scene::Shading>,
+    pub shade: Option<entire_core::scene::Shading>,
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
     pub unseen: bool,
@@ -66,12 +67,13 @@ pub struct Options {
     /// Seed of the probes behind the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
+    /// table's.
+    #[arg(long, value_name = "FOLDER")]
+    pub root: Option<PathBuf>,
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
-    /// No progress bar.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 fn parse_storage(text: &str) -> Result<Storage, String> {
@@ -115,15 +117,16 @@ impl Loaded {
 pub fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
-    let tables = read_tables(&options.data)?;
+    let mut tables = read_tables(&options.data)?;
+    tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let named = || models.iter().map(|m| (m.name.as_str(), &m.model));
     let clock = crate::clock::agreed(options.clock, named())?;
-    let mut frames = timed(&tables, clock, options.shading)?;
-    let said = [crate::clock::unstated(clock, named()), left_out(&tables, clock, options.shading)];
+    let mut frames = timed(&tables, clock, options.shade)?;
+    let said = [crate::clock::unstated(clock, named()), left_out(&tables, clock, options.shade)];
     said.into_iter().flatten().for_each(|text| note(&text));
     if options.unseen {
         for m in models.iter().filter(|m| m.split.is_none()) {
-            eprintln!("note: {} does not say what it learned from; --unseen cannot leave that out", m.name);
+            note(&format!("{} does not say what it learned from; --unseen cannot leave that out", m.name));
         }
         frames.retain(|(f, _)| !models.iter().any(|m| m.has_seen(f)));
         ensure!(
@@ -139,14 +142,14 @@ pub fn run(options: &Options) -> Result<()> {
 
     let mut predictors = Vec::new();
     for m in &models {
-        let bar = templated_bar(options.quiet, INPUTS_BAR);
+        let bar = templated_bar(INPUTS_BAR);
         let rows = m.layout.rows(&tables, &refs, &pool, &bar).with_context(|| m.name.clone())?;
         bar.finish_and_clear();
         let predicted = predict_rows(&m.model, &rows, m.layout.width())?;
         let latency = match warm_latency(&m.model, &m.layout, &tables, &refs, &rows) {
             Ok(latency) => Some(latency),
             Err(e) => {
-                eprintln!("note: {}: no latency ({e:#})", m.name);
+                note(&format!("{}: no latency ({e:#})", m.name));
                 None
             }
         };
@@ -164,7 +167,7 @@ pub fn run(options: &Options) -> Result<()> {
         )?);
     }
     for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
-        let rows = m.layout.rows(&tables, &refs, &pool, &templated_bar(true, INPUTS_BAR))?;
+        let rows = m.layout.rows(&tables, &refs, &pool, &ProgressBar::hidden())?;
         let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
         let net = PredNet::with(parts, Level::detect(), storage)?;
         let predicted = rows_by_network(&m.model, &net, &rows, m.layout.width())?;
@@ -210,7 +213,7 @@ pub fn run(options: &Options) -> Result<()> {
         load_average: machine::load_average(),
         data: options.data.iter().map(|p| p.display().to_string()).collect(),
         clock: clock.name(),
-        shading: options.shading.map(Into::into),
+        shading: options.shade.map(Into::into),
         unseen_only: options.unseen,
         frames: refs.len(),
         noise_floor: noise,

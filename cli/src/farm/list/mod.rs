@@ -256,11 +256,12 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
 
 /// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn
 /// from the tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with
-/// this standard deviation.
+/// standard deviation 0.15.
 ///
 /// # Errors
 /// As [`play`].
-pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm, log_sd: f64) -> Result<[f64; 3]> {
+pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm) -> Result<[f64; 3]> {
+    const LOG_SD: f64 = 0.15;
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
     let own: Vec<f64> = tasks
@@ -276,7 +277,7 @@ pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm, log_sd: f
                 let error = if own.len() == tasks.len() {
                     own[((unit() * own.len() as f64) as usize).min(own.len() - 1)]
                 } else {
-                    log_sd * (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
+                    LOG_SD * (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
                 };
                 t * error.exp()
             })

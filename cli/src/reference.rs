@@ -1,0 +1,108 @@
+//! The book's reference of commands, made from their definitions.
+
+use clap::{Arg, Command};
+use std::fmt::Write as _;
+
+/// The page about a program: one section for each of its commands, with a table of what the command takes.
+pub fn page(mut program: Command, intro: &str) -> String {
+    program.build();
+    let name = program.get_name().to_owned();
+    let mut out = format!("# Options of {name}\n\n{intro}\n");
+    sections(&program, &name, &mut out);
+    out
+}
+
+/// The example lines at the end of a program's helps, each with the name of its command; `None` stands for a
+/// command that has no examples.
+pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
+    program.build();
+    let name = program.get_name().to_owned();
+    let mut found = Vec::new();
+    for (command, definition) in commands(&program, &name) {
+        let help =
+            definition.get_after_help().map(ToString::to_string).unwrap_or_default().replace("\\\n", " ");
+        let before = found.len();
+        for line in help.lines().filter(|l| l.starts_with("  ")) {
+            // What stands before it runs the program: variables, another program, a pipe.
+            if let Some(at) = line.find(&format!("{name} ")) {
+                found.push((command.clone(), Some(line[at..].to_owned())));
+            }
+        }
+        if found.len() == before {
+            found.push((command, None));
+        }
+    }
+    found
+}
+
+/// The commands below one, those of several words included, with their whole names.
+fn commands<'a>(command: &'a Command, name: &str) -> Vec<(String, &'a Command)> {
+    let mut all = Vec::new();
+    for below in command.get_subcommands().filter(|c| !c.is_hide_set() && c.get_name() != "help") {
+        let name = format!("{name} {}", below.get_name());
+        if below.get_subcommands().next().is_none() {
+            all.push((name, below));
+        } else {
+            all.extend(commands(below, &name));
+        }
+    }
+    all
+}
+
+fn sections(program: &Command, name: &str, out: &mut String) {
+    for (command, definition) in commands(program, name) {
+        let about = definition.get_about().map(ToString::to_string).unwrap_or_default();
+        let _ = write!(out, "\n## {command}\n\n{}.\n\n", about.trim_end_matches('.'));
+        out.push_str("| option | value | default | meaning |\n|---|---|---|---|\n");
+        let shown = |a: &&Arg| !a.is_hide_set() && !matches!(a.get_id().as_str(), "help" | "version");
+        for arg in definition.get_positionals().chain(definition.get_opts()).filter(shown) {
+            row(arg, out);
+        }
+        for arg in definition.get_arguments().filter(|a| !a.is_positional() && !a.get_action().takes_values())
+        {
+            if shown(&arg) {
+                row(arg, out);
+            }
+        }
+    }
+}
+
+fn row(arg: &Arg, out: &mut String) {
+    let value = arg
+        .get_value_names()
+        .filter(|_| arg.get_action().takes_values())
+        .map(|names| names.join(" "))
+        .unwrap_or_default();
+    let choices: Vec<String> = match arg.get_action().takes_values() {
+        true => arg.get_possible_values().iter().map(|v| format!("`{}`", v.get_name())).collect(),
+        false => Vec::new(),
+    };
+    let several =
+        arg.get_num_args().is_some_and(|n| n.max_values() > 1) || arg.is_positional() && repeats(arg);
+    let dots = if several { "…" } else { "" };
+    let (option, value) = match arg.get_long() {
+        Some(long) if choices.is_empty() && value.is_empty() => (format!("`--{long}`"), String::new()),
+        Some(long) if choices.is_empty() => (format!("`--{long}`"), format!("`{value}`{dots}")),
+        Some(long) => (format!("`--{long}`"), choices.join(", ")),
+        None => (format!("`{value}`{dots}"), String::new()),
+    };
+    let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+    let defaults: Vec<String> =
+        arg.get_default_values().iter().map(|v| v.to_string_lossy().into_owned()).collect();
+    let default = match defaults.join(",") {
+        _ if !arg.get_action().takes_values() => String::new(),
+        // Some say it themselves, since they have no other way to know whether the option was given.
+        none if none.is_empty() => match help.rsplit_once("[default: ") {
+            Some((_, said)) => format!("`{}`", said.trim_end_matches(['.', ']'])),
+            None if arg.is_required_set() => "required".to_owned(),
+            None => String::new(),
+        },
+        some => format!("`{some}`"),
+    };
+    let help = help.split(" [default: ").next().unwrap_or_default().trim_end_matches('.').replace('|', "\\|");
+    let _ = writeln!(out, "| {option} | {value} | {default} | {help} |");
+}
+
+fn repeats(arg: &Arg) -> bool {
+    matches!(arg.get_action(), clap::ArgAction::Append)
+}

@@ -1,0 +1,46 @@
+//! Compares the book's pages of options with the commands, and reads the examples of helps.
+
+use clap::Command;
+use entire_cli::reference;
+use std::path::Path;
+
+/// Checks that a page of the book is as the commands say; `UPDATE_REFERENCE=1` (`make reference`) writes it.
+pub(crate) fn check_page(name: &str, program: Command, intro: &str) {
+    let book = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/src");
+    if !book.is_dir() {
+        // A published package stands alone; the repository's tests have checked the page.
+        return;
+    }
+    let made = reference::page(program, intro);
+    if std::env::var_os("UPDATE_REFERENCE").is_some() {
+        std::fs::write(book.join(name), &made).unwrap();
+    }
+    let kept = std::fs::read_to_string(book.join(name)).unwrap_or_default();
+    for (n, (kept, made)) in kept.lines().zip(made.lines()).enumerate() {
+        assert_eq!(kept, made, "docs/src/{name} line {}; run `make reference`", n + 1);
+    }
+    assert_eq!(kept.len(), made.len(), "docs/src/{name} is out of date; run `make reference`");
+}
+
+/// Checks that every command has examples at the end of its help, and that it takes them.
+pub(crate) fn check_examples(program: impl Fn() -> Command) {
+    for (name, example) in reference::examples(program()) {
+        let example = example.unwrap_or_else(|| panic!("{name} --help has no examples"));
+        assert!(example == name || example.starts_with(&format!("{name} ")), "{name} --help has {example:?}");
+        if let Err(error) = program().try_get_matches_from(words(&example)) {
+            panic!("{example}: {error}");
+        }
+    }
+}
+
+/// The words of a command line whose quotes hold no quotes.
+fn words(line: &str) -> Vec<String> {
+    let mut words = Vec::new();
+    for (i, part) in line.split('\'').enumerate() {
+        match i % 2 {
+            0 => words.extend(part.split_whitespace().map(str::to_owned)),
+            _ => words.push(part.to_owned()),
+        }
+    }
+    words
+}

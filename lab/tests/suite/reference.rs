@@ -1,0 +1,16 @@
+//! `docs/src/options-lab.md` tells of every option, as the source does, and helps have examples that work.
+
+use crate::page::{check_examples, check_page};
+use entire_lab::command_line::command;
+
+#[test]
+fn the_book_names_every_option() {
+    let intro = "`make reference` makes this page from the program. `entire-lab COMMAND --help` tells \
+         more of each option, and gives examples.";
+    check_page("options-lab.md", command(), intro);
+}
+
+#[test]
+fn every_command_has_examples_that_it_takes() {
+    check_examples(command);
+}
