@@ -17,6 +17,12 @@ pub enum Device {
     Cpu,
 }
 
+/// Whether a processor renders: then frame times are those of the host.
+pub fn is_software(renderer: &dyn Renderer) -> bool {
+    let device = renderer.device().to_ascii_lowercase();
+    renderer.backend() == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
+}
+
 /// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). Falling
 /// back to the CPU twin is said on standard error.
 ///

@@ -285,7 +285,7 @@ def a_script_switches_everything(command, display, folder):
     assert recorded["frames"] == 47 and len(recorded["keyframes"]) > 30
     parallel = {k["frame"] for k in recorded["keyframes"] if "parallel_scale" in k.get("camera", {})}
     assert parallel == set(range(39, 46)), f"orthographic in {parallel}"
-    arguments = ["--target", "50ms", "--calibrate", "8", "--size", "48x48", "--controllers", "hybrid"]
+    arguments = ["--target", "50ms", "--scenes", "4", "--size", "48x48", "--controllers", "hybrid"]
     subprocess.run(
         [command, "steer", BANANA, "--path", path, *arguments, "--out", folder / "steer"],
         check=True,

@@ -7,6 +7,7 @@ pub mod child;
 pub mod command_line;
 pub mod commands;
 pub mod farm;
+pub mod fitted;
 pub mod gpu;
 pub mod latency;
 pub mod paper;

@@ -8,6 +8,7 @@ use entire_cli::files::{make_folder, read_model_file, write_whole};
 use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use entire_cli::metrics::{BoundMetrics, Metrics};
 use entire_cli::split::TimedFrames;
+use entire_core::calibrate::PriorModel;
 use entire_core::model::{GroupKind, Key, ModelFile};
 use serde_json::json;
 use std::fmt::Write as _;
@@ -198,12 +199,20 @@ fn card(
     let _ = writeln!(
         md,
         "## Use\n\nSeconds belong to a machine and a renderer. `entire calibrate --shade {shading}` makes a model of \
-         yours from the selected one in a minute and a half. From a table, 100 frames calibrate the last layer:\n\n\
+         yours from the selected one in a minute and a half. From frames that were measured elsewhere:\n\n\
          ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
-         entire train --data FRAMES.csv --calibrate models/{name}.safetensors --out here.safetensors --limit \
-         100\n\
+         {}\n\
          entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
-         `entire steer --model here.safetensors` steers with it.\n"
+         `entire steer --model here.safetensors` steers with it.\n",
+        if PriorModel::new(file).is_ok() {
+            format!(
+                "entire calibrate --data FRAMES.csv --shade {shading} --prior models/{name}.safetensors --out here.safetensors"
+            )
+        } else {
+            format!(
+                "entire train --data FRAMES.csv --fine-tune models/{name}.safetensors --out here.safetensors"
+            )
+        }
     );
     let _ = writeln!(md, "## Inputs\n");
     for group in model.inputs() {

@@ -138,7 +138,7 @@ impl ShadeOrAll {
     }
 }
 
-fn parse_seconds(text: &str) -> Result<f64, String> {
+pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(s) if (5.0..=3600.0).contains(&s) => Ok(s),
         _ => Err("wall seconds are expected, 5 to 3600".to_owned()),

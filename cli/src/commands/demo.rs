@@ -1,28 +1,36 @@
 //! `entire demo`: calibrate, explore and report: the main job, end to end.
 
+use crate::calibrate::measuring::PictureError;
+use crate::calibrate::place::{DATA_FOLDER, volumes_in};
+use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate};
+use crate::commands::calibrate::parse_seconds;
 use crate::commands::steer::describe;
 use crate::dataset::Clock;
 use crate::device;
 use crate::enlarge::enlarge;
 use crate::files::{open_volume, write_json, write_whole};
 use crate::interrupt;
-use crate::machine::{self, Provenance};
-use crate::options::{RenderArgs, VolumeArgs, parse_distance, parse_size};
+use crate::machine::Provenance;
+use crate::options::{RenderArgs, VolumeArgs, parse_distance, parse_size, thread_pool};
 use crate::path::Generated;
+use crate::progress::templated_bar;
+use crate::steering::calibrate::CALIBRATION_STEPS;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::play::DrawSettings;
-use crate::steering::race::{Race, machine_model_for, prepare, run as play, shipped_model};
+use crate::steering::race::{Race, machine_model_for, prepare, run as play, shipped_files, steering_model};
 use crate::steering::report::{Story, table, write};
+use crate::volume::Reading;
 use anyhow::{Context, Result, ensure};
 use entire_core::control::StepLimits;
+use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
 use entire_vk_raycaster::Renderer;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// The volume that is taken where none is given, from the project's root.
-pub const DEFAULT_VOLUME: &str = "data/nyx_cosmology/m01/t0010.nrrd";
+pub const DEFAULT_VOLUME: &str = "data/nyx_cosmology/m04/t0010.nrrd";
 
 /// Volumes with fewer voxels are enlarged by 2 along every axis, so that their frames cost something.
 const SMALL_VOLUME: u64 = 160 * 160 * 160;
@@ -43,9 +51,9 @@ const CONTROLLERS: [ControllerKind; 5] = [
 
 /// Calibrate, explore and report: the main job, end to end.
 ///
-/// Renders calibration frames of the volume, fits a predictor to this machine, plays an exploration with
-/// three abrupt transfer-function switches under five controllers (fixed step, OLP, PID, Algorithm 1, ours),
-/// prints how well each held the target frame time, and writes a report. Takes a few minutes on two cores.
+/// Calibrates to this machine with other volumes, where it has no model, then plays an exploration of a volume that no
+/// model saw: 120 frames with three abrupt switches of the transfer function, under five controllers (fixed step, OLP,
+/// PID, Algorithm 1, ours). Prints how well each held the target frame time, and writes a report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire demo
@@ -63,18 +71,20 @@ pub struct Options {
     /// Frames of the exploration.
     #[arg(long, default_value_t = 120, value_name = "N")]
     pub frames: u32,
-    /// Random scenes rendered to calibrate, at six steps each.
-    #[arg(long, default_value_t = 80, value_name = "N")]
-    pub calibrate: usize,
+    /// Wall seconds that the calibration may take, where the machine has no model.
+    #[arg(long, default_value_t = 25.0, value_name = "SECONDS", value_parser = parse_seconds)]
+    pub seconds: f64,
+    /// Random scenes of the volume that are rendered first, at six steps each, to measure what a coarser step saves.
+    #[arg(long, default_value_t = 16, value_name = "N")]
+    pub scenes: usize,
     /// How the volume is read.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts. `auto` is the one that the machine's model predicts (`entire calibrate`); without
-    /// one the device's, or the process's CPU time where software renders on a busy
-    /// machine.
+    /// Which clock counts. `auto` is the one that the machine's model predicts (`entire calibrate`); without one the
+    /// device's, or wall time where software renders.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
     /// Enlarge the volume by this factor at load, trilinearly; else 2 for small volumes, 1 for others.
@@ -84,28 +94,66 @@ pub struct Options {
     /// whichever shows less; 1 leaves the image alone.
     #[arg(long, default_value_t = 1.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
-    /// Seed of the calibration scenes.
+    /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
 }
 
-/// The clock that `auto` stands for: on a machine with over twice as much to do as it has cores, a software
-/// renderer's elapsed time tells more of the others' work than of its own.
-fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> (Clock, Option<String>) {
-    let device = renderer.device().to_ascii_lowercase();
-    let software = renderer.backend() == "cpu"
-        || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s));
-    match machine::load_average() {
-        Some([load, _, _]) if clock == Clock::Auto && software && load > 2.0 * machine::cores() as f64 => {
-            let why = format!(
-                "The machine is busy (load {load:.1} on {} cores): frame times are this process's CPU time, \
-                 all threads, not elapsed time.",
-                machine::cores()
-            );
-            (Clock::Cpu, Some(why))
+/// The clock that `auto` stands for: what a user waits for.
+fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> Clock {
+    match clock {
+        Clock::Auto
+            if device::is_software(renderer) || renderer.limits().is_none_or(|l| l.timestamps.is_none()) =>
+        {
+            Clock::Wall
         }
-        _ => (clock, None),
+        Clock::Auto => Clock::Device,
+        named => named,
     }
+}
+
+/// A model of this machine, made of other volumes than the one that is played: those in data/, of its ensembles the
+/// members that models are trained on. `None` where there are none.
+fn calibrated(
+    options: &Options,
+    draw: &DrawSettings,
+    played: &Path,
+    renderer: &mut dyn Renderer,
+    stop: &dyn Fn() -> bool,
+) -> Result<Option<(String, ModelFile)>> {
+    let data = Path::new(DATA_FOLDER);
+    let mut volumes = if data.is_dir() { volumes_in(data)? } else { Vec::new() };
+    let same = |path: &Path| path.canonicalize().ok();
+    volumes.retain(|path| same(path) != same(played));
+    if volumes.is_empty() {
+        return Ok(None);
+    }
+    let settings = Settings {
+        volumes,
+        reading: Reading::default(),
+        shading: draw.shading,
+        skipping: draw.skipping,
+        termination: draw.termination,
+        clock: draw.clock,
+        seconds: options.seconds,
+        frames: 500,
+        sizes: (32, draw.width.max(draw.height).max(64)),
+        steps: CALIBRATION_STEPS.to_vec(),
+        seed: options.seed,
+        picture_error: PictureError::default(),
+    };
+    let priors: Vec<NamedPrior> = shipped_files(draw.shading)?
+        .into_iter()
+        .map(|(path, file)| (path.display().to_string(), file))
+        .collect();
+    let threads = thread_pool(None)?;
+    let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
+    let Calibrated { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;
+    let title = format!(
+        "a model calibrated in {:.0} s to {} frames of {} other volumes",
+        report.seconds, report.frames, report.volumes
+    );
+    Ok(Some((title, file)))
 }
 
 /// Shrinks the image until all rendering fits the budget, judged by a frame that stands for the mean,
@@ -179,7 +227,7 @@ pub fn run(options: &Options) -> Result<()> {
             file
         }
     };
-    ensure!(options.calibrate >= 8, "--calibrate is {}; at least 8 scenes are needed", options.calibrate);
+    ensure!(options.scenes >= 4, "--scenes is {}; at least 4 scenes are needed", options.scenes);
     let shown = file.display().to_string();
     let volume = open_volume(&file, &options.volume_args.reading())?;
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
@@ -195,12 +243,10 @@ pub fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.render.device)?;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     let (machines, clock) = machine_model_for(options.render.shade.into(), options.clock)?;
-    let (clock, busy) = choose_clock(clock, renderer.as_ref());
-    if let Some(busy) = &busy {
-        println!("clock      {busy}");
-    }
+    let clock = choose_clock(clock, renderer.as_ref());
+    println!("clock      {}", clock.name());
     let asked = DrawSettings::new(options.size, &options.render, clock);
-    let renderings = (7 * options.calibrate + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;
+    let renderings = (7 * options.scenes + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;
     let draw = fit_size(asked, &view, renderings, renderer.as_mut())?;
     let shrunk = draw != asked;
     println!(
@@ -210,7 +256,14 @@ pub fn run(options: &Options) -> Result<()> {
         if shrunk { ", made smaller so that the demo ends in time" } else { "" }
     );
     let seed_name = volume.name().to_owned();
-    let shipped = shipped_model(draw.shading, draw.clock)?;
+    const INTERRUPTED: &str = "interrupted; nothing was written";
+    let machines = match machines {
+        None => calibrated(options, &draw, &file, renderer.as_mut(), &stop).context("cannot calibrate")?,
+        some => some,
+    };
+    ensure!(!stop(), INTERRUPTED);
+    let made = machines.as_ref().map(|(_, file)| file.to_bytes()).transpose()?;
+    let (steers, prior) = steering_model(None, machines, draw.shading, &view)?;
     let race = Race {
         volume: &view,
         series: &[],
@@ -221,30 +274,23 @@ pub fn run(options: &Options) -> Result<()> {
         seed_name: &seed_name,
         seed: options.seed,
         draw,
-        calibration: (options.calibrate, 1),
+        scenes: (options.scenes, 1),
         limits: StepLimits::default(),
         controllers: &CONTROLLERS,
         target: None,
-        model: None,
-        shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),
-        machine: machines.as_ref().map(|(title, file)| (title.as_str(), file)),
+        model: &steers,
+        prior,
     };
-    const INTERRUPTED: &str = "interrupted; nothing was written";
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
-    println!("calibrated {} renderings of {} random scenes", prepared.samples.len(), options.calibrate);
-    for c in &prepared.candidates {
-        println!(
-            "           {}: median error {:.1} %, p95 {:.1} % on {} held-out frames{}",
-            c.title,
-            100.0 * c.held_out.median_error,
-            100.0 * c.held_out.p95_error,
-            c.held_out.frames,
-            if c.chosen { "; it steers" } else { "" }
-        );
-    }
+    println!("predictor  {}", prepared.predictor.sentence());
+    println!(
+        "full step  {:.1} ms, the median of {} random scenes",
+        prepared.full_quality * 1e3,
+        options.scenes
+    );
     let target = format!("{:.1} ms: {}", prepared.target * 1e3, prepared.target_reason);
     println!("target     {target}");
-    println!("fixed step {:.2}, what the median calibration scene needs for the target", prepared.fixed_step);
+    println!("fixed step {:.2}, what the median random scene needs for the target", prepared.fixed_step);
 
     let keep = path.switches();
     let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
@@ -256,7 +302,7 @@ pub fn run(options: &Options) -> Result<()> {
          times."
             .to_owned(),
         format!(
-            "The fixed step ({:.2}) is the one that the median calibration scene needs for the target. OLP \
+            "The fixed step ({:.2}) is the one that the median random scene needs for the target. OLP \
              takes the mean of the last three frames, brought to the reference step by G; PID has the gains \
              0.3, 0.05, 0.1; Algorithm 1 sends the prediction at the reference step through G; the hybrid \
              predicts every step, corrects the prediction by what it observed, and keeps a margin.",
@@ -269,7 +315,6 @@ pub fn run(options: &Options) -> Result<()> {
             that its frames cost what larger volumes' do."
         ));
     }
-    remarks.extend(busy);
     let story = Story {
         title: "Holding a frame time".into(),
         lead: verdict.clone(),
@@ -280,15 +325,15 @@ pub fn run(options: &Options) -> Result<()> {
             path.frames.len(),
             path.switches().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
         ),
-        candidates: prepared.candidates.clone(),
+        predictor: prepared.predictor.clone(),
         response: prepared.response_curve(),
         remarks,
         provenance: Provenance::of(renderer.device()),
     };
     let metrics = write(&options.out, &story, &draw, &playback)?;
     write_json(&options.out.join("path.json"), &path_file)?;
-    if let Some(bytes) = prepared.chosen()?.fitted.file() {
-        write_whole(&options.out.join("model.safetensors"), bytes)?;
+    if let Some(bytes) = made {
+        write_whole(&options.out.join("model.safetensors"), &bytes)?;
     }
     println!("\n{}", table(&playback.names, &metrics).to_text());
     println!(

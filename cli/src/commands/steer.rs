@@ -13,7 +13,7 @@ use crate::path::{FlightPath, Generated, parse_target};
 use crate::pictures::scaled_size;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
-use crate::steering::race::{Race, machine_model_for, prepare, run as play, shipped_model};
+use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
 use crate::steering::report::{Story, table, write};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
@@ -23,8 +23,8 @@ use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
 ///
-/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G,
-/// the saving of a coarser step. Then the path is played: every frame is drawn under every controller before
+/// First some random frames of the volume are rendered at several steps, to measure what a coarser step saves; the
+/// predictor is not fitted to them. Then the path is played: every frame is drawn under every controller before
 /// the next one begins, in rotating order, beside a reference picture outside of the race. DIR gets
 /// frames.csv (every frame under every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
@@ -37,7 +37,7 @@ use std::path::{Path, PathBuf};
   entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 2 --table observed.csv \
   --out out/skull")]
 pub struct Options {
-    /// The volume file; several are the volumes of a series (see --hold), the first of which calibrates.
+    /// The volume file; several are the volumes of a series (see --hold).
     #[arg(value_name = "VOLUME", required = true)]
     pub volumes: Vec<PathBuf>,
     /// Frames that each volume of a series is shown for.
@@ -84,13 +84,14 @@ pub struct Options {
         value_name = "NAME,…"
     )]
     pub controllers: Vec<ControllerKind>,
-    /// Random scenes that are rendered first, at six steps each, to fit the predictor and measure G.
-    #[arg(long, default_value_t = 32, value_name = "N")]
-    pub calibrate: usize,
-    /// How often each calibration frame is rendered; the median counts.
+    /// Random scenes of the volume that are rendered first, at six steps each, to measure what a coarser step saves.
+    #[arg(long, default_value_t = 16, value_name = "N")]
+    pub scenes: usize,
+    /// How often each of their frames is rendered; the median counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub repeats: usize,
-    /// Steer by this model file instead of the predictor that is fitted first.
+    /// Steer by this model file; unless given, by the machine's model (`entire calibrate`), else by the one that ships,
+    /// corrected by every frame.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
     /// Folder for the results.
@@ -150,9 +151,9 @@ pub fn run(options: &Options) -> Result<()> {
         ensure!(!options.controllers[..i].contains(kind), "--controllers names {} twice", kind.name());
     }
     ensure!(
-        options.calibrate >= 8 && options.repeats >= 1,
-        "--calibrate is {} and --repeats {}; at least 8 scenes, rendered at least once, are needed",
-        options.calibrate,
+        options.scenes >= 4 && options.repeats >= 1,
+        "--scenes is {} and --repeats {}; at least 4 scenes, rendered at least once, are needed",
+        options.scenes,
         options.repeats
     );
     let hold = parse_hold(options.volumes.len(), options.hold)?;
@@ -202,7 +203,7 @@ pub fn run(options: &Options) -> Result<()> {
     let stop = || interrupt::requested(&stop);
     let mut renderer = device::open(options.render.device)?;
     let seed_name = volume.name().to_owned();
-    let shipped = shipped_model(draw.shading, draw.clock)?;
+    let (steers, prior) = steering_model(named.zip(model), machines, draw.shading, &view)?;
     let race = Race {
         volume: &view,
         series: &series,
@@ -213,13 +214,12 @@ pub fn run(options: &Options) -> Result<()> {
         seed_name: &seed_name,
         seed: options.seed,
         draw,
-        calibration: (options.calibrate, options.repeats),
+        scenes: (options.scenes, options.repeats),
         limits,
         controllers: &options.controllers,
         target: Some(target),
-        model: model.as_ref(),
-        shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),
-        machine: machines.as_ref().map(|(title, file)| (title.as_str(), file)),
+        model: &steers,
+        prior,
     };
     const INTERRUPTED: &str = "interrupted; nothing was written";
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
@@ -247,7 +247,7 @@ pub fn run(options: &Options) -> Result<()> {
             .collect::<Vec<_>>()
             .join("; "),
         path: path_name,
-        candidates: prepared.candidates.clone(),
+        predictor: prepared.predictor.clone(),
         response: prepared.response_curve(),
         remarks: Vec::new(),
         provenance: Provenance::of(renderer.device()),
@@ -257,8 +257,8 @@ pub fn run(options: &Options) -> Result<()> {
         write_table(file, options, &volumes, &path, &draw, &playback)?;
     }
     println!("{}", table(&playback.names, &metrics).to_text());
-    let by = prepared.chosen()?.title.as_str();
-    println!("steered by {by}; frame times by the clock {}", draw.clock.name());
+    println!("steered by {}", prepared.predictor.sentence());
+    println!("frame times by the clock {}", draw.clock.name());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
     Ok(())
 }

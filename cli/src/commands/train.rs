@@ -6,8 +6,7 @@ use crate::dataset::{
 };
 use crate::files::{check_model_out, note, read_model_file, write_whole};
 use crate::fit::{
-    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, calibrate, parse_loss, predict_rows,
-    transfer,
+    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows,
 };
 use crate::inputs::Layout;
 use crate::metrics::Metrics;
@@ -46,9 +45,8 @@ Examples:
         the analytic model times a learned factor
   entire train --data frames.csv --pictures pictures.csv --out both.safetensors --model-kind analytic
         what a frame takes, and what coarser steps and smaller images cost its picture
-  entire train --data new-machine.csv --out here.safetensors --calibrate model.safetensors --limit 100
-  entire train --data new-renderer.csv --out there.safetensors --transfer residual.safetensors
-        from one renderer to another with a few frames, all of which are learned from")]
+
+`entire calibrate --data FRAMES.csv` takes a model to another machine or renderer with a few frames.")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
@@ -134,17 +132,6 @@ pub struct Options {
     /// Start from this model: its layers, inputs, target and standardization stay, its weights learn on.
     #[arg(long, value_name = "SAFETENSORS")]
     pub fine_tune: Option<PathBuf>,
-    /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten
-    /// frames will do.
-    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "model_kind"])]
-    pub calibrate: Option<PathBuf>,
-    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew (as
-    /// with `--converting`), and the factor's last layer is fitted towards a quarter of its weights. All
-    /// frames are learned from; some fifty will do.
-    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = [
-        "fine_tune", "calibrate", "model_kind", "validation_groups", "test_groups",
-    ])]
-    pub transfer: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
@@ -208,18 +195,13 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(text) = left_out(&tables, clock, options.shade) {
         note(&text);
     }
-    let mut split = Split::new(
+    let split = Split::new(
         frames.iter().map(|f| f.0),
         options.split,
         &options.validation_groups,
         &options.test_groups,
         options.seed,
     )?;
-    if options.transfer.is_some() {
-        let Split { training, validation, test, .. } = &mut split;
-        training.append(validation);
-        training.append(test);
-    }
     let seconds: BTreeMap<(usize, u64), f64> =
         frames.iter().map(|(f, t)| ((f.table, f.number), *t)).collect();
     let refs: Vec<&TimedFrame> = frames.iter().map(|f| f.0).collect();
@@ -240,7 +222,7 @@ pub fn run(options: &Options) -> Result<()> {
         count(Part::Validation),
         count(Part::Test)
     ));
-    if split.validation.is_empty() && options.transfer.is_none() {
+    if split.validation.is_empty() {
         note(&format!(
             "fewer than three {}s, so every frame trains and nothing is held out; test on other data",
             split.by.name()
@@ -259,29 +241,7 @@ pub fn run(options: &Options) -> Result<()> {
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };
-    let fitted = match (&options.calibrate, &options.transfer) {
-        (None, Some(path)) => {
-            let (file, _) = read_model_file(path)?;
-            FittedModel {
-                file: transfer(&file, &context, training)?,
-                what: "Analytic cost model times a learned factor, taken to another renderer".into(),
-                settings: json!({ "transferred_from": path.file_name().map(|n| n.to_string_lossy()) }),
-                history: Vec::new(),
-                outcome: format!("transferred with {} frames", training.frames.len()),
-            }
-        }
-        (Some(path), _) => {
-            let (file, _) = read_model_file(path)?;
-            FittedModel {
-                file: calibrate(&file, &context, training)?,
-                what: "PredNet, its last layer calibrated".into(),
-                settings: json!({ "calibrated_from": path.file_name().map(|n| n.to_string_lossy()) }),
-                history: Vec::new(),
-                outcome: format!("calibrated on {} frames", training.frames.len()),
-            }
-        }
-        (None, None) => options.recipe().make(&context, training, validation)?,
-    };
+    let fitted = options.recipe().make(&context, training, validation)?;
     bar.finish_and_clear();
     let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
 
@@ -406,7 +366,7 @@ struct Trained {
 
 /// The clock that is asked for, or that of the model that training starts from, or processor time.
 fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
-    let base = options.calibrate.as_ref().or(options.transfer.as_ref()).or(options.fine_tune.as_ref());
+    let base = options.fine_tune.as_ref();
     let base = match base {
         Some(path) => {
             let (_, model) = read_model_file(path)?;

@@ -8,7 +8,6 @@
 //! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
 //!   as dense layers that carry `log_estimated_seconds` past the network.
 
-mod adapt;
 pub(crate) mod analytic;
 mod compose;
 mod least_squares;
@@ -17,7 +16,6 @@ mod recipe;
 mod tests;
 mod training;
 
-pub use adapt::{calibrate, calibrate_to_rows, transfer};
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_features};
 
 use crate::dataset::{Table, TimedFrame};

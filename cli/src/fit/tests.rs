@@ -177,33 +177,6 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
 }
 
 #[test]
-fn calibration_recovers_the_factor_of_another_machine() {
-    let frames = tables_of_no_volume(200);
-    let frames: Vec<&TimedFrame> = frames.iter().collect();
-    for (target, tolerance) in [(Target::LogSeconds, 0.02), (Target::Seconds, 1e-5)] {
-        let mut parts = network(&[3, 6, 1], 2);
-        parts.target = target;
-        if target == Target::Seconds {
-            // Seconds far from zero, as they are of real models.
-            parts.output = Some(Normalization { mean: vec![9.0], std: vec![0.2] });
-        }
-        let layout = Layout::new(&[GroupKind::Camera], Vec::new(), 0, None).unwrap();
-        let mut file = ModelFile::default();
-        Recipe::default().store(&mut file, parts, &layout).unwrap();
-        in_context(|context| {
-            let predicted_by =
-                |file: &ModelFile| predict(&file.to_model().unwrap(), context, &frames).unwrap();
-            let there: Vec<f64> = predicted_by(&file).iter().map(|t| 2.5 * t).collect();
-            let few = Timed { frames: &frames[..100], seconds: &there[..100] };
-            let tuned = predicted_by(&calibrate(&file, context, few).unwrap());
-            for (found, expected) in tuned.iter().zip(&there).skip(100) {
-                assert!((found / expected - 1.0).abs() < tolerance, "{target:?}: {found} {expected}");
-            }
-        });
-    }
-}
-
-#[test]
 fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
     let frames = tables_of_no_volume(3);
     let frames: Vec<&TimedFrame> = frames.iter().collect();

@@ -1,4 +1,4 @@
-//! Fitting predictors to this machine: a few random frames of the volume, each at several ray steps.
+//! Random frames of a volume, each at several ray steps: what a coarser step saves.
 
 use super::play::DrawSettings;
 use super::rivals::StepResponse;
@@ -7,7 +7,7 @@ use crate::metrics::median;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_core::predict::{AnalyticModel, FitReport, InputLayout, Inputs, Measurement, UnitCosts};
+use entire_core::predict::{InputLayout, Inputs};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction, VolumeView,
 };
@@ -16,9 +16,6 @@ use indicatif::ProgressBar;
 
 /// Ray steps at which every calibration scene is rendered, reference steps. The first is the reference.
 pub const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
-
-/// Every this many scenes, one is held out: never fitted to, only judged by.
-pub const HOLD_OUT_EVERY: usize = 4;
 
 /// One rendering of a calibration scene.
 #[derive(Clone, Debug)]
@@ -38,11 +35,6 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Whether it is held out from fitting.
-    pub fn held_out(&self) -> bool {
-        self.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
-    }
-
     /// What a predictor is told of it, with the volume's features where there are any.
     pub fn predictor_inputs<'a>(&'a self, volume_features: Option<&'a [f32]>) -> Inputs<'a> {
         Inputs {
@@ -149,21 +141,6 @@ pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
             (ratio.is_finite() && ratio > 0.0).then_some((s.setting.step, ratio as f32))
         })
         .collect()
-}
-
-/// The analytic cost model fitted to the samples that are not held out.
-///
-/// # Errors
-/// When none of them is usable.
-pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
-    let measurements: Vec<Measurement> = samples
-        .iter()
-        .filter(|s| !s.held_out())
-        .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
-        .collect();
-    let mut model = AnalyticModel::default();
-    let report = model.fit(&UnitCosts::SOFTWARE, &measurements)?;
-    Ok((model, report))
 }
 
 /// How well predictions do on samples.

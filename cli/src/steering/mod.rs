@@ -3,8 +3,8 @@
 
 pub mod calibrate;
 pub mod contenders;
-pub mod fit;
 pub mod metrics;
+pub mod model;
 pub mod play;
 pub mod race;
 pub mod report;

@@ -1,8 +1,8 @@
-//! A whole race: calibrate, choose a target, play a path under every controller.
+//! A whole race: measure what a coarser step saves, choose a target, play a path under every controller.
 
-use super::calibrate::{Sample, measure, response};
+use super::calibrate::{Quality, Sample, measure, response};
 use super::contenders::{ControllerKind, contender};
-use super::fit::{Calibrated, Candidate, SteeringModel};
+use super::model::SteeringModel;
 use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
@@ -17,8 +17,10 @@ use entire_core::control::Prior;
 use entire_core::control::StepLimits;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::{Model, ModelFile};
+use entire_core::predict::AnalyticModel;
 use entire_core::scene::{Shading, VolumeView};
 use entire_vk_raycaster::Renderer;
+use serde::Serialize;
 use std::path::PathBuf;
 
 /// What is raced.
@@ -43,21 +45,78 @@ pub struct Race<'a> {
     pub seed: u64,
     /// How frames are drawn.
     pub draw: DrawSettings,
-    /// Calibration scenes, and how often each is rendered at each step.
-    pub calibration: (usize, usize),
+    /// Random scenes of the volume, and how often each is rendered at each step.
+    pub scenes: (usize, usize),
     /// Steps that may be chosen.
     pub limits: StepLimits,
     /// Who races.
     pub controllers: &'a [ControllerKind],
     /// Seconds that frames should not exceed; `None` to choose by [`sane_target`].
     pub target: Option<f64>,
-    /// A model that steers instead of what is fitted here; what is fitted is still reported.
-    pub model: Option<&'a Model>,
-    /// A model of other machines' times, by what it is called, that is calibrated to this one and takes part
-    /// in the choice.
-    pub shipped: Option<(&'a str, &'a ModelFile)>,
-    /// The machine's model, by what it is called: it takes part in the choice as it is.
-    pub machine: Option<(&'a str, &'a ModelFile)>,
+    /// What predicts, for controllers that do.
+    pub model: &'a SteeringModel,
+    /// What a controller may take as known of it.
+    pub prior: Prior,
+}
+
+/// The predictor of a race, for people.
+#[derive(Clone, Debug, Serialize)]
+pub struct Steers {
+    /// What it is.
+    pub title: String,
+    /// How it does on the random frames of the volume, none of which it was fitted to.
+    pub on_this_volume: Quality,
+}
+
+impl Steers {
+    /// What predicts and how well.
+    pub fn sentence(&self) -> String {
+        let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
+        format!(
+            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this volume, none of \
+             which it was fitted to",
+            self.title,
+            100.0 * median_error,
+            100.0 * p95_error
+        )
+    }
+}
+
+/// What predicts: the model that was given, else the machine's, else the one that ships, whose scale every frame
+/// corrects, else unit costs of a software renderer; and what a controller may take as known of it.
+///
+/// # Errors
+/// When a model cannot be read, or holds no predictor.
+pub fn steering_model(
+    given: Option<(String, Model)>,
+    machine: Option<(String, ModelFile)>,
+    shading: Shading,
+    volume: &VolumeView<'_>,
+) -> Result<(SteeringModel, Prior)> {
+    let given = match (given, machine) {
+        (Some(given), _) => Some(given),
+        (None, Some((title, file))) => Some((title, file.to_model()?)),
+        (None, None) => None,
+    };
+    let ((title, model), known) = match (given, shipped_file(shading)?) {
+        (Some(given), _) => (given, true),
+        (None, Some((path, file))) => {
+            ((format!("{}, corrected by every frame", path.display()), file.to_model()?), false)
+        }
+        (None, None) => {
+            let file = AnalyticModel::default().to_model_file()?;
+            (
+                ("unit costs of a software renderer, corrected by every frame".to_owned(), file.to_model()?),
+                false,
+            )
+        }
+    };
+    let model = SteeringModel::new(title, model, volume)?;
+    let prior = match model.predictor()?.log_sd().filter(|_| known) {
+        Some(log_sd) => Prior::Fitted { log_sd },
+        None => Prior::Unknown,
+    };
+    Ok((model, prior))
 }
 
 /// The machine's model for what is drawn, by what it is called, and the clock that counts: with
@@ -81,29 +140,6 @@ pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(Stri
         return Ok((None, asked));
     };
     Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
-}
-
-/// The model in `models/` that was selected for a shading mode, to be fitted to seconds by `clock`, by what it is
-/// called; `None` where the working folder is not the project's. A model of another clock is said on standard
-/// error.
-///
-/// # Errors
-/// When it is there and no model.
-pub fn shipped_model(shading: Shading, clock: Clock) -> Result<Option<(String, ModelFile)>> {
-    let Some((path, file)) = shipped_file(shading)? else { return Ok(None) };
-    if let Some(theirs) = crate::clock::of(&file.to_model()?).filter(|c| *c != clock) {
-        crate::files::note(&format!(
-            "{} predicts {} seconds and frames are timed by the clock {}: its last layer is fitted to the \
-             calibration frames, which takes it to their clock",
-            path.display(),
-            theirs.name(),
-            match clock {
-                Clock::Auto => "auto (the device's, or wall time where it has none)",
-                named => named.name(),
-            }
-        ));
-    }
-    Ok(Some((format!("{}, calibrated", path.display()), file)))
 }
 
 /// The model in `models/` that was selected for a shading mode, with its file; `None` where the working folder is
@@ -149,7 +185,7 @@ pub fn shipped_files(shading: Shading) -> Result<Vec<(PathBuf, ModelFile)>> {
     Ok(out)
 }
 
-/// What calibration gave.
+/// What the random scenes gave.
 #[derive(Clone, Debug)]
 pub struct Prepared {
     /// The volume's summary.
@@ -158,12 +194,12 @@ pub struct Prepared {
     pub samples: Vec<Sample>,
     /// G.
     pub response: StepResponse,
-    /// Fitted predictors.
-    pub candidates: Vec<Candidate>,
-    /// What a controller may take as known of the chosen one.
-    pub prior: Prior,
+    /// What predicts, and how well.
+    pub predictor: Steers,
     /// Seconds that frames should not exceed.
     pub target: f64,
+    /// Median seconds of the random scenes at the reference step.
+    pub full_quality: f64,
     /// How that was chosen; empty where it was given.
     pub target_reason: String,
     /// The fixed controller's step.
@@ -174,14 +210,6 @@ impl Prepared {
     /// G, and what it was made from.
     pub fn response_curve(&self) -> ResponseCurve {
         ResponseCurve::new(&self.samples, &self.response)
-    }
-
-    /// The predictor that steers.
-    ///
-    /// # Errors
-    /// When there is none.
-    pub fn chosen(&self) -> Result<&Candidate> {
-        self.candidates.iter().find(|c| c.chosen).context("no predictor was fitted")
     }
 }
 
@@ -209,7 +237,8 @@ pub fn calibration_scenes() -> SceneDistribution {
     SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
 }
 
-/// Renders calibration scenes, fits the predictors, and works out target and fixed step.
+/// Renders random scenes of the volume at several steps: what a coarser step saves (G), how well the predictor does,
+/// and from both target and fixed step. Nothing is fitted to them.
 ///
 /// Answers `None` when `stop` said so.
 ///
@@ -221,14 +250,14 @@ pub fn prepare(
     stop: &dyn Fn() -> bool,
 ) -> Result<Option<Prepared>> {
     let summary = VolumeSummary::new(race.volume, SummaryOptions::default())?;
-    let bar = progress_bar("calibrate");
+    let bar = progress_bar("measure");
     let samples = measure(
         race.volume,
         &summary,
         &race.draw,
         &calibration_scenes(),
         (race.seed, race.seed_name),
-        race.calibration,
+        race.scenes,
         renderer,
         stop,
         &bar,
@@ -236,27 +265,13 @@ pub fn prepare(
     bar.finish_and_clear();
     let Some(samples) = samples? else { return Ok(None) };
     let response = response(&samples)?;
-    let mut calibrated = Calibrated::fit(&samples, race.volume, race.seed)?;
-    if let Some(shipped) = race.shipped {
-        let clock = match race.draw.clock {
-            Clock::Auto if renderer.limits().is_some_and(|l| l.timestamps.is_some()) => Clock::Device,
-            Clock::Auto => Clock::Wall,
-            named => named,
-        };
-        calibrated = calibrated.with_shipped(shipped, clock, &samples, race.volume)?;
-    }
-    if let Some((title, file)) = race.machine {
-        calibrated = calibrated.with_machine(title, file, &samples, race.volume)?;
-    }
-    if let Some(model) = race.model {
-        let fitted = SteeringModel::new("the model file that was given".into(), model.clone(), race.volume)?;
-        let given =
-            Candidate::of(fitted, &samples).context("the model cannot predict the calibration frames")?;
-        for c in &mut calibrated.candidates {
-            c.chosen = false;
-        }
-        calibrated.candidates.push(Candidate { chosen: true, ..given });
-    }
+    let predictor = Steers {
+        title: race.model.title().to_owned(),
+        on_this_volume: race
+            .model
+            .quality(&samples)
+            .context("the model cannot predict frames of the volume")?,
+    };
     let (target, target_reason) = match race.target {
         Some(target) => (target, String::new()),
         None => (
@@ -269,14 +284,13 @@ pub fn prepare(
     };
     let typical = median(&mut times_at(&samples, 1.0)).unwrap_or(target);
     let fixed_step = race.limits.clamp(response.step_ratio((target / typical) as f32));
-    let prior = calibrated.prior();
     Ok(Some(Prepared {
         summary,
         samples,
         response,
-        candidates: calibrated.candidates,
-        prior,
+        predictor,
         target,
+        full_quality: typical,
         target_reason,
         fixed_step,
     }))
@@ -296,13 +310,12 @@ pub fn run(
     renderer: &mut dyn Renderer,
     stop: &dyn Fn() -> bool,
 ) -> Result<Option<Playback>> {
-    let chosen = prepared.chosen()?;
     let mut contenders: Vec<Contender> = race
         .controllers
         .iter()
         .map(|kind| {
-            let predictor = chosen.fitted.predictor()?;
-            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, prepared.prior))
+            let predictor = race.model.predictor()?;
+            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, race.prior))
         })
         .collect::<Result<_>>()?;
     let summaries: Vec<VolumeSummary> = race
@@ -315,7 +328,7 @@ pub fn run(
     let task = Task {
         volumes: &shown,
         hold: race.hold,
-        volume_features: chosen.fitted.volume_features(),
+        volume_features: race.model.volume_features(),
         path,
         target: prepared.target,
         retargets: race.retargets,

@@ -2,9 +2,9 @@
 
 use super::calibrate::{Sample, response_pairs};
 use super::contenders::ControllerKind;
-use super::fit::Candidate;
 use super::metrics::{Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback, Record};
+use super::race::Steers;
 use super::rivals::StepResponse;
 use crate::files::{make_folder, write_json, write_whole};
 use crate::machine::Provenance;
@@ -58,8 +58,8 @@ pub struct Story {
     pub volume: String,
     /// The path, for people.
     pub path: String,
-    /// Predictors and how they do on held-out frames.
-    pub candidates: Vec<Candidate>,
+    /// What predicts.
+    pub predictor: Steers,
     /// G.
     pub response: ResponseCurve,
     /// Further remarks, a paragraph each.
@@ -155,29 +155,6 @@ fn setting(r: &Record) -> String {
     }
 }
 
-/// Predictors and their errors on held-out frames.
-pub fn candidates_table(candidates: &[Candidate]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("predictor"),
-        Column::number("held-out frames"),
-        Column::number("median error / %"),
-        Column::number("p95 error / %"),
-        Column::number("scatter of ln t"),
-        Column::text("steers"),
-    ]);
-    for c in candidates {
-        table.row(vec![
-            c.title.clone().into(),
-            c.held_out.frames.to_string().into(),
-            percent(c.held_out.median_error).into(),
-            percent(c.held_out.p95_error).into(),
-            format!("{:.3}", c.held_out.log_sd).into(),
-            if c.chosen { "yes" } else { "" }.into(),
-        ]);
-    }
-    table
-}
-
 /// What the table's columns mean.
 pub fn table_caption() -> String {
     format!(
@@ -262,7 +239,7 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
             "skipping": draw.skipping.to_string(), "termination": draw.termination,
             "clock": draw.clock.name() },
         "steps_allowed": [playback.limits.finest, playback.limits.coarsest],
-        "predictors": story.candidates,
+        "predictor": story.predictor,
         "step_response": story.response.points,
         "controllers": controllers,
         "provenance": story.provenance,
@@ -397,13 +374,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     page.chart(&chart, "Likeness to the picture at the reference step; over 60 dB drawn as 60.");
 
     page.heading("Predictions");
-    if !story.candidates.is_empty() {
-        page.table(
-            &candidates_table(&story.candidates),
-            "Fitted to random frames of this volume on this machine, judged by others that were held out. \
-             None shows a transfer function of the path.",
-        );
-    }
+    page.paragraph(&format!("{}.", story.predictor.sentence()));
     let predicting: Vec<usize> = (0..playback.names.len())
         .filter(|c| matches!(playback.names[*c].as_str(), "algorithm1" | "hybrid"))
         .collect();

@@ -55,7 +55,7 @@ fn steer_plays_a_path_and_writes_a_report_that_stands_alone() {
     let saved = dir.path().join("path.json");
     let (volume, out_text, saved_text) =
         (volume.to_str().unwrap(), out.to_str().unwrap(), saved.to_str().unwrap());
-    let common = ["--target", "1ms", "--device", "cpu", "--size", "40x32", "--calibrate", "8"];
+    let common = ["--target", "1ms", "--device", "cpu", "--size", "40x32", "--scenes", "4"];
     let generated = ["steer", volume, "--generate", "switches", "--frames", "12", "--save-path", saved_text];
     let output = entire(&[&generated[..], &common[..], &["--out", out_text]].concat());
     let text = String::from_utf8_lossy(&output.stdout);
@@ -96,8 +96,8 @@ fn steer_chooses_image_sizes_and_logs_them() {
         "cpu",
         "--size",
         "120x96",
-        "--calibrate",
-        "8",
+        "--scenes",
+        "4",
         "--controllers",
         "olp,hybrid",
         "--max-image-sample-distance",
@@ -131,15 +131,35 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
 
+/// The machine's model is made of the volumes in data/, and none of the one that is played.
 #[test]
-fn demo_goes_from_a_volume_to_a_report_and_its_model_steers() {
+fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     let (dir, volume, out) = setting();
+    std::fs::create_dir(dir.path().join("data")).unwrap();
+    for name in ["a.nrrd", "b.nrrd", "c.nrrd"] {
+        ball::write(&dir.path().join("data").join(name));
+    }
+    // A copy of the volume itself counts as another; a link to it does not.
+    std::os::unix::fs::symlink(&volume, dir.path().join("data/same.nrrd")).unwrap();
     let (volume, out_text) = (volume.to_str().unwrap(), out.to_str().unwrap());
-    let small = ["--frames", "16", "--calibrate", "8", "--size", "40x40", "--device", "cpu"];
-    let output = entire(&[&["demo", volume, "--out", out_text][..], &small[..]].concat());
+    let small = ["--frames", "16", "--scenes", "4", "--seconds", "12", "--size", "40x40", "--device", "cpu"];
+    let output = Command::new(env!("CARGO_BIN_EXE_entire"))
+        .args([&["demo", volume, "--out", out_text][..], &small[..]].concat())
+        .current_dir(dir.path())
+        .env("XDG_DATA_HOME", dir.path())
+        .output()
+        .unwrap();
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    for word in ["enlarged trilinearly x2", "target", "it steers", "hybrid (ours)", "abrupt switch"] {
+    for word in [
+        "enlarged trilinearly x2",
+        "target",
+        "clock      wall",
+        "frames of 3 other volumes",
+        "none of which it was fitted to",
+        "hybrid (ours)",
+        "abrupt switch",
+    ] {
         assert!(text.contains(word), "{word}: {text}");
     }
     check_report(&out, 5, 16);
@@ -161,14 +181,14 @@ fn demo_goes_from_a_volume_to_a_report_and_its_model_steers() {
         "cpu",
         "--size",
         "40x40",
-        "--calibrate",
-        "8",
+        "--scenes",
+        "4",
         "--out",
         played.to_str().unwrap(),
     ]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let summary = std::fs::read_to_string(played.join("summary.json")).unwrap();
-    assert!(summary.contains("the model file that was given"), "{summary}");
+    assert!(summary.contains("model.safetensors"), "{summary}");
 }
 
 #[test]
@@ -196,7 +216,7 @@ fn bad_input_is_one_line_and_status_1() {
         (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
         (&["--target", "9ms", "--hold", "3"], "several volumes"),
         (&["--target", "9ms", "--limits", "4,2"], "step limits"),
-        (&["--target", "9ms", "--calibrate", "3"], "at least 8 scenes"),
+        (&["--target", "9ms", "--scenes", "3"], "at least 4 scenes"),
         (&["--target", "9ms", "--controllers", "pid,pid"], "twice"),
         (&["--target", "9ms", "--frames", "2"], "8 to 1000000 frames"),
         (&["--target", "9ms", "--clock", "device"], "no device clock"),

@@ -4,7 +4,7 @@
 
     python3 lab/scripts/robust/kills.py --entire target/release/entire --lab target/release/entire-lab
 
-Every round runs one of `entire collect`, `calibrate`, `train`, `train --calibrate`, `render` and `entire-lab record` over files of a
+Every round runs one of `entire collect`, `calibrate`, `calibrate --data`, `train`, `render` and `entire-lab record` over files of a
 run before. Afterwards, what was there is there, or the new whole file is; tables and traces that were cut off go on with
 --resume and end with every frame. A full disk is a limit on the size of files (RLIMIT_FSIZE), which needs no privilege:
 writes beyond it fail as on a full disk. Prints `bar NAME VALUE LIMIT ok|short`; fails when one is short, as it is after
@@ -83,8 +83,9 @@ class Commands:
                 "k.safetensors",
                 model,
             ),
-            "train --calibrate": (
-                [entire, *train, "--calibrate", "models/unshaded-selected.safetensors", "--out", folder / "c.safetensors"],
+            "calibrate --data": (
+                [entire, "calibrate", *train[1:], "--prior", "models/unshaded-selected.safetensors", "--clock", "cpu", "--out",
+                 folder / "c.safetensors"],
                 "c.safetensors",
                 model,
             ),

@@ -3,6 +3,7 @@
 
 use crate::bars;
 use crate::calibration::samples_of;
+use crate::fitted::{Calibrated, Candidate};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{self, Player, Replayable, Score, Tally, frontier, play, trials_of_all};
@@ -13,7 +14,7 @@ use entire_cli::options::parse_limits;
 use entire_cli::path::parse_target;
 use entire_cli::steering::calibrate::response;
 use entire_cli::steering::contenders::ControllerKind;
-use entire_cli::steering::fit::{Calibrated, Candidate, SteeringModel};
+use entire_cli::steering::model::SteeringModel;
 use entire_core::control::StepLimits;
 use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};

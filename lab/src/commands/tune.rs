@@ -2,6 +2,7 @@
 
 use super::replay::Paths;
 use crate::calibration::samples_by_volume;
+use crate::fitted::Calibrated;
 use crate::replay::tune::{Constants, Cost, Course, Law, TRIED, costs, search};
 use crate::replay::{Replayable, Three};
 use crate::trace::Trace;
@@ -10,7 +11,6 @@ use entire_cli::files::{make_folder_of, write_json};
 use entire_cli::progress::templated_bar;
 use entire_cli::report::{Column, Table};
 use entire_cli::steering::calibrate::Sample;
-use entire_cli::steering::fit::Calibrated;
 use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
 use serde_json::json;

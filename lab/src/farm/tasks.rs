@@ -2,12 +2,13 @@
 
 use super::factor::Factor;
 use crate::calibration::samples_of;
+use crate::fitted::Calibrated;
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
 use entire_cli::farm::Task;
 use entire_cli::metrics::median;
 use entire_cli::steering::calibrate::{Quality, Sample};
-use entire_cli::steering::fit::{Calibrated, SteeringModel};
+use entire_cli::steering::model::SteeringModel;
 use entire_core::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
 use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use entire_core::scene::{Scalars, Skipping, VolumeView};

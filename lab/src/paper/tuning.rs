@@ -11,10 +11,11 @@ use super::train::identity;
 use super::volumes::{BY_VOLUMES, Selection, places, roots};
 use crate::study::{Bounds, Runner};
 use anyhow::{Context, Result, bail};
+use entire_cli::calibrate::calibrate_to_frames;
 use entire_cli::dataset::feature_table::{code_column, encoder_id};
 use entire_cli::dataset::{Clock, Table, TimedFrame};
 use entire_cli::files::open_model;
-use entire_cli::fit::{FitContext, Recipe, calibrate, predict, transfer};
+use entire_cli::fit::{FitContext, Recipe, predict};
 use entire_cli::metrics::{Metrics, median};
 use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
@@ -33,8 +34,6 @@ struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
     judged: TimedFrames<'a>,
-    /// Whether unit costs are others there.
-    renderer: bool,
     /// The set of results that it belongs to.
     set: &'static str,
 }
@@ -245,12 +244,7 @@ impl Pretrained<'_> {
                 let alone = Recipe { epochs: work.paper.tuning.epochs, seed, ..(*recipe).clone() };
                 let (alone, _) = runner.made(&key("alone"), &alone, context, (&few, &none), &bounds)?;
                 found.entry("from nothing").or_default().push(rmse(&alone)?);
-                let moved = if target.renderer {
-                    transfer(ours, context, few.timed())?
-                } else {
-                    calibrate(ours, context, few.timed())?
-                };
-                let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
+                let (how, moved) = ("ours, calibrated", calibrate_to_frames(ours, context, few.timed())?);
                 found.entry(how).or_default().push(rmse(&moved)?);
                 if run == 1 {
                     last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];

@@ -1,10 +1,10 @@
 //! Traces against targets, under every controller.
 
 use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
+use crate::fitted::Calibrated;
 use anyhow::Result;
 use entire_cli::metrics::median;
 use entire_cli::steering::contenders::contender;
-use entire_cli::steering::fit::Calibrated;
 use entire_cli::steering::rivals::StepResponse;
 use entire_core::control::Prior;
 use entire_core::control::StepLimits;

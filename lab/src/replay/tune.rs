@@ -14,9 +14,9 @@
 
 use super::cold::{hybrid, starts, without_model};
 use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
+use crate::fitted::Calibrated;
 use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
-use entire_cli::steering::fit::Calibrated;
 use entire_core::control::{CorrectionConstants, HybridConstants, HybridOptions, StepLimits};
 use rayon::prelude::*;
 use serde::Serialize;

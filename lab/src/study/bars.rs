@@ -1,6 +1,6 @@
 //! What a study says about its bars.
 
-use super::curves::AS_A_MACHINE;
+use super::curves::CALIBRATED;
 use super::{CALIBRATION_FRAMES, CONSTANT, Findings, PROXY, SplitResult, Study};
 use crate::bars::Bar;
 
@@ -113,11 +113,9 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
             at_most(name("one-less-r2-log"), ours.map(|r| 1.0 - r.metrics.r2_log), 0.03);
             // As the documented command does it, where it can.
             let tuned = ours.and_then(|r| {
-                [AS_A_MACHINE, "calibrated"].into_iter().find_map(|how| {
-                    let curve = format!("{}, {how}", r.predictor);
-                    found.tuning.iter().find(|t| {
-                        t.set == s && t.split == p && t.curve == curve && t.frames == CALIBRATION_FRAMES
-                    })
+                let curve = format!("{}, {CALIBRATED}", r.predictor);
+                found.tuning.iter().find(|t| {
+                    t.set == s && t.split == p && t.curve == curve && t.frames == CALIBRATION_FRAMES
                 })
             });
             // Seven percent, or twice the noise where that is more.

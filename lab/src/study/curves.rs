@@ -6,8 +6,7 @@ use super::runner::{Bounds, OnSet, Runner};
 use super::{CALIBRATION_FRAMES, Findings, Named};
 use anyhow::Result;
 use entire_cli::calibrate::calibrate_to_frames;
-use entire_cli::dataset::Timed;
-use entire_cli::fit::{calibrate, predict, transfer};
+use entire_cli::fit::predict;
 use entire_cli::split::TimedFrames;
 use entire_core::calibrate::{FEWEST_FRAMES, PriorModel};
 use entire_core::model::ModelFile;
@@ -16,8 +15,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::BTreeSet;
 
-/// The curve of models that are taken to frames as `entire calibrate` does; others fit their last layer alone.
-pub(super) const AS_A_MACHINE: &str = "by entire calibrate";
+/// The curve of models that are taken to frames as `entire calibrate` does: analytic ones times a learned factor.
+pub(super) const CALIBRATED: &str = "by entire calibrate";
 
 /// The seed by which training frames are taken for smaller numbers of them.
 const SAMPLE_SEED: u64 = 7;
@@ -79,8 +78,7 @@ impl Runner<'_> {
         point(file, learned.training.frames.len())
     }
 
-    /// Error on a split by number of its frames that the model is calibrated to, transferred to, or made of
-    /// alone.
+    /// Error on a split by number of its frames that the model is calibrated to, or made of alone.
     fn tuning_curves(
         &self,
         on: &OnSet<'_>,
@@ -108,7 +106,10 @@ impl Runner<'_> {
             push_point(&mut out.tuning, set, split, &curve, count, &predicted, &judged);
             Ok(())
         };
-        point(&[file.clone(), file.clone()], "calibrated", 0)?;
+        let calibrates = PriorModel::new(file).is_ok();
+        if calibrates {
+            point(&[file.clone(), file.clone()], CALIBRATED, 0)?;
+        }
         let share = |s: &f64| ((s * all.frames.len() as f64).round() as usize).max(2);
         let mut counts: Vec<usize> = study.shares.iter().map(share).collect();
         counts.push(CALIBRATION_FRAMES);
@@ -119,15 +120,12 @@ impl Runner<'_> {
         for count in counts.into_iter().filter(|n| *n <= most) {
             let parts: Vec<TimedFrames<'_>> =
                 halves.iter().map(|half| half.sample(count, SHARE_SEED).0).collect();
-            let adapted = |how: &dyn Fn(Timed<'_>) -> Result<ModelFile>| -> Result<Vec<ModelFile>> {
-                parts.iter().map(|part| how(part.timed())).collect()
-            };
-            point(&adapted(&|few| calibrate(file, context, few))?, "calibrated", count)?;
-            if PriorModel::new(file).is_ok() && count >= FEWEST_FRAMES {
-                point(&adapted(&|few| calibrate_to_frames(file, context, few))?, AS_A_MACHINE, count)?;
-            }
-            if set.transfer {
-                point(&adapted(&|few| transfer(file, context, few))?, "transferred", count)?;
+            if calibrates && count >= FEWEST_FRAMES {
+                let calibrated: Vec<ModelFile> = parts
+                    .iter()
+                    .map(|part| calibrate_to_frames(file, context, part.timed()))
+                    .collect::<Result<_>>()?;
+                point(&calibrated, CALIBRATED, count)?;
             }
             if count < FEWEST_ALONE {
                 continue;

@@ -5,7 +5,7 @@ use crate::dataset::Clock;
 use crate::files::{write_json, write_whole};
 use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
 use crate::steering::contenders::{ControllerKind, controller};
-use crate::steering::fit::SteeringModel;
+use crate::steering::model::SteeringModel;
 use crate::steering::play::RAYCASTER;
 use crate::steering::race::shipped_file;
 use crate::steering::rivals::StepResponse;

@@ -1,0 +1,74 @@
+//! A model that steers.
+
+use super::calibrate::{Quality, Sample};
+use anyhow::{Context, Result};
+use entire_core::model::Model;
+use entire_core::nn::{Executor, VolumeNet};
+use entire_core::predict::{GroupKind, Predictor, load};
+use entire_core::scene::VolumeView;
+use std::sync::Arc;
+
+/// A predictor that any number of contenders can be given.
+#[derive(Clone, Debug)]
+pub struct SteeringModel {
+    title: String,
+    model: Arc<Model>,
+    volume_features: Option<Vec<f32>>,
+}
+
+impl SteeringModel {
+    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for
+    /// that.
+    ///
+    /// # Errors
+    /// When the model holds no predictor, or the volume cannot be encoded.
+    pub fn new(title: String, model: Model, volume: &VolumeView<'_>) -> Result<Self> {
+        let mut volume_features = None;
+        if model.input_size(GroupKind::VolumeFeatures).is_some()
+            && let Some(parts) = model.volumenet()
+        {
+            let net = VolumeNet::new(parts)?;
+            let mut out = vec![0.0; net.feature_len()];
+            net.encode(volume, &mut net.scratch(), Executor::Serial, &mut out)?;
+            volume_features = Some(out);
+        }
+        load(&model)?;
+        Ok(Self { title, model: Arc::new(model), volume_features })
+    }
+
+    /// A predictor of its own.
+    ///
+    /// # Errors
+    /// When the model holds none.
+    pub fn predictor(&self) -> Result<Box<dyn Predictor + Send>> {
+        Ok(load(&self.model)?)
+    }
+
+    /// What it is, for people.
+    pub fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// VolumeNet's output for the volume, where the model takes it.
+    pub fn volume_features(&self) -> Option<&[f32]> {
+        self.volume_features.as_deref()
+    }
+
+    /// How well it does on samples that it was not fitted to. Models that do not know the step are judged at the
+    /// reference step.
+    ///
+    /// # Errors
+    /// When there are none, or the model needs an input that they do not have.
+    pub fn quality<'a>(&self, samples: impl IntoIterator<Item = &'a Sample>) -> Result<Quality> {
+        let mut predictor = self.predictor()?;
+        let every_step = predictor.knows_step();
+        let mut pairs = Vec::new();
+        for s in samples.into_iter().filter(|s| every_step || s.setting.step == 1.0) {
+            pairs.push((
+                f64::from(predictor.predict(&s.predictor_inputs(self.volume_features()))?.seconds),
+                s.seconds,
+            ));
+        }
+        Quality::of(&pairs).context("there is no frame to judge the model by")
+    }
+}

@@ -1,0 +1,185 @@
+//! Predictors fitted to recorded calibration frames, and the choice between them: who steers where a recorded path is
+//! replayed.
+
+use anyhow::{Context, Result};
+use entire_cli::fit::standard_features;
+use entire_cli::report::{Column, Table};
+use entire_cli::steering::calibrate::{Quality, Sample};
+use entire_cli::steering::model::SteeringModel;
+use entire_cli::train::{Network, Samples, Settings, train};
+use entire_core::control::Prior;
+use entire_core::model::ModelFile;
+use entire_core::nn::Target;
+use entire_core::predict::{AnalyticModel, FitReport, GroupKind, InputLayout, Measurement, UnitCosts};
+use entire_core::scene::VolumeView;
+use serde::Serialize;
+use std::ops::ControlFlow;
+
+/// Hidden widths of the small network.
+pub const HIDDEN: [usize; 2] = [24, 24];
+
+/// Every this many scenes, one is held out: never fitted to, only judged by.
+const HOLD_OUT_EVERY: usize = 4;
+
+/// Whether a sample is held out from fitting.
+fn held_out(sample: &Sample) -> bool {
+    sample.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
+}
+
+/// The analytic cost model fitted to the samples that are not held out.
+///
+/// # Errors
+/// When none of them is usable.
+pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
+    let measurements: Vec<Measurement> = samples
+        .iter()
+        .filter(|s| !held_out(s))
+        .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
+        .collect();
+    let mut model = AnalyticModel::default();
+    let report = model.fit(&UnitCosts::SOFTWARE, &measurements)?;
+    Ok((model, report))
+}
+
+/// A small network on [`standard_features`], trained on ln(seconds) of the samples that are not held
+/// out; a fifth of those decides when to stop. Single-threaded: the frames are few.
+///
+/// # Errors
+/// When there are too few samples.
+pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
+    let layout = InputLayout::new(&[GroupKind::SceneFeatures], standard_features(), 0, 0)?;
+    let collect = |judge: bool| -> Result<(Vec<f32>, Vec<f64>)> {
+        let mut inputs = Vec::new();
+        let mut seconds = Vec::new();
+        for s in samples.iter().filter(|s| !held_out(s) && (s.scene % 5 == 4) == judge) {
+            inputs.extend(s.inputs(&layout)?);
+            seconds.push(s.seconds);
+        }
+        Ok((inputs, seconds))
+    };
+    let ((inputs, seconds), (judge_inputs, judge_seconds)) = (collect(false)?, collect(true)?);
+    let mut settings = Settings::default();
+    (settings.epochs, settings.batch, settings.patience) = (600, 32, 120);
+    (settings.learning_rate, settings.final_learning_rate) = (3e-3, 3e-5);
+    (settings.target, settings.seed) = (Target::LogSeconds, seed);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().context("cannot start a thread")?;
+    let widths = [layout.width(), HIDDEN[0], HIDDEN[1], 1];
+    let trained = train(
+        &pool,
+        Network::<f32>::random(&widths, seed)?,
+        None,
+        Samples { inputs: &inputs, seconds: &seconds },
+        Samples { inputs: &judge_inputs, seconds: &judge_seconds },
+        &settings,
+        |_| ControlFlow::Continue(()),
+    )?;
+    let mut file = ModelFile::default();
+    layout.store(&trained.to_parts(), &mut file)?;
+    Ok(file)
+}
+
+/// A predictor with what is known of it, for reports.
+#[derive(Clone, Debug, Serialize)]
+pub struct Candidate {
+    /// What it is.
+    pub title: String,
+    /// How it does on calibration frames that it was not fitted to.
+    pub held_out: Quality,
+    /// Whether it steers.
+    pub chosen: bool,
+    /// The predictor.
+    #[serde(skip)]
+    pub fitted: SteeringModel,
+}
+
+impl Candidate {
+    /// Judges a predictor; it is not chosen yet.
+    ///
+    /// # Errors
+    /// As [`SteeringModel::quality`].
+    pub fn of(fitted: SteeringModel, samples: &[Sample]) -> Result<Self> {
+        let held_out = fitted
+            .quality(samples.iter().filter(|s| held_out(s)))
+            .with_context(|| format!("calibrate with at least {HOLD_OUT_EVERY} scenes"))?;
+        Ok(Self { title: fitted.title().to_owned(), held_out, chosen: false, fitted })
+    }
+}
+
+/// What calibration found.
+#[derive(Clone, Debug)]
+pub struct Calibrated {
+    /// Every predictor that was fitted; one is chosen.
+    pub candidates: Vec<Candidate>,
+}
+
+impl Calibrated {
+    /// Fits the analytic model and the small network and chooses the one with the smaller scatter of
+    /// ln(seconds) on the held-out frames.
+    ///
+    /// # Errors
+    /// When there are too few usable samples.
+    pub fn fit(samples: &[Sample], volume: &VolumeView<'_>, seed: u64) -> Result<Self> {
+        let analytic = fit_analytic(samples)?.0.to_model_file()?;
+        let network = fit_network(samples, seed)?;
+        let hidden = HIDDEN.map(|n| n.to_string()).join("-");
+        let mut candidates = Vec::new();
+        for (title, model) in [
+            ("analytic cost model (non-negative least squares on estimated work)".to_owned(), analytic),
+            (format!("small network on scene features ({hidden} neurons, log time)"), network),
+        ] {
+            let fitted = SteeringModel::new(title, model.to_model()?, volume)?;
+            candidates.push(Candidate::of(fitted, samples)?);
+        }
+        let mut out = Self { candidates };
+        out.choose();
+        Ok(out)
+    }
+
+    /// Chooses the candidate with the smallest scatter on held-out frames.
+    fn choose(&mut self) {
+        let sd = |c: &Candidate| c.held_out.log_sd;
+        let best = self.candidates.iter().map(sd).fold(f64::INFINITY, f64::min);
+        let mut found = false;
+        for c in &mut self.candidates {
+            c.chosen = !found && sd(c) <= best;
+            found |= c.chosen;
+        }
+    }
+
+    /// The chosen one.
+    pub fn chosen(&self) -> &Candidate {
+        self.candidates.iter().find(|c| c.chosen).unwrap_or(&self.candidates[0])
+    }
+
+    /// What a controller may take as known of it.
+    pub fn prior(&self) -> Prior {
+        Prior::Fitted { log_sd: self.chosen().held_out.log_sd as f32 }
+    }
+}
+
+/// Predictors and their errors on held-out frames.
+pub fn candidates_table(candidates: &[Candidate]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("predictor"),
+        Column::number("held-out frames"),
+        Column::number("median error / %"),
+        Column::number("p95 error / %"),
+        Column::number("scatter of ln t"),
+        Column::text("steers"),
+    ]);
+    for c in candidates {
+        table.row(vec![
+            c.title.clone().into(),
+            c.held_out.frames.to_string().into(),
+            percent(c.held_out.median_error).into(),
+            percent(c.held_out.p95_error).into(),
+            format!("{:.3}", c.held_out.log_sd).into(),
+            if c.chosen { "yes" } else { "" }.into(),
+        ]);
+    }
+    table
+}
+
+fn percent(v: f64) -> String {
+    format!("{:.1}", 100.0 * v)
+}
