@@ -7,6 +7,7 @@ mod charts;
 mod collect;
 mod commands;
 mod farm;
+mod independent_readers;
 mod predictions;
 mod shipped_models;
 mod steer;
