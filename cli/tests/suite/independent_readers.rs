@@ -83,10 +83,11 @@ fn difference(name: &str, row: &Row) -> Option<String> {
         return Some(format!("read, the table has {:?}", row.refusal));
     }
     let (kind, bytes) = stored(volume.data());
-    let finite = || volume.data().scalars().iter().filter(|v| v.is_finite());
-    let range = finite()
-        .next()
-        .map(|first| finite().fold((first, first), |(low, high): (f32, f32), v| (low.min(v), high.max(v))));
+    let mut range: Option<(f32, f32)> = None;
+    for value in volume.data().scalars().iter().filter(|v| v.is_finite()) {
+        let (low, high) = range.unwrap_or((value, value));
+        range = Some((low.min(value), high.max(value)));
+    }
     let spacing: Vec<f32> = row.spacing.split(' ').map(|s| s.parse().unwrap()).collect();
     let near = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-5 * b.abs();
     let same = volume.dims().map(|n| n.to_string()).join(" ") == row.dims

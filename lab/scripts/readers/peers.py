@@ -4,6 +4,7 @@
 `pip install pynrrd SimpleITK nibabel vtk numpy` brings all of them. Voxels become what the command's readers make of
 them by the table at the top of cli/src/volume/mod.rs, so that checksums can be compared.
 """
+import importlib
 import json
 import os
 import re
@@ -44,14 +45,13 @@ def load():
     """Imports the libraries; the names of those that are missing, as pip knows them."""
     missing = []
     for name, module in (("numpy", "numpy"), ("pynrrd", "nrrd"), ("SimpleITK", "SimpleITK"), ("nibabel", "nibabel"),
-                         ("vtk", "vtk")):
+                         ("vtk", "vtkmodules.all")):
         try:
-            INSTALLED[name] = __import__(module)
+            INSTALLED[name] = importlib.import_module(module)
         except ImportError:
             missing.append(name)
     if "vtk" in INSTALLED:
-        import vtk.util.numpy_support
-        INSTALLED["vtk_to_numpy"] = vtk.util.numpy_support.vtk_to_numpy
+        INSTALLED["vtk_to_numpy"] = importlib.import_module("vtkmodules.util.numpy_support").vtk_to_numpy
     return missing
 
 
@@ -113,7 +113,8 @@ def with_nibabel(path):
     if (image.dataobj.slope, image.dataobj.inter) == (1.0, 0.0):
         array = np.asanyarray(image.dataobj.get_unscaled())
     else:
-        array = np.asanyarray(image.get_fdata(dtype=np.float64))
+        # nibabel adds no intercept of 0, which leaves a zero times a slope below 0 as -0.
+        array = np.asanyarray(image.get_fdata(dtype=np.float64)) + 0.0
     return reading(array.ravel(order="F"), array.shape, [float(z) for z in image.header.get_zooms()])
 
 

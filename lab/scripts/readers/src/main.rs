@@ -148,7 +148,9 @@ fn with_bioformats(path: &Path) -> Result<Found> {
 
 fn main() -> Result<()> {
     let mut words = std::env::args_os().skip(1);
-    let (Some(name), path) = (words.next(), words.next()) else { bail!("usage: readers CRATE FILE, readers lines") };
+    let (Some(name), path) = (words.next(), words.next()) else {
+        bail!("usage: readers CRATE FILE, readers lines")
+    };
     let path = match path {
         Some(path) => path,
         None if name == "lines" => return lines(),
