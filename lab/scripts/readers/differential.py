@@ -148,6 +148,20 @@ def scaling(path):
     return struct.unpack_from(mark + form, data, at)
 
 
+def compressed_size_is_right(path):
+    """Whether a MetaImage file is not compressed, or states how many bytes its compressed voxels have."""
+    data = path.read_bytes()
+    end = neighbors.header_end("metaimage", data)
+    entries = dict(re.findall(r"^(\w+) *= *(.*?)\s*$", data[:end].decode("latin-1"), re.M))
+    if not entries.get("CompressedData", "F").startswith(("T", "t", "1")):
+        return True
+    beside = path.with_name(entries.get("ElementDataFile", ""))
+    there = len(data) - end
+    if beside != path and beside.is_file():
+        there = beside.stat().st_size - int(entries.get("HeaderSize", 0))
+    return entries.get("CompressedDataSize") == str(there)
+
+
 def convention(kind, reader, path, fields, mine, theirs, read):
     """The sentence that says why these fields may differ, or None."""
     values = {"type", "range", "crc32"}
@@ -156,8 +170,8 @@ def convention(kind, reader, path, fields, mine, theirs, read):
                                          for unit in (1000, 0.001)):
             return "ITK turns NIfTI's spacing into millimeters; here, as in nibabel, it stays in the file's unit"
         slope, intercept = scaling(path)
-        if set(fields) <= values and slope == 0:
-            return "by NIfTI's definition a slope of 0 says that nothing is scaled; ITK adds the intercept nevertheless"
+        if set(fields) <= values and (slope == 0 or not math.isfinite(slope)):
+            return "a slope of 0, or none that is finite, says that nothing is scaled; ITK adds the intercept nevertheless"
         backed = "nibabel" in read and not differences(mine, read["nibabel"])
         if set(fields) <= values and backed and abs(slope - 1) < 1e-6 and abs(intercept) < 1e-30:
             return "ITK leaves out a scaling that differs from none by less than its rounding; nibabel does not"
@@ -171,11 +185,8 @@ def convention(kind, reader, path, fields, mine, theirs, read):
         header = path.read_bytes()[:4096].decode("latin-1")
         if any(name != name.lower() for name in re.findall(r"^(spacings|space directions):", header, re.M | re.I)):
             return "pynrrd knows names of NRRD's fields in lower case alone; here, as in ITK, capitals count as well"
-    if kind == "metaimage" and set(fields) <= values:
-        header = path.read_bytes()[:4096].decode("latin-1")
-        if re.search(r"^CompressedData *= *[Tt1]", header, re.M) and "CompressedDataSize" not in header \
-                and re.search(r"^(ElementDataFile *= *(LOCAL|Local|local)|HeaderSize *= *[1-9])", header, re.M):
-            return "without CompressedDataSize, ITK inflates from the file's first byte, even where the header stands there"
+    if kind == "metaimage" and set(fields) <= values and not compressed_size_is_right(path):
+        return "without the right CompressedDataSize, ITK inflates other bytes than those behind the header"
     return None
 
 
