@@ -91,6 +91,7 @@ def differences(a, b):
 
 def shape(reason):
     """A reason without the numbers and names of its file."""
+    reason = re.sub(r"[^\x20-\x7e]", "?", reason)
     reason = re.sub(r'"[^"]*"|\'[^\']*\'', '"…"', reason)
     reason = re.sub(r"/\S+", "PATH", re.sub(r"\(?\b0x[0-9a-f]+\)?", "", reason))
     return re.sub(r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?", "N", reason)[:150]
@@ -166,9 +167,11 @@ def convention(kind, reader, path, fields, mine, theirs, read):
     """The sentence that says why these fields may differ, or None."""
     values = {"type", "range", "crc32"}
     if kind == "nifti" and reader == "SimpleITK":
-        if fields == ["spacing"] and any(all(close(a * unit, b) for a, b in zip(mine.spacing, theirs.spacing))
-                                         for unit in (1000, 0.001)):
-            return "ITK turns NIfTI's spacing into millimeters; here, as in nibabel, it stays in the file's unit"
+        if "spacing" in fields and any(all(close(a * unit, b) for a, b in zip(mine.spacing, theirs.spacing))
+                                       for unit in (1000, 0.001)):
+            fields = [name for name in fields if name != "spacing"]
+            if not fields:
+                return "ITK turns NIfTI's spacing into millimeters; here, as in nibabel, it stays in the file's unit"
         slope, intercept = scaling(path)
         if set(fields) <= values and (slope == 0 or not math.isfinite(slope)):
             return "a slope of 0, or none that is finite, says that nothing is scaled; ITK adds the intercept nevertheless"
