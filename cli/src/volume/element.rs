@@ -68,30 +68,7 @@ pub(crate) fn read_voxels(
     element: Element,
     endian: Endian,
 ) -> Result<VolumeData> {
-    let expected = byte_count(dims, element)?;
-    match stream.remaining() {
-        Remaining::Exact(found) if found < expected => bail!(
-            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the file has {found}; it is cut short \
-             or its header is wrong",
-            stream.prefix(),
-            dims[0],
-            dims[1],
-            dims[2],
-            element.bytes(),
-            if element.bytes() == 1 { "" } else { "s" }
-        ),
-        Remaining::AtMost(most) if most < expected => bail!(
-            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the compressed data can hold {most} \
-             at most; it is cut short or its header is wrong",
-            stream.prefix(),
-            dims[0],
-            dims[1],
-            dims[2],
-            element.bytes(),
-            if element.bytes() == 1 { "" } else { "s" }
-        ),
-        _ => {}
-    }
+    check_length(stream, dims, element)?;
     let voxels = dims[0] * dims[1] * dims[2];
     macro_rules! convert {
         ($variant:ident, $stored:ty, |$v:ident| $converted:expr) => {
@@ -119,6 +96,72 @@ pub(crate) fn read_voxels(
         Element::F32 => convert!(F32, f32, |v| v),
         Element::F64 => convert!(F32, f64, |v| v as f32),
     })
+}
+
+/// As [`read_voxels`], of stored numbers that stand for `number * slope + intercept`, which is rounded once.
+///
+/// # Errors
+/// As [`read_voxels`].
+pub(crate) fn read_scaled_voxels(
+    stream: &mut Stream<'_>,
+    dims: [usize; 3],
+    element: Element,
+    endian: Endian,
+    slope: f64,
+    intercept: f64,
+) -> Result<VolumeData> {
+    check_length(stream, dims, element)?;
+    let voxels = dims[0] * dims[1] * dims[2];
+    let scale = |value: f64| (value * slope + intercept) as f32;
+    macro_rules! convert {
+        ($stored:ty) => {
+            match endian {
+                Endian::Little => collect(stream, voxels, |b| scale(<$stored>::from_le_bytes(b) as f64))?,
+                Endian::Big => collect(stream, voxels, |b| scale(<$stored>::from_be_bytes(b) as f64))?,
+            }
+        };
+    }
+    Ok(VolumeData::F32(match element {
+        Element::U8 => convert!(u8),
+        Element::I8 => convert!(i8),
+        Element::U16 => convert!(u16),
+        Element::I16 => convert!(i16),
+        Element::U32 => convert!(u32),
+        Element::I32 => convert!(i32),
+        Element::U64 => convert!(u64),
+        Element::I64 => convert!(i64),
+        Element::F32 => convert!(f32),
+        Element::F64 => convert!(f64),
+    }))
+}
+
+/// Refuses a stream that cannot hold the voxels.
+fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Result<()> {
+    let expected = byte_count(dims, element)?;
+    match stream.remaining() {
+        Remaining::Exact(found) if found < expected => bail!(
+            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the file has {found}; it is cut short \
+             or its header is wrong",
+            stream.prefix(),
+            dims[0],
+            dims[1],
+            dims[2],
+            element.bytes(),
+            if element.bytes() == 1 { "" } else { "s" }
+        ),
+        Remaining::AtMost(most) if most < expected => bail!(
+            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the compressed data can hold {most} \
+             at most; it is cut short or its header is wrong",
+            stream.prefix(),
+            dims[0],
+            dims[1],
+            dims[2],
+            element.bytes(),
+            if element.bytes() == 1 { "" } else { "s" }
+        ),
+        _ => {}
+    }
+    Ok(())
 }
 
 /// What stands behind the voxels: nothing; fewer bytes than the voxels have, which are left out with a note; or

@@ -2,6 +2,10 @@
 //! (`.mhd`) or says `LOCAL`, the voxels then follow (`.mha`). Several files are named by `LIST [2D]`, with a name in
 //! each line that follows, or by `name%03d.raw FIRST LAST STEP`.
 //!
+//! As in the format's own library, `HeaderSize` counts from the beginning of the file that holds the voxels, which is
+//! the header's own file with `LOCAL`; -1 says that the voxels are the last bytes of the file, or that it holds nothing
+//! but compressed voxels. Of two byte orders, `BinaryDataByteOrderMSB` counts.
+//!
 //! The project's own reader: the crate that reads MetaImage, `bioformats`, has neither voxels in text nor
 //! 64-bit integers (`lab/scripts/readers`).
 
@@ -23,9 +27,12 @@ struct Header {
     element_size: Option<Vec<f64>>,
     channels: u64,
     binary: bool,
-    endian: Endian,
+    /// Of BinaryDataByteOrderMSB, and of ElementByteOrderMSB.
+    big_endian: [Option<bool>; 2],
     compressed: bool,
     header_size: i64,
+    /// Bytes of the header itself.
+    length: u64,
     data_file: String,
     several: Option<Several>,
 }
@@ -56,40 +63,47 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
             let mut all = None;
             companions.announce(&several.names);
             for name in &several.names {
-                append(&mut all, voxels(companions.open(name)?, &header, element, each, &mut notes)?)?;
+                append(&mut all, voxels(companions.open(name)?, &header, 0, element, each, &mut notes)?)?;
             }
             all.context("the header names no file of voxels")?
         }
         None => {
-            let stream = match header.data_file.as_str() {
-                "LOCAL" | "Local" | "local" => stream,
-                name => companions.open(name)?,
+            let (stream, begin) = match header.data_file.as_str() {
+                "LOCAL" | "Local" | "local" => (stream, header.length),
+                name => (companions.open(name)?, 0),
             };
-            voxels(stream, &header, element, dims, &mut notes)?
+            voxels(stream, &header, begin, element, dims, &mut notes)?
         }
     };
     Ok(Parts { data, dims, spacing, name: None, notes })
 }
 
-/// Reads the voxels of one file, or of one of several.
+/// Reads the voxels of one file, or of one of several, from a stream that stands at that byte of it.
 fn voxels(
     mut stream: Stream<'_>,
     header: &Header,
+    begin: u64,
     element: Element,
     dims: [usize; 3],
     notes: &mut Vec<String>,
 ) -> Result<VolumeData> {
     match u64::try_from(header.header_size) {
-        Ok(skip) => stream.skip(skip)?,
+        Ok(0) => {}
+        Ok(size) if size < begin => bail!(
+            "MetaImage HeaderSize is {size}, the header itself has {begin} bytes; state where the voxels begin, or -1"
+        ),
+        Ok(size) => stream.skip(size - begin)?,
         // -1: the voxels are the last bytes of the file.
-        Err(_) if header.binary && !header.compressed => {
+        Err(_) if !header.binary => {
+            bail!("MetaImage HeaderSize -1 is for binary data alone; state the number of bytes")
+        }
+        // What follows the header, or the whole other file, is compressed.
+        Err(_) if header.compressed => {}
+        Err(_) => {
             let expected = byte_count(dims, element)?;
             if let Remaining::Exact(left) = stream.remaining() {
                 stream.skip(left.saturating_sub(expected))?;
             }
-        }
-        Err(_) => {
-            bail!("MetaImage HeaderSize -1 is for uncompressed binary data alone; state the number of bytes")
         }
     }
     if header.compressed {
@@ -98,7 +112,9 @@ fn voxels(
     if !header.binary {
         return parse_voxels(&mut stream, dims, element);
     }
-    let data = read_voxels(&mut stream, dims, element, header.endian)?;
+    let [binary, other] = header.big_endian;
+    let endian = if binary.or(other).unwrap_or(false) { Endian::Big } else { Endian::Little };
+    let data = read_voxels(&mut stream, dims, element, endian)?;
     notes.extend(expect_end(&mut stream, dims, element)?);
     Ok(data)
 }
@@ -112,9 +128,10 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         element_size: None,
         channels: 1,
         binary: true,
-        endian: Endian::Little,
+        big_endian: [None; 2],
         compressed: false,
         header_size: 0,
+        length: 0,
         data_file: String::new(),
         several: None,
     };
@@ -136,6 +153,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         let (key, value) = (key.trim(), value.trim());
         let last = header.set(key, value).with_context(|| format!("MetaImage header line {number}"))?;
         if last {
+            header.length = stream.position();
             if value.split_whitespace().next() == Some("LIST") {
                 let several = Several::list(value, stream);
                 header.several = Some(several.with_context(|| format!("MetaImage header line {number}"))?);
@@ -183,9 +201,8 @@ impl Header {
                 });
             }
             "BinaryData" => self.binary = flag(key, value)?,
-            "BinaryDataByteOrderMSB" | "ElementByteOrderMSB" => {
-                self.endian = if flag(key, value)? { Endian::Big } else { Endian::Little };
-            }
+            "BinaryDataByteOrderMSB" => self.big_endian[0] = Some(flag(key, value)?),
+            "ElementByteOrderMSB" => self.big_endian[1] = Some(flag(key, value)?),
             "CompressedData" => self.compressed = flag(key, value)?,
             "HeaderSize" => {
                 self.header_size = number(key, value)?;

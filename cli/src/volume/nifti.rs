@@ -1,12 +1,16 @@
 //! NIfTI-1 and NIfTI-2 in one file (`.nii`, `.nii.gz`), either byte order. The header's slope and intercept
-//! are applied; its orientation is not used.
+//! are applied to the stored numbers; its orientation and its units are not used.
+//!
+//! As in the format's own library, a slope of 0 or one that is not finite says that nothing is scaled, an intercept
+//! that is not finite counts as 0, and a size of 0 behind the third axis as 1. A spacing that is not finite is
+//! not known: 1 is taken, with a note.
 //!
 //! The project's own reader: `nifti` reads NIfTI-1 alone and panics where a header's sizes contradict each
 //! other (`lab/scripts/readers`).
 
-use super::element::{expect_end, read_voxels};
+use super::element::{expect_end, read_scaled_voxels, read_voxels};
 use super::stream::Stream;
-use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
+use super::{Element, Endian, Parts, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
 use std::io::Read;
 
@@ -39,14 +43,17 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
     let mut sizes = Vec::with_capacity(axes);
     for (axis, &size) in header.sizes[..axes].iter().enumerate() {
         match u64::try_from(size) {
+            Ok(0) if axis >= 3 => sizes.push(1),
             Ok(size) => sizes.push(size),
             Err(_) => bail!("NIfTI dim[{}] is {size}; sizes are positive", axis + 1),
         }
     }
     let mut spacing = header.spacing;
+    let mut notes = Vec::new();
     for (axis, value) in spacing[..axes.min(3)].iter_mut().enumerate() {
         if !value.is_finite() {
-            bail!("NIfTI pixdim[{}] is {value}; the voxel spacing must be finite and positive", axis + 1);
+            notes.push(format!("pixdim[{}] is {value}, so the spacing is not known; 1 is taken", axis + 1));
+            *value = 1.0;
         }
         // Writers leave 0 where the spacing is not known, and put an orientation into the sign.
         *value = if *value == 0.0 { 1.0 } else { value.abs() };
@@ -75,32 +82,15 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
         bail!("NIfTI vox_offset is {}; the voxels cannot begin before byte {}", header.offset, header.taken);
     }
     stream.skip(header.offset as u64 - header.taken)?;
-    let mut data = read_voxels(&mut stream, dims, element, header.endian)?;
-    let notes = expect_end(&mut stream, dims, element)?.into_iter().collect();
-    let Header { slope, intercept, .. } = header;
-    // A slope of 0 means that there is no scaling.
-    if slope.is_finite() && slope != 0.0 && intercept.is_finite() && (slope, intercept) != (1.0, 0.0) {
-        data = scaled(data, slope, intercept)?;
-    }
+    let Header { endian, slope, .. } = header;
+    let intercept = if header.intercept.is_finite() { header.intercept } else { 0.0 };
+    let data = if slope.is_finite() && slope != 0.0 && (slope, intercept) != (1.0, 0.0) {
+        read_scaled_voxels(&mut stream, dims, element, endian, slope, intercept)?
+    } else {
+        read_voxels(&mut stream, dims, element, endian)?
+    };
+    notes.extend(expect_end(&mut stream, dims, element)?);
     Ok(Parts { data, dims, spacing, name: None, notes })
-}
-
-fn scaled(data: VolumeData, slope: f64, intercept: f64) -> Result<VolumeData> {
-    let scale = |value: f32| (f64::from(value) * slope + intercept) as f32;
-    if let VolumeData::F32(mut values) = data {
-        values.iter_mut().for_each(|v| *v = scale(*v));
-        return Ok(VolumeData::F32(values));
-    }
-    let mut values = Vec::new();
-    if values.try_reserve_exact(data.len()).is_err() {
-        bail!(
-            "{} bytes of scaled voxels do not fit into this machine's memory",
-            data.len().saturating_mul(4)
-        );
-    }
-    let scalars = data.scalars();
-    values.extend(scalars.iter().map(scale));
-    Ok(VolumeData::F32(values))
 }
 
 fn header(stream: &mut Stream<'_>) -> Result<Header> {

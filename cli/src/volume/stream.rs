@@ -148,6 +148,11 @@ impl<'a> Stream<'a> {
         self.remaining
     }
 
+    /// Bytes that were taken so far.
+    pub(crate) fn position(&self) -> u64 {
+        self.read
+    }
+
     /// The bytes at hand, without taking them: some, unless the stream is at its end.
     pub(crate) fn peek(&mut self) -> io::Result<&[u8]> {
         loop {

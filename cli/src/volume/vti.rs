@@ -95,7 +95,9 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     };
     let mut notes = Vec::new();
     let (array, cells) = choose(first, name, &mut notes)?;
-    if let [piece] = &file.pieces[..] {
+    if let [piece] = &file.pieces[..]
+        && piece.extent == file.extent
+    {
         let dims = checked_dims(sizes(piece.extent, cells)?)?;
         let data = voxels(bytes, &file, array, dims)?;
         return Ok(Parts { data, dims, spacing: file.spacing, name: None, notes });
@@ -241,10 +243,10 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
                             bytes.len() - start
                         );
                     };
-                    if base64 { Cow::Owned(decode_base64(rest)?) } else { Cow::Borrowed(rest) }
+                    if base64 { Cow::Owned(from_base64(rest, file, expected)?) } else { Cow::Borrowed(rest) }
                 }
                 Place::Inline(range) | Place::Ascii(range) => {
-                    Cow::Owned(decode_base64(&bytes[range.clone()])?)
+                    Cow::Owned(from_base64(&bytes[range.clone()], file, expected)?)
                 }
             };
             let voxels = if file.compressor != Compressor::None {
@@ -420,7 +422,11 @@ fn parse(bytes: &[u8]) -> Result<File> {
                 let mut extent = file.extent;
                 if let Some(text) = attribute(tag, "Extent")? {
                     extent = numbers("Extent", &text)?;
-                    extent_found = true;
+                    if !extent_found {
+                        // Without a WholeExtent, the piece is the image.
+                        file.extent = extent;
+                        extent_found = true;
+                    }
                 }
                 if file.pieces.len() == MAX_PIECES {
                     bail!("the image is stored in more than {MAX_PIECES} pieces; save it as one");
@@ -555,15 +561,37 @@ fn numbers<T: std::str::FromStr, const N: usize>(name: &str, text: &str) -> Resu
     }
 }
 
-/// Bytes from base64 text: blanks are passed over, padding may end one part and another follow, and the text
-/// ends at the first `<`. Within a part, header and data may share a group or not.
-fn decode_base64(text: &[u8]) -> Result<Vec<u8>> {
-    let end = text.iter().position(|&b| b == b'<').unwrap_or(text.len());
-    let clean: Cow<'_, [u8]> = if text[..end].iter().any(u8::is_ascii_whitespace) {
-        Cow::Owned(text[..end].iter().copied().filter(|b| !b.is_ascii_whitespace()).collect())
-    } else {
-        Cow::Borrowed(&text[..end])
-    };
+/// The header and the data of one array from base64 text, which may go on with other arrays.
+fn from_base64(text: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
+    let width = if file.wide_header { 8 } else { 4 };
+    let mut needed = expected.saturating_add(width);
+    if file.compressor != Compressor::None {
+        let (blocks, _) = word(&decode_base64(text, width)?, file)?;
+        let header = blocks.saturating_mul(width).saturating_add(3 * width);
+        let bytes = decode_base64(text, header)?;
+        let mut table = bytes.get(3 * width as usize..).unwrap_or_default();
+        needed = header;
+        for _ in 0..blocks {
+            let Ok((size, more)) = word(table, file) else { break };
+            needed = needed.saturating_add(size);
+            table = more;
+        }
+    }
+    decode_base64(text, needed)
+}
+
+/// Bytes from base64 text, at least as many as are needed if they are there: blanks are passed over, padding may end
+/// one part and another follow, and the text ends at the first `<`. Header and data may be two parts or one.
+fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
+    // Both parts end in a group of four letters that may hold less than three bytes.
+    let letters = usize::try_from(needed / 3 + 3).unwrap_or(usize::MAX).saturating_mul(4);
+    let clean: Vec<u8> = text
+        .iter()
+        .copied()
+        .take_while(|&b| b != b'<')
+        .filter(|b| !b.is_ascii_whitespace())
+        .take(letters)
+        .collect();
     let mut out = Vec::new();
     let mut rest: &[u8] = &clean;
     while !rest.is_empty() {

@@ -8,6 +8,7 @@ mod collect;
 mod commands;
 mod farm;
 mod fill_values;
+mod independent_readers;
 mod predictions;
 mod reference;
 mod shipped_models;

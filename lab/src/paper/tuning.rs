@@ -164,7 +164,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             None => {
                 let (learned, judged) = halves(&of_table(*t));
                 let name = place.set.title.clone();
-                targets.push(Target { name, learned, judged, renderer: false, set: TOGETHER });
+                targets.push(Target { name, learned, judged, set: TOGETHER });
             }
         }
     }
@@ -181,7 +181,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             ));
             continue;
         }
-        targets.push(Target { name: name.clone(), learned, judged, renderer: *set == TOGETHER, set });
+        targets.push(Target { name: name.clone(), learned, judged, set });
     }
     let network = Recipe { volumenet: Some(paper.encoders.shipped[0].clone()), ..paper.network.clone() };
     let none = TimedFrames::default();

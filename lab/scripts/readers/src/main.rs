@@ -1,14 +1,25 @@
 //! `readers CRATE FILE`: reads a volume and prints its sizes, the spacing, and a checksum of its voxels as
-//! 32-bit floats.
-//! `judge.py` runs it.
+//! 32-bit floats. `judge.py` runs it.
+//!
+//! `readers lines`: reads the command's way each file that a line of the standard input names, and prints a line of
+//! JSON for each: `{"dims", "type", "spacing", "range", "crc32", "notes"}`, `{"refused"}` or `{"panic"}`.
+//! `differential.py` runs it.
 
 #![allow(dead_code, reason = "the command's readers can do more than this program asks for")]
 
 #[path = "../../../../cli/src/volume/mod.rs"]
 pub mod volume;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
+use serde_json::{Value, json};
+use std::io::{BufRead, Write};
 use std::path::Path;
+use volume::VolumeData;
+
+/// Every value as the file has it, fill values too.
+fn as_stored() -> volume::Reading {
+    volume::Reading { fill: volume::Fill::None, ..volume::Reading::default() }
+}
 
 struct Found {
     sizes: Vec<usize>,
@@ -18,12 +29,54 @@ struct Found {
 }
 
 fn ours(path: &Path) -> Result<Found> {
-    let volume = volume::Volume::open(path)?;
+    let volume = volume::Volume::open_as(path, &as_stored(), None)?;
     let scalars = volume.data().scalars();
-    let voxels = (0..scalars.len()).map(|i| scalars.get(i)).collect();
+    let voxels = scalars.iter().collect();
     Ok(Found { sizes: volume.dims().to_vec(), spacing: volume.spacing().to_vec(), voxels })
 }
 
+/// The same as `cli/tests/suite/independent_readers.rs` compares with its table: the range of the finite voxels and
+/// the CRC-32 of all voxels in their type in memory, little-endian, each NaN as the one without a payload.
+fn line_of(path: &Path) -> Value {
+    let volume = match volume::Volume::open_as(path, &as_stored(), None) {
+        Ok(volume) => volume,
+        Err(error) => return json!({ "refused": format!("{error:#}") }),
+    };
+    let (kind, bytes): (_, Vec<u8>) = match volume.data() {
+        VolumeData::U8(v) => ("uint8", v.clone()),
+        VolumeData::U16(v) => ("uint16", v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        VolumeData::I16(v) => ("int16", v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        VolumeData::F32(v) => {
+            let one = |v: &f32| if v.is_nan() { f32::from_bits(0x7fc0_0000) } else { *v };
+            ("float32", v.iter().flat_map(|v| one(v).to_le_bytes()).collect())
+        }
+    };
+    let mut range = None;
+    for value in volume.data().scalars().iter().filter(|v| v.is_finite()) {
+        let (low, high) = range.unwrap_or((value, value));
+        range = Some((value.min(low), value.max(high)));
+    }
+    json!({
+        "dims": volume.dims(),
+        "type": kind,
+        "spacing": volume.spacing(),
+        "range": range.map(|(low, high)| [low, high]),
+        "crc32": format!("{:08x}", crc32fast::hash(&bytes)),
+        "notes": volume.notes(),
+    })
+}
+
+fn lines() -> Result<()> {
+    for line in std::io::stdin().lock().lines() {
+        let path = line?;
+        let found = std::panic::catch_unwind(|| line_of(Path::new(&path)));
+        println!("{}", found.unwrap_or_else(|_| json!({ "panic": path })));
+        std::io::stdout().flush()?;
+    }
+    Ok(())
+}
+
+#[cfg(feature = "peers")]
 fn with_nifti(path: &Path) -> Result<Found> {
     use nifti::{IntoNdArray, NiftiObject, NiftiVolume, ReaderOptions};
     let object = ReaderOptions::new().read_file(path)?;
@@ -33,7 +86,9 @@ fn with_nifti(path: &Path) -> Result<Found> {
     Ok(Found { sizes, spacing, voxels: array.t().iter().copied().collect() })
 }
 
+#[cfg(feature = "peers")]
 fn with_vtkio(path: &Path) -> Result<Found> {
+    use anyhow::Context;
     use vtkio::model::{Attribute, DataSet, Extent, Piece, Vtk};
     let file: Vtk = Vtk::import(path)?;
     let DataSet::ImageData { extent, spacing, pieces, .. } = file.data else { bail!("not image data") };
@@ -98,11 +153,20 @@ fn with_bioformats(path: &Path) -> Result<Found> {
 
 fn main() -> Result<()> {
     let mut words = std::env::args_os().skip(1);
-    let (Some(name), Some(path)) = (words.next(), words.next()) else { bail!("usage: readers CRATE FILE") };
+    let (Some(name), path) = (words.next(), words.next()) else {
+        bail!("usage: readers CRATE FILE, readers lines")
+    };
+    let path = match path {
+        Some(path) => path,
+        None if name == "lines" => return lines(),
+        None => bail!("usage: readers CRATE FILE, readers lines"),
+    };
     let path = Path::new(&path);
     let found = match name.to_str() {
         Some("ours") => ours(path),
+        #[cfg(feature = "peers")]
         Some("nifti") => with_nifti(path),
+        #[cfg(feature = "peers")]
         Some("vtkio") => with_vtkio(path),
         #[cfg(feature = "bioformats")]
         Some("bioformats") => with_bioformats(path),

@@ -1,0 +1,155 @@
+//! Every file of fixtures/volumes and fixtures/reports against the values that independent readers found:
+//! fixtures/right-values.csv, which `lab/scripts/readers/differential.py --write` makes with pynrrd, SimpleITK, nibabel
+//! and VTK.
+
+use entire_cli::volume::{Fill, Reading, Volume, VolumeData};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+fn fixtures() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures")
+}
+
+/// Paths from the folder of fixtures, with `/` on every system.
+fn files(folder: &str, found: &mut BTreeSet<String>) {
+    for entry in std::fs::read_dir(fixtures().join(folder)).unwrap() {
+        let name = format!("{folder}/{}", entry.unwrap().file_name().to_str().unwrap());
+        if fixtures().join(&name).is_dir() {
+            files(&name, found);
+        } else {
+            found.insert(name);
+        }
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+struct Row {
+    readers: String,
+    dims: String,
+    kind: String,
+    spacing: String,
+    range: Option<(f32, f32)>,
+    crc32: String,
+    refusal: String,
+}
+
+fn table() -> BTreeMap<String, Row> {
+    let mut rows = BTreeMap::new();
+    let mut csv = csv::Reader::from_path(fixtures().join("right-values.csv")).unwrap();
+    assert_eq!(
+        csv.headers().unwrap().iter().collect::<Vec<_>>(),
+        ["file", "readers", "dims", "type", "spacing", "min", "max", "crc32", "refusal"]
+    );
+    for record in csv.records() {
+        let record = record.unwrap();
+        let cell = |at: usize| record[at].to_owned();
+        let range = (!record[5].is_empty()).then(|| (record[5].parse().unwrap(), record[6].parse().unwrap()));
+        let row = Row {
+            readers: cell(1),
+            dims: cell(2),
+            kind: cell(3),
+            spacing: cell(4),
+            range,
+            crc32: cell(7),
+            refusal: cell(8),
+        };
+        assert!(rows.insert(cell(0), row).is_none(), "{} has two rows", &record[0]);
+    }
+    rows
+}
+
+/// The type in memory, and the voxels' bytes, little-endian, each NaN as the one without a payload.
+fn stored(data: &VolumeData) -> (&'static str, Vec<u8>) {
+    let plain = |v: &f32| if v.is_nan() { f32::from_bits(0x7fc0_0000) } else { *v };
+    match data {
+        VolumeData::U8(v) => ("uint8", v.clone()),
+        VolumeData::U16(v) => ("uint16", v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        VolumeData::I16(v) => ("int16", v.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        VolumeData::F32(v) => ("float32", v.iter().flat_map(|v| plain(v).to_le_bytes()).collect()),
+    }
+}
+
+/// The difference between a file as it is read and its row, if there is one.
+fn difference(name: &str, row: &Row) -> Option<String> {
+    // Every value as the file has it: of fill values other tests tell.
+    let stored_values = Reading { fill: Fill::None, ..Reading::default() };
+    let volume = match Volume::open_as(fixtures().join(name), &stored_values, None) {
+        Ok(volume) => volume,
+        Err(error) => {
+            let message = format!("{error:#}").replace('\\', "/");
+            let told = !row.refusal.is_empty() && message.contains(&row.refusal);
+            return (!told).then(|| format!("refused: {message}; the table has {row:?}"));
+        }
+    };
+    if !row.refusal.is_empty() {
+        return Some(format!("read, the table has {:?}", row.refusal));
+    }
+    let (kind, bytes) = stored(volume.data());
+    let mut range: Option<(f32, f32)> = None;
+    for value in volume.data().scalars().iter().filter(|v| v.is_finite()) {
+        let (low, high) = range.unwrap_or((value, value));
+        range = Some((low.min(value), high.max(value)));
+    }
+    let spacing: Vec<f32> = row.spacing.split(' ').map(|s| s.parse().unwrap()).collect();
+    let near = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-5 * b.abs();
+    let same = volume.dims().map(|n| n.to_string()).join(" ") == row.dims
+        && kind == row.kind
+        && spacing.len() == 3
+        && volume.spacing().iter().zip(&spacing).all(near)
+        && range == row.range
+        && format!("{:08x}", crc32fast::hash(&bytes)) == row.crc32;
+    (!same).then(|| {
+        let (dims, spacing, crc32) = (volume.dims(), volume.spacing(), crc32fast::hash(&bytes));
+        format!("{dims:?} {kind} {spacing:?} {range:?} {crc32:08x}; the table has {row:?}")
+    })
+}
+
+#[test]
+fn every_fixture_is_read_as_independent_readers_read_it() {
+    let table = table();
+    let mut found = BTreeSet::new();
+    for folder in ["volumes", "reports"] {
+        files(folder, &mut found);
+    }
+    let without: Vec<_> = found.iter().filter(|name| !table.contains_key(*name)).collect();
+    assert!(without.is_empty(), "no row in right-values.csv for {without:?}: differential.py --write");
+    let gone: Vec<_> = table.keys().filter(|name| !found.contains(*name)).collect();
+    assert!(gone.is_empty(), "right-values.csv has rows without a file: {gone:?}");
+    let wrong: Vec<String> = table
+        .iter()
+        .filter_map(|(name, row)| difference(name, row).map(|told| format!("{name}: {told}")))
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    // No table of refusals, nor one that the command's own readers wrote.
+    let own = |row: &Row| ["none", "ours"].contains(&row.readers.as_str());
+    let independent = table.values().filter(|row| !own(row) && row.refusal.is_empty()).count();
+    assert!(independent >= 180, "{independent} files have values of independent readers");
+}
+
+#[test]
+fn a_value_that_differs_is_found() {
+    let table = table();
+    let name = "reports/nii-slope-negative.nii";
+    let right = &table[name];
+    assert_eq!(difference(name, right), None);
+    let wrong = |change: &dyn Fn(&mut Row)| {
+        let mut row = right.clone();
+        change(&mut row);
+        difference(name, &row)
+    };
+    let changes: [&dyn Fn(&mut Row); 6] = [
+        &|row| row.dims = "10 12 8".to_owned(),
+        &|row| row.kind = "int16".to_owned(),
+        &|row| row.spacing = "1 1.5001 2".to_owned(),
+        &|row| row.range = None,
+        &|row| row.crc32 = "00000000".to_owned(),
+        &|row| row.refusal = "gone".to_owned(),
+    ];
+    for (at, change) in changes.into_iter().enumerate() {
+        assert!(wrong(change).is_some(), "change {at}");
+    }
+    let refused = "reports/behind-second.mha";
+    assert_eq!(difference(refused, &table[refused]), None);
+    let other = Row { refusal: "another reason".to_owned(), ..table[refused].clone() };
+    assert!(difference(refused, &other).is_some());
+}
