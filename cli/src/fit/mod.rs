@@ -8,6 +8,7 @@
 //! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
 //!   as dense layers that carry `log_estimated_seconds` past the network.
 
+mod adapt;
 pub(crate) mod analytic;
 mod compose;
 mod least_squares;
@@ -16,6 +17,7 @@ mod recipe;
 mod tests;
 mod training;
 
+pub use adapt::transfer;
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_features};
 
 use crate::dataset::{Table, TimedFrame};

@@ -1,8 +1,7 @@
 //! A model of one renderer is taken to another with a few frames.
 
-use entire_cli::calibrate::calibrate_to_frames;
 use entire_cli::dataset::{Clock, Table, Timed};
-use entire_cli::fit::{FitContext, Kind, Recipe, predict};
+use entire_cli::fit::{FitContext, Kind, Recipe, predict, transfer};
 use entire_cli::metrics::Metrics;
 use entire_cli::split::TimedFrames;
 use std::path::Path;
@@ -35,16 +34,16 @@ fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
     let frames: Vec<_> = few.iter().map(|&i| there.frames[i]).collect();
     let seconds: Vec<f64> = few.iter().map(|&i| there.seconds[i]).collect();
     let few = Timed { frames: &frames, seconds: &seconds };
-    let tuned = calibrate_to_frames(&base, &context, few).unwrap();
+    let tuned = transfer(&base, &context, few).unwrap();
     let error = |file: &entire_core::model::ModelFile| {
         let predicted = predict(&file.to_model().unwrap(), &context, &unseen.frames).unwrap();
         Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
     };
     let (before, after) = (error(&base), error(&tuned));
-    assert!(after < 0.25 && after < 0.5 * before, "{before} as it is, {after} calibrated");
+    assert!(after < 0.25 && after < 0.5 * before, "{before} as it is, {after} transferred");
 
     let analytic = recipe(Kind::Analytic).make(&context, here.timed(), nothing).unwrap().file;
-    let refused = calibrate_to_frames(&analytic, &context, few).unwrap_err().to_string();
+    let refused = transfer(&analytic, &context, few).unwrap_err().to_string();
     assert!(refused.contains("--model-kind residual"), "{refused}");
 }
 

@@ -2,7 +2,7 @@
 """How well predictions do per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
 and an analytic model are trained and judged on the volumes that they did not see. A model that was trained on the Vulkan
-raycaster's frames is then calibrated with a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing
+raycaster's frames is then transferred with a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing
 makes the bars short.
 
 ENTIRE_DATA  folder that the tables' volume names start from (default ../shared/data)
@@ -29,7 +29,7 @@ FACTOR = [*HOW, "--layers", "32,16", "--converting", "--ensemble", "8", "--scene
 ANALYTIC = "--model-kind analytic --converting".split()
 SHARE = 0.05
 ASKED = {name: limit for r in RENDERERS for name, limit in ((f"{r}-rmse-over-sd-on-unseen-volumes", 0.15),
-                                                            (f"{r}-calibrated-over-fully-trained", 1.2))}
+                                                            (f"{r}-transferred-over-fully-trained", 1.2))}
 
 
 def cut(table, count, out):
@@ -82,13 +82,11 @@ def run(options, bars):
         few = max(8, int(SHARE * frames))
         part = os.path.join(out, f"{renderer}-{few}.csv.gz")
         cut(learn, few, part)
-        tuned = f"calibrated with {few}"
-        calibrated = os.path.join(out, f"{renderer}-calibrated-{few}.safetensors")
-        entire("calibrate", "--data", part, "--prior", base, "--shade", "none", "--clock", "cpu", "--quiet", "--out", calibrated)
+        tuned = f"transferred with {few}"
         models = {"factor": train([learn], f"{renderer}-factor", *FACTOR),
                   "analytic": train([learn], f"{renderer}-analytic", *ANALYTIC),
                   "vulkan": base,
-                  tuned: calibrated}
+                  tuned: train([part], f"{renderer}-transferred-{few}", "--transfer", base)}
         folder = os.path.join(out, f"evaluation-{renderer}")
         entire("evaluate", "--model", *models.values(), "--data", test, "--clock", "cpu", "--quiet", "--out", folder)
         with open(os.path.join(folder, "evaluation.json")) as file:
@@ -103,7 +101,7 @@ def run(options, bars):
             value[label] = m["rmse_over_sd"]
             print(f"  {label:20} RMSE/SD {m['rmse_over_sd']:.3f}  MdAPE {100 * m['mdape']:.1f} %")
         bars.found(f"{renderer}-rmse-over-sd-on-unseen-volumes", value["factor"])
-        bars.found(f"{renderer}-calibrated-over-fully-trained", value[tuned] / value["factor"], tuned)
+        bars.found(f"{renderer}-transferred-over-fully-trained", value[tuned] / value["factor"], tuned)
 
     with bars.part(*ASKED):
         base = train([os.path.join(tables, f"{n}.csv.gz") for n in BASE], "vulkan", *PLAIN)

@@ -6,7 +6,8 @@ use super::runner::{Bounds, OnSet, Runner};
 use super::{CALIBRATION_FRAMES, Findings, Named};
 use anyhow::Result;
 use entire_cli::calibrate::calibrate_to_frames;
-use entire_cli::fit::predict;
+use entire_cli::dataset::Timed;
+use entire_cli::fit::{predict, transfer};
 use entire_cli::split::TimedFrames;
 use entire_core::calibrate::{FEWEST_FRAMES, PriorModel};
 use entire_core::model::ModelFile;
@@ -78,7 +79,8 @@ impl Runner<'_> {
         point(file, learned.training.frames.len())
     }
 
-    /// Error on a split by number of its frames that the model is calibrated to, or made of alone.
+    /// Error on a split by number of its frames that the model is calibrated to, transferred to, or made of
+    /// alone.
     fn tuning_curves(
         &self,
         on: &OnSet<'_>,
@@ -120,12 +122,14 @@ impl Runner<'_> {
         for count in counts.into_iter().filter(|n| *n <= most) {
             let parts: Vec<TimedFrames<'_>> =
                 halves.iter().map(|half| half.sample(count, SHARE_SEED).0).collect();
+            let adapted = |how: &dyn Fn(Timed<'_>) -> Result<ModelFile>| -> Result<Vec<ModelFile>> {
+                parts.iter().map(|part| how(part.timed())).collect()
+            };
             if calibrates && count >= FEWEST_FRAMES {
-                let calibrated: Vec<ModelFile> = parts
-                    .iter()
-                    .map(|part| calibrate_to_frames(file, context, part.timed()))
-                    .collect::<Result<_>>()?;
-                point(&calibrated, CALIBRATED, count)?;
+                point(&adapted(&|few| calibrate_to_frames(file, context, few))?, CALIBRATED, count)?;
+            }
+            if set.transfer {
+                point(&adapted(&|few| transfer(file, context, few))?, "transferred", count)?;
             }
             if count < FEWEST_ALONE {
                 continue;

@@ -83,6 +83,10 @@ pub struct Set {
     /// Further splits that fine-tuning curves are drawn for.
     #[serde(default)]
     pub more_calibration_splits: Vec<String>,
+    /// Whether the split that calibration curves are about is of another renderer: a curve is drawn for
+    /// models that are transferred to it, too.
+    #[serde(default)]
+    pub transfer: bool,
     /// Limits of the bars; there are no bars for limits that are left away.
     #[serde(default)]
     pub limits: Limits,

@@ -115,7 +115,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     assert_eq!(found["left_out"].as_array().unwrap().len(), 0, "{}", found["left_out"]);
     let curves: Vec<&str> =
         found["tuning"].as_array().unwrap().iter().map(|p| p["curve"].as_str().unwrap()).collect();
-    assert!(curves.contains(&"selected, calibrated") && curves.contains(&"selected, from nothing"));
+    assert!(curves.contains(&"selected, by entire calibrate") && curves.contains(&"selected, from nothing"));
     let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(report.contains("small/member/paper-rmse-over-lvrp") && report.contains("<svg"));
 
