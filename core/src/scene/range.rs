@@ -106,7 +106,7 @@ impl VolumeView<'_> {
                 i
             } else {
                 let turn = (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-                (u128::from(turn) * voxels as u128 >> 64) as usize
+                ((u128::from(turn) * voxels as u128) >> 64) as usize
             };
             self.value(i % nx, i / nx % ny, i / (nx * ny))
         };

@@ -177,6 +177,8 @@ pub(crate) enum Fill {
     Auto,
     /// These; none for `None`.
     Values(Vec<f32>),
+    /// Those of an earlier time step, for which they were said.
+    Known(Vec<f32>),
 }
 
 impl<'py> FromPyObject<'_, 'py> for Fill {
@@ -270,12 +272,12 @@ impl Volume {
     ) -> PyResult<Data> {
         let mask = mask_of(array)?;
         let (kept_fill, asked) = match fill {
-            Fill::Values(values) => (values.clone(), !values.is_empty()),
+            Fill::Values(values) | Fill::Known(values) => (values.clone(), !values.is_empty()),
             Fill::Auto => (Vec::new(), false),
         };
         if mask.is_some() || asked {
             let (hidden, count) = hide(array, mask.as_ref(), &kept_fill)?;
-            if count > 0 {
+            if count > 0 && !matches!(fill, Fill::Known(_)) {
                 warn(
                     py,
                     &format!(
@@ -451,7 +453,7 @@ impl Volume {
     ) -> PyResult<Self> {
         let before = &*self.0;
         let range = Some(before.view.range());
-        let fill = Fill::Values(before.fill.clone());
+        let fill = Fill::Known(before.fill.clone());
         let spacing = before.spacing().to_array();
         let mut data = Self::look_at(py, array, spacing, before.origin, before.order, range, &fill)?;
         data.series = before.series.clone();

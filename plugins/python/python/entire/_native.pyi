@@ -34,7 +34,7 @@ class Volume:
         origin: _Triple = ...,
         axes: Literal["zyx", "xyz"] = "zyx",
         range: tuple[float, float] | None = None,
-        fill: Literal["auto"] | float | Sequence[float] | None = "auto",
+        fill: Literal["auto"] | float | Sequence[float] | None = ...,
     ) -> Self: ...
     def next(
         self,
