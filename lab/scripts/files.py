@@ -109,7 +109,7 @@ def main():
                 bars.found("stale-results", len(stale), ", ".join(stale) or "of " + ", ".join(KEPT))
         if "files-read-alike" in asked:
             found = run(sys.executable, "lab/scripts/readers/differential.py", "--neighbors", str(options.neighbors))
-            print(found.stdout, end="")
+            print(re.sub(r"(?m)^bar .*\n", "", found.stdout), end="")
             bars.found("files-read-alike", bar_of(found.stdout, "files-read-alike"), "percent")
         if "options-in-no-document" in asked:
             found = run(sys.executable, "lab/scripts/house.py", "--quick", "--bin-dir", "target/debug")
