@@ -48,7 +48,7 @@ pub struct Options {
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
     pub frames: u32,
-    /// How often each frame is rendered and timed [default: 5].
+    /// Renderings of each frame that are timed [default: 5].
     #[arg(long, value_name = "R")]
     pub repeats: Option<u32>,
     /// Go through all volumes so often, with --repeats renderings of each frame every time: repeats minutes

@@ -70,7 +70,7 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts. `auto` is the one that the machine's model predicts (`entire calibrate`); without
+    /// The clock of frame times. `auto` is the one that the machine's model predicts (`entire calibrate`); without
     /// one the device's, or the process's CPU time where software renders on a busy
     /// machine.
     #[arg(long, value_enum, default_value_t)]

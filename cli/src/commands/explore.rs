@@ -33,13 +33,13 @@ pub struct Options {
     /// Steer by this model file, which was calibrated to this machine.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// Who steers at first. Rules that act on image resolution elsewhere act on the ray step here.
+    /// The controller that steers at first. Rules that act on image resolution elsewhere act on the ray step here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
-    /// What each sample computes.
+    /// Shading of each sample.
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOption,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     #[arg(long, value_enum, default_value_t)]
     pub skip: SkipOption,
     /// Accumulated opacity at which a ray stops; 1 for never.

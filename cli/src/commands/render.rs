@@ -56,7 +56,7 @@ pub struct Options {
     /// types.
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
     pub range: Option<(f32, f32)>,
-    /// How often the frame is rendered.
+    /// Renderings of the frame.
     #[arg(
         long,
         default_value_t = 1,

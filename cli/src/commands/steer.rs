@@ -70,7 +70,7 @@ pub struct Options {
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// Who plays. Rules that act on image resolution draw smaller images at the reference step.
+    /// The controllers that play. Rules that act on image resolution draw smaller images at the reference step.
     #[arg(
         long,
         value_enum,
@@ -85,7 +85,7 @@ pub struct Options {
     /// Random scenes that are rendered first, at six steps each, to fit the predictor and measure G.
     #[arg(long, default_value_t = 32, value_name = "N")]
     pub calibrate: usize,
-    /// How often each calibration frame is rendered; the median counts.
+    /// Renderings of each calibration frame; the median counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub repeats: usize,
     /// Steer by this model file instead of the predictor that is fitted first.
@@ -100,7 +100,7 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts; `auto` is the one that --model or else the machine's model (`entire calibrate`)
+    /// The clock of frame times; `auto` is the one that --model or else the machine's model (`entire calibrate`)
     /// predicts, where there is one, else the device's. A
     /// model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]

@@ -319,7 +319,7 @@ fn shown(folder: &Path, database: &str) -> Vec<(String, Vec<u8>)> {
 /// Goes on with the database and compares it with one that is rendered afresh; gives what was said on both
 /// outputs.
 fn resumed_is_fresh(folder: &Path, case: &str) -> (String, String) {
-    let output = entire(folder, &["farm", "job.toml", "--slots", "1", "--quiet", "--resume"]);
+    let output = entire(folder, &["farm", "job.toml", "--slots", "1", "--resume"]);
     assert_eq!(output.status.code(), Some(0), "{case}: {}", stderr(&output));
     let text = std::fs::read_to_string(folder.join("job.toml")).unwrap();
     std::fs::write(folder.join("fresh.toml"), format!("output = \"fresh.cdb\"\n{text}")).unwrap();
