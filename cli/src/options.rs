@@ -11,21 +11,21 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 /// How frames are rendered, as options.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct RenderArgs {
-    /// What each sample computes.
+    /// Shading of each sample.
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOption,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     #[arg(long, value_enum, default_value_t)]
     pub skip: SkipOption,
     /// Accumulated opacity at which a ray stops; 1 for never.
     #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
     pub termination: f32,
-    /// What renders.
+    /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
 }
 
-/// How volume files are read, as options.
+/// Reading of volume files, as options.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct VolumeArgs {
     /// The array to read from a VTK file that holds several; else its active scalars.

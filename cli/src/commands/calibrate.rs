@@ -52,7 +52,7 @@ pub struct Options {
             "max_size", "steps", "device", "picture_error", "seed", "array", "fill", "range"]
     )]
     pub data: Vec<PathBuf>,
-    /// What each sample computes, or all modes one after another.
+    /// Shading of each sample, or all modes one after another.
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOrAll,
     /// The clock whose seconds the model predicts: processor time of all threads, wall time, or the device's
@@ -76,10 +76,10 @@ pub struct Options {
     /// Frames at most.
     #[arg(long, default_value_t = 500, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=100_000))]
     pub frames: u32,
-    /// How volumes are read.
+    /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     #[arg(long, value_enum, default_value_t)]
     pub skip: SkipOption,
     /// Accumulated opacity at which a ray stops; 1 for never.
@@ -94,10 +94,10 @@ pub struct Options {
     /// Ray steps to draw from, reference steps; those that stand there twice are drawn twice as often.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0, 1.0, 1.0, 2.0, 4.0], value_name = "STEP,…")]
     pub steps: Vec<f32>,
-    /// What renders.
+    /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
-    /// By what pictures at coarser steps and of smaller images are compared with full quality; plans then
+    /// Measure of how far pictures at coarser steps and of smaller images are from full quality; plans then
     /// coarsen what shows less.
     #[arg(long, value_enum, default_value_t)]
     pub picture_error: PictureError,

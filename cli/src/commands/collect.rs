@@ -47,7 +47,7 @@ pub struct Options {
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
     pub frames: u32,
-    /// How often each frame is rendered and timed [default: 5].
+    /// Renderings of each frame that are timed [default: 5].
     #[arg(long, value_name = "R")]
     pub repeats: Option<u32>,
     /// Go through all volumes so often, with --repeats renderings of each frame every time: repeats minutes
@@ -67,7 +67,7 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// How volumes are read.
+    /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
     /// Predict the frames by this model instead of rendering them, so that a model that needs very many

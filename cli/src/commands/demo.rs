@@ -77,13 +77,13 @@ pub struct Options {
     /// Random scenes of the volume that are rendered first, at six steps each, to measure what a coarser step saves.
     #[arg(long, default_value_t = 16, value_name = "N")]
     pub scenes: usize,
-    /// How the volume is read.
+    /// Reading of the volume.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts. `auto` is the one that the machine's model predicts (`entire calibrate`); without one the
+    /// The clock of frame times. `auto` is the one that the machine's model predicts (`entire calibrate`); without one the
     /// device's, or wall time where software renders.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,

@@ -21,7 +21,7 @@ pub struct Options {
     pub model: PathBuf,
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
     pub volume: PathBuf,
-    /// How the volume is read.
+    /// Reading of the volume.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
     /// Threads; all logical processors unless given.

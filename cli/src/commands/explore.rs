@@ -27,7 +27,7 @@ pub struct Options {
     /// The volume file, or those of a time series in order; none for an empty window.
     #[arg(value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
-    /// How volumes are read.
+    /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
     /// Time that frames should not exceed: 33ms, 0.033s or 30fps.
@@ -36,13 +36,13 @@ pub struct Options {
     /// Steer by this model file, which was calibrated to this machine.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// Who steers at first. Rules that act on image resolution elsewhere act on the ray step here.
+    /// The controller that steers at first. Rules that act on image resolution elsewhere act on the ray step here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
-    /// What each sample computes.
+    /// Shading of each sample.
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOption,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     #[arg(long, value_enum, default_value_t)]
     pub skip: SkipOption,
     /// Accumulated opacity at which a ray stops; 1 for never.

@@ -54,7 +54,7 @@ pub struct Options {
     /// The job file.
     #[arg(value_name = "JOB.toml")]
     pub job: PathBuf,
-    /// What runs the tasks.
+    /// The engine that runs the tasks.
     #[arg(long, value_enum, default_value_t)]
     pub engine: EngineOption,
     /// Bundles that run at once: workers of this machine or of HyperQueue, nodes of Slurm. The processors of
@@ -85,7 +85,7 @@ pub struct Options {
     /// With --dry-run: price of a node hour.
     #[arg(long, value_name = "PRICE")]
     pub price: Option<f64>,
-    /// In which order tasks are sent.
+    /// Order in which tasks are sent.
     #[arg(long, value_enum, default_value_t)]
     pub order: OrderOption,
     /// Seconds that sending a bundle costs a slot, instead of the engine's own figure.

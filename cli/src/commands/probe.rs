@@ -19,7 +19,7 @@ use std::io::Write;
   entire probe --device cpu --json
   ENTIRE_DEVICE=llvmpipe entire probe --device vulkan --repeats 21")]
 pub struct Options {
-    /// What renders.
+    /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
     /// Images grow until a frame takes this many milliseconds, so that its clock can tell.

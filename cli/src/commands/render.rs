@@ -52,10 +52,10 @@ pub struct Options {
     /// Parallel (orthographic) projection: half of the height that is seen, in bounding-sphere radii.
     #[arg(long, value_name = "RADII", conflicts_with = "fov", allow_hyphen_values = true)]
     pub parallel_scale: Option<f32>,
-    /// How the volume is read.
+    /// Reading of the volume.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// How often the frame is rendered.
+    /// Renderings of the frame.
     #[arg(
         long,
         default_value_t = 1,

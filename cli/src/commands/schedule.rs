@@ -29,10 +29,10 @@ pub struct Options {
     /// Nodes by speed; a node of speed 2 takes half of a task's seconds.
     #[arg(long, value_delimiter = ',', value_name = "SPEED,…")]
     pub speeds: Vec<f64>,
-    /// How tasks come to nodes.
+    /// The way in which tasks come to nodes.
     #[arg(long, value_enum, default_value_t)]
     pub method: Method,
-    /// Which times decide.
+    /// The times that decide.
     #[arg(long, value_enum, default_value_t)]
     pub by: By,
     /// Seconds of a node that every dispatch from a queue costs.
@@ -41,7 +41,7 @@ pub struct Options {
     /// Tasks that a node looks at for one on the volume that it holds (--method affinity).
     #[arg(long, default_value_t = 64, value_name = "TASKS")]
     pub window: usize,
-    /// Where the assignment or order goes (.csv or .json).
+    /// File for the assignment or order (.csv or .json).
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
 }

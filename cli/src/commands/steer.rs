@@ -72,7 +72,7 @@ pub struct Options {
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// Who plays. Rules that act on image resolution draw smaller images at the reference step.
+    /// The controllers that play. Rules that act on image resolution draw smaller images at the reference step.
     #[arg(
         long,
         value_enum,
@@ -87,7 +87,7 @@ pub struct Options {
     /// Random scenes of the volume that are rendered first, at six steps each, to measure what a coarser step saves.
     #[arg(long, default_value_t = 16, value_name = "N")]
     pub scenes: usize,
-    /// How often each of their frames is rendered; the median counts.
+    /// Renderings of each of their frames; the median counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub repeats: usize,
     /// Steer by this model file; unless given, by the machine's model (`entire calibrate`), else by the one that ships,
@@ -103,10 +103,10 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// How the volumes are read.
+    /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// Which clock counts; `auto` is the one that --model or else the machine's model (`entire calibrate`)
+    /// The clock of frame times; `auto` is the one that --model or else the machine's model (`entire calibrate`)
     /// predicts, where there is one, else the device's. A
     /// model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]

@@ -61,7 +61,7 @@ pub struct Options {
     /// Model file to write; its card goes beside it as Markdown.
     #[arg(long, value_name = "SAFETENSORS")]
     pub out: PathBuf,
-    /// What is fitted.
+    /// Kind of the model.
     #[arg(long, value_enum, default_value_t = Kind::Prednet)]
     pub model_kind: Kind,
     /// Hidden layer widths.
@@ -106,7 +106,7 @@ pub struct Options {
     /// Take the mean of so many networks of other seeds, stored as one.
     #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
     pub ensemble: usize,
-    /// What the network gives.
+    /// Quantity that the network gives.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
     /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper
@@ -142,7 +142,8 @@ pub struct Options {
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
-    /// What is kept together when frames are split 80/10/10 into training, validation and test.
+    /// Frames of one member, or of one volume, stay together when all are split 80/10/10 into training,
+    /// validation and test.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub split: GroupBy,
     /// Members or volumes (as --split says) for validation, instead of a random tenth.
@@ -167,7 +168,7 @@ pub struct Options {
     /// Use only this many training frames, chosen by the seed.
     #[arg(long, value_name = "FRAMES")]
     pub limit: Option<usize>,
-    /// How weights are stored.
+    /// Format in which weights are stored.
     #[arg(long, value_enum, default_value_t = DtypeChoice::F32)]
     pub dtype: DtypeChoice,
     /// Folder that the tables' volume names start from, where it is neither the working folder nor the

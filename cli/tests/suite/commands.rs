@@ -317,6 +317,8 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
         render("ball.nrrd", "0,0,2", "0.5,0.1", "8x8", &[]),
         render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8", &[]),
         render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8x-8", &[]),
+        render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "0x8", &[]),
+        render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8x100000", &[]),
     ] {
         let output = entire(folder.path(), &arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));

@@ -53,7 +53,7 @@ pub struct Options {
     /// Measured compositings in place of both: columns parts, pixels, seconds.
     #[arg(long, value_name = "CSV")]
     pub composited: Option<PathBuf>,
-    /// What renders the parts.
+    /// The renderer of the parts.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     pub device: Device,
 }

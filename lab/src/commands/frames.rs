@@ -46,7 +46,7 @@ pub struct Options {
     /// Numbers of frames.
     #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "10,20,40,80,160,320")]
     pub frames: Vec<usize>,
-    /// Which clock's seconds are learned.
+    /// The clock whose seconds are learned.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
     pub clock: Clock,
     /// Folder for the results.

@@ -30,10 +30,10 @@ use std::time::{Duration, Instant};
   entire-lab gpu-study --short --device vulkan --seconds 120 --out out/gpu-short
   ENTIRE_DEVICE=NVIDIA entire-lab gpu-study --out nvidia")]
 pub struct Options {
-    /// What renders.
+    /// The renderer.
     #[arg(long, value_enum, default_value = "vulkan")]
     pub device: Device,
-    /// Which clock counts.
+    /// The clock of frame times.
     #[arg(long, value_parser = fixed_parser(), default_value = "device")]
     pub clock: Clock,
     /// Wall seconds that all of it may take.

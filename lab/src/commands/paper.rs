@@ -72,7 +72,7 @@ pub struct StepOptions {
     /// Stop after so many minutes, keeping what is done.
     #[arg(long, value_name = "MINUTES")]
     pub budget: Option<f64>,
-    /// What renders.
+    /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
     /// A Python with yt, and with what lab/volumenet/requirements.txt names.

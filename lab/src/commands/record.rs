@@ -73,7 +73,7 @@ pub struct Options {
     /// drawn beside the default ones alone.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
     pub steps: Vec<f32>,
-    /// How often every point of the grid is drawn.
+    /// Drawings of every point of the grid.
     #[arg(long, default_value_t = 2, value_name = "R")]
     pub repeats: usize,
     /// Image size, pixels.
@@ -82,7 +82,7 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts.
+    /// The clock of frame times.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
     /// Enlarge the volumes by this factor at load, trilinearly.

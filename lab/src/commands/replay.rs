@@ -82,16 +82,16 @@ impl Paths {
   entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
   --out out/nyx")]
 pub struct Options {
-    /// What is played.
+    /// The paths that are played.
     #[command(flatten)]
     pub paths: Paths,
     /// Steer by this model file instead of the predictor that is fitted to the tables.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// Who plays; everyone where none is named.
+    /// The controllers that play; all where none is named.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
     pub controllers: Vec<ControllerKind>,
-    /// How often everything is played, each time with other noise of the measured.
+    /// Rounds in which everything is played, each time with other noise of the measured.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub rounds: u64,
     /// Folder for the results.

@@ -44,7 +44,7 @@ pub struct Options {
     /// Model file to write.
     #[arg(long, value_name = "SAFETENSORS")]
     pub out: PathBuf,
-    /// How much worse than the best is good enough, as a share of its error.
+    /// Share of the smallest error by which a predictor may be worse and still be good enough.
     #[arg(long, default_value_t = 0.05)]
     pub tolerance: f64,
     /// Rays along each side of the probes to try; what is not kept beside the tables is computed from the
@@ -54,7 +54,7 @@ pub struct Options {
     /// Networks of other seeds whose mean is taken, for every candidate.
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub ensemble: usize,
-    /// Which clock's seconds are learned.
+    /// The clock whose seconds are learned.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
     pub clock: Clock,
     /// Passes over the training frames at most.

@@ -30,13 +30,13 @@ pub struct Options {
     /// Numbers of the scenes; all where none is named.
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     pub scenes: Vec<usize>,
-    /// Who plays; everyone where none is named.
+    /// The controllers that play; all where none is named.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
     pub controllers: Vec<ControllerKind>,
     /// Play the scenes that make sense there again on this device, with its clock.
     #[arg(long, value_enum)]
     pub device: Option<Device>,
-    /// Which clock counts there.
+    /// The clock of frame times there.
     #[arg(long, value_enum, default_value_t, requires = "device")]
     pub clock: Clock,
     /// Folder for the results.

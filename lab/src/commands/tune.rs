@@ -31,7 +31,7 @@ type Played = ([Replayable; 3], Calibrated);
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --rounds 0
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --only full,finer")]
 pub struct Options {
-    /// What is played.
+    /// The paths that are played.
     #[command(flatten)]
     pub paths: Paths,
     /// Most rounds over all constants; 0 says what the present ones cost.
@@ -43,7 +43,7 @@ pub struct Options {
     /// Start from these values instead of the present ones.
     #[arg(long, value_delimiter = ',', value_name = "NAME=VALUE,…", allow_hyphen_values = true)]
     pub set: Vec<String>,
-    /// What was tried and found, as JSON.
+    /// File for all that was tried and found, as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub out: Option<PathBuf>,
 }

@@ -41,7 +41,7 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Which clock's seconds are compared with; `auto` is the clock that the models predict, where they say
+    /// The clock whose seconds are compared with; `auto` is the clock that the models predict, where they say
     /// so. Models of another clock are refused.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub clock: Clock,
@@ -51,7 +51,7 @@ pub struct Options {
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
     pub unseen: bool,
-    /// What rows the second table has.
+    /// Groups that are the rows of the second table.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub by: GroupBy,
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
