@@ -1,6 +1,6 @@
 //! The command line of `entire`.
 
-use crate::{commands, program, progress};
+use crate::{commands, program, quiet};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -66,7 +66,7 @@ pub fn command() -> clap::Command {
 
 impl Cli {
     fn run(&self) -> anyhow::Result<()> {
-        progress::keep_quiet(self.quiet);
+        quiet::keep_quiet(self.quiet);
         match &self.command {
             Command::Collect(options) => commands::collect::run(options),
             Command::Calibrate(options) => commands::calibrate::run(options),

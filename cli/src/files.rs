@@ -1,6 +1,6 @@
 //! Files as commands read and write them: models, volumes, whole files, and what is said about them.
 
-use crate::progress::is_quiet;
+use crate::quiet::is_quiet;
 pub use crate::volume::without_mark;
 use crate::volume::{Reading, Stream, Volume};
 use anyhow::{Context, Result, anyhow, bail, ensure};

@@ -24,6 +24,7 @@ pub mod path;
 pub mod pictures;
 pub mod program;
 pub mod progress;
+pub mod quiet;
 pub mod reference;
 pub mod report;
 pub mod scenes;

@@ -1,20 +1,7 @@
-//! Progress bars, and whether anything is said beside results. Bars are silent where standard error is no terminal.
+//! Progress bars. They are silent where standard error is no terminal, and where the program keeps quiet.
 
+use crate::quiet::is_quiet;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Of the process, as its standard error is.
-static QUIET: AtomicBool = AtomicBool::new(false);
-
-/// Shows no bars and says no notes from now on, or shows and says them again.
-pub fn keep_quiet(quiet: bool) {
-    QUIET.store(quiet, Ordering::Relaxed);
-}
-
-/// Whether bars and notes are left away.
-pub fn is_quiet() -> bool {
-    QUIET.load(Ordering::Relaxed)
-}
 
 /// The template of the bar for computing inputs.
 pub const INPUTS_BAR: &str = "computing inputs [{bar:30}] {pos}/{len} frames, {eta} left";

@@ -26,6 +26,8 @@ pub mod metrics;
 pub mod options;
 #[path = "../../cli/src/path/mod.rs"]
 pub mod path;
+#[path = "../../cli/src/quiet.rs"]
+pub mod quiet;
 #[path = "../../cli/src/volume/mod.rs"]
 pub mod volume;
 

@@ -2,7 +2,7 @@
 
 use crate::commands;
 use clap::{CommandFactory, Parser, Subcommand};
-use entire_cli::{program, progress};
+use entire_cli::{program, quiet};
 use std::process::ExitCode;
 
 /// Judges predictors and controllers beside others, and measures the project's bars.
@@ -57,7 +57,7 @@ pub fn command() -> clap::Command {
 pub fn main() -> ExitCode {
     program::run("entire-lab", || {
         let lab = Lab::parse();
-        progress::keep_quiet(lab.quiet);
+        quiet::keep_quiet(lab.quiet);
         match &lab.command {
             Command::Study(options) => commands::study::run(options),
             Command::Paper(options) => commands::paper::run(options),

@@ -1,6 +1,7 @@
 //! What a farm shows while it works: a bar with rate and end on a terminal, else a line now and then.
 
-use crate::progress::{is_quiet, templated_bar};
+use crate::progress::templated_bar;
+use crate::quiet::is_quiet;
 use indicatif::ProgressBar;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};

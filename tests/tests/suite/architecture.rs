@@ -213,8 +213,9 @@ const CORE: &Rooms = &[
 /// A room is a folder or a file. Commands are what nobody else uses.
 const CLI: &Rooms = &[
     ("volume", &[]),
-    ("progress", &[]),
-    ("files", &["progress", "volume"]),
+    ("quiet", &[]),
+    ("progress", &["quiet"]),
+    ("files", &["quiet", "volume"]),
     ("device", &["files"]),
     ("identity", &["volume"]),
     ("interrupt", &[]),
@@ -252,6 +253,7 @@ const CLI: &Rooms = &[
             "options",
             "path",
             "progress",
+            "quiet",
             "report",
             "volume",
         ],
@@ -327,7 +329,7 @@ const CLI: &Rooms = &[
             "volume",
         ],
     ),
-    ("command_line", &["commands", "program", "progress"]),
+    ("command_line", &["commands", "program", "quiet"]),
 ];
 
 const LAB: &Rooms = &[
