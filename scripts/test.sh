@@ -140,7 +140,12 @@ if [[ $gate != test ]]; then
 fi
 if [[ $gate == nightly ]]; then
     if have cargo-deny; then
-        step "licenses and sources of crates" "$cargo" deny --log-level error check
+        step "licenses and sources of crates" "$cargo" deny --log-level error check bans licenses sources
+        if "$cargo" deny --log-level error fetch db >/dev/null 2>&1; then
+            step "advisories about crates" "$cargo" deny --log-level error check advisories
+        else
+            skip "advisories about crates" "their database cannot be reached"
+        fi
     else
         skip "licenses and sources of crates" "cargo-deny is not installed (cargo install --locked cargo-deny)"
     fi

@@ -17,7 +17,7 @@ pub enum Device {
     Cpu,
 }
 
-/// Whether a processor renders: then frame times are those of the host.
+/// True where a processor renders: frame times are then those of the host.
 pub fn is_software(renderer: &dyn Renderer) -> bool {
     let device = renderer.device().to_ascii_lowercase();
     renderer.backend() == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))

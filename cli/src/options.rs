@@ -42,7 +42,7 @@ pub struct VolumeArgs {
 }
 
 impl VolumeArgs {
-    /// What readers are told.
+    /// The options, for readers.
     pub fn reading(&self) -> Reading {
         Reading { array: self.array.clone(), fill: self.fill.clone(), range: self.range }
     }

@@ -1,4 +1,4 @@
-//! Whether anything is said beside results and errors.
+//! The switch that silences notes and progress bars.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -10,7 +10,7 @@ pub fn keep_quiet(quiet: bool) {
     QUIET.store(quiet, Ordering::Relaxed);
 }
 
-/// Whether bars and notes are left away.
+/// True where bars and notes are left away.
 pub fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }

@@ -13,7 +13,7 @@ pub trait VolumeSource: Send + Sync {
     /// Its voxels.
     fn view(&self) -> VolumeView<'_>;
 
-    /// What a user should know of how it was read, a sentence each.
+    /// Notes about its reading, a sentence each.
     fn notes(&self) -> &[String] {
         &[]
     }

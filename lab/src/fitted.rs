@@ -21,7 +21,7 @@ pub const HIDDEN: [usize; 2] = [24, 24];
 /// Every this many scenes, one is held out: never fitted to, only judged by.
 const HOLD_OUT_EVERY: usize = 4;
 
-/// Whether a sample is held out from fitting.
+/// True for a sample that is held out from fitting.
 fn held_out(sample: &Sample) -> bool {
     sample.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
 }
@@ -83,9 +83,9 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
 pub struct Candidate {
     /// What it is.
     pub title: String,
-    /// How it does on calibration frames that it was not fitted to.
+    /// Its errors on calibration frames that it was not fitted to.
     pub held_out: Quality,
-    /// Whether it steers.
+    /// True for the one that steers.
     pub chosen: bool,
     /// The predictor.
     #[serde(skip)]
@@ -105,7 +105,7 @@ impl Candidate {
     }
 }
 
-/// What calibration found.
+/// Fitted predictors.
 #[derive(Clone, Debug)]
 pub struct Calibrated {
     /// Every predictor that was fitted; one is chosen.

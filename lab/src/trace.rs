@@ -121,7 +121,7 @@ impl Recording<'_> {
     }
 }
 
-/// Whether volumes are the same, by their files' content where both sides say what it was.
+/// True for volumes that are the same, by their files' content where both sides say what it was.
 fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
     let same = |(a, b): (&TraceVolume, &TraceVolume)| {
         let unknown = a.files.is_empty() || b.files.is_empty();

@@ -43,7 +43,7 @@ const PICTURES_SHARE: f64 = 0.08;
 pub struct Settings {
     /// Volumes whose frames are rendered.
     pub volumes: Vec<PathBuf>,
-    /// How they are read.
+    /// Options of their reading.
     pub reading: Reading,
     /// What each sample computes.
     pub shading: Shading,

@@ -49,9 +49,9 @@ pub struct Candidate {
 pub struct Pool {
     /// The volume files.
     pub volumes: Vec<PathBuf>,
-    /// What they are.
+    /// Identities of their files.
     pub files: Vec<Vec<Identity>>,
-    /// How they are read.
+    /// Options of their reading.
     pub reading: Reading,
     /// The candidates; a frame's number is its index.
     pub candidates: Vec<Candidate>,
@@ -62,7 +62,7 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// What the volumes' files are, by the names that frames have.
+    /// Identities of the volumes' files, by the names that frames have.
     pub fn named_files(&self) -> BTreeMap<String, Vec<Identity>> {
         let name = |path: &PathBuf| path.to_string_lossy().into_owned();
         self.volumes.iter().map(name).zip(self.files.iter().cloned()).collect()

@@ -86,7 +86,7 @@ pub struct Protocol {
     pub enlarge: usize,
     /// Edge in voxels that volumes are resampled to instead.
     pub proxy: Option<usize>,
-    /// How volume files are read.
+    /// Options of reading volume files.
     pub reading: Reading,
 }
 

@@ -245,7 +245,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// What the measured frames' table was measured with.
+/// The manifest of the measured frames' table.
 fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
     Manifest {
         format: MANIFEST_FORMAT.into(),

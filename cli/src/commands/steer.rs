@@ -118,7 +118,7 @@ pub struct Options {
     /// Enlarge the volume by this factor at load, trilinearly.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub enlarge: usize,
-    /// Seed of the calibration scenes.
+    /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Frames whose pictures go into the report, beside those of switches.

@@ -81,7 +81,7 @@ impl Manifest {
         }
     }
 
-    /// How the table's volumes were read.
+    /// Options by which the table's volumes were read.
     ///
     /// # Errors
     /// When it says so in a way that this version does not know.

@@ -32,7 +32,7 @@ pub struct VolumeFile {
     pub path: PathBuf,
     /// Its size and that of its data files.
     pub bytes: u64,
-    /// How it is read.
+    /// Options of its reading.
     pub reading: Reading,
     /// What its files are: it and the data files that its header names.
     pub files: Vec<Identity>,

@@ -76,7 +76,7 @@ pub enum RangeEntry {
 }
 
 impl VolumesEntry {
-    /// How the files are read.
+    /// Options of reading the files.
     pub fn reading(&self) -> Reading {
         let range = match self.range {
             Some(RangeEntry::Numbers([low, high])) => Range::Given(low, high),

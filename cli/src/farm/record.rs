@@ -18,7 +18,7 @@ pub struct Order {
     pub volume_name: String,
     /// Time step.
     pub time: u32,
-    /// How it is read.
+    /// Options of its reading.
     #[serde(default)]
     pub reading: Reading,
     /// Rotation about x and y in degrees, distance in bounding-sphere radii.

@@ -14,10 +14,10 @@ use entire_core::scene::{
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 
-/// Ray steps at which every calibration scene is rendered, reference steps. The first is the reference.
+/// Ray steps at which every random scene is rendered, reference steps. The first is the reference.
 pub const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
 
-/// One rendering of a calibration scene.
+/// One rendering of a random scene.
 #[derive(Clone, Debug)]
 pub struct Sample {
     /// The scene's number.
@@ -85,7 +85,7 @@ pub fn measure(
     progress.set_length(scenes as u64);
     progress.reset_eta();
     for scene in 0..scenes {
-        let place = || format!("calibration scene {scene}");
+        let place = || format!("random scene {scene}");
         let drawn = distribution.draw(seed, name, scene as u64);
         let table = TransferFunction::Gaussian(drawn.lobes.clone()).to_table().with_context(place)?;
         renderer.set_transfer(&table).with_context(place)?;

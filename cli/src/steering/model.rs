@@ -54,7 +54,7 @@ impl SteeringModel {
         self.volume_features.as_deref()
     }
 
-    /// How well it does on samples that it was not fitted to. Models that do not know the step are judged at the
+    /// Its errors on samples that it was not fitted to. Models that do not know the step are judged at the
     /// reference step.
     ///
     /// # Errors

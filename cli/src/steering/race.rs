@@ -39,9 +39,9 @@ pub struct Race<'a> {
     /// Pixels between rays along each side, at most, that the hybrid may choose beside the step; 1 leaves the image
     /// alone.
     pub max_image_sample_distance: f32,
-    /// The name under which random calibration scenes are drawn.
+    /// The name under which random scenes are drawn.
     pub seed_name: &'a str,
-    /// Seed of calibration scenes and training.
+    /// Seed of the random scenes.
     pub seed: u64,
     /// How frames are drawn.
     pub draw: DrawSettings,
@@ -53,9 +53,9 @@ pub struct Race<'a> {
     pub controllers: &'a [ControllerKind],
     /// Seconds that frames should not exceed; `None` to choose by [`sane_target`].
     pub target: Option<f64>,
-    /// What predicts, for controllers that do.
+    /// The predictor, for controllers that use one.
     pub model: &'a SteeringModel,
-    /// What a controller may take as known of it.
+    /// Knowledge of the predictor that a controller starts from.
     pub prior: Prior,
 }
 
@@ -64,12 +64,12 @@ pub struct Race<'a> {
 pub struct Steers {
     /// What it is.
     pub title: String,
-    /// How it does on the random frames of the volume, none of which it was fitted to.
+    /// Its errors on the random frames of the volume, none of which it was fitted to.
     pub on_this_volume: Quality,
 }
 
 impl Steers {
-    /// What predicts and how well.
+    /// The predictor and its errors, in a sentence.
     pub fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         format!(
@@ -82,8 +82,8 @@ impl Steers {
     }
 }
 
-/// What predicts: the model that was given, else the machine's, else the one that ships, whose scale every frame
-/// corrects, else unit costs of a software renderer; and what a controller may take as known of it.
+/// Chooses the predictor: the model that was given, else the machine's, else the one that ships, whose scale every frame
+/// corrects, else unit costs of a software renderer. The second value is what a controller may take as known of it.
 ///
 /// # Errors
 /// When a model cannot be read, or holds no predictor.
@@ -185,7 +185,7 @@ pub fn shipped_files(shading: Shading) -> Result<Vec<(PathBuf, ModelFile)>> {
     Ok(out)
 }
 
-/// What the random scenes gave.
+/// Results of the random scenes.
 #[derive(Clone, Debug)]
 pub struct Prepared {
     /// The volume's summary.
@@ -194,7 +194,7 @@ pub struct Prepared {
     pub samples: Vec<Sample>,
     /// G.
     pub response: StepResponse,
-    /// What predicts, and how well.
+    /// The predictor and its errors.
     pub predictor: Steers,
     /// Seconds that frames should not exceed.
     pub target: f64,
@@ -220,7 +220,7 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     times
 }
 
-/// A target under which the step matters: this share of the median of the calibration scenes' times at the
+/// A target under which the step matters: this share of the median of the random scenes' times at the
 /// reference step. Most scenes must then be drawn coarser, few of them at the coarsest step.
 pub const TARGET_SHARE: f64 = 0.5;
 
@@ -231,7 +231,7 @@ pub fn sane_target(samples: &[Sample]) -> Option<f64> {
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
-/// What calibration scenes are drawn from: as collections are, with one to three lobes, so that volumes that
+/// Distribution of random scenes: drawn as collections are, with one to three lobes, so that volumes that
 /// are nearly empty under the transfer function are among them.
 pub fn calibration_scenes() -> SceneDistribution {
     SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
@@ -275,11 +275,8 @@ pub fn prepare(
     let (target, target_reason) = match race.target {
         Some(target) => (target, String::new()),
         None => (
-            sane_target(&samples).context("no calibration scene was timed")?,
-            format!(
-                "{:.0} % of the median calibration scene's time at the reference step",
-                100.0 * TARGET_SHARE
-            ),
+            sane_target(&samples).context("no scene was timed")?,
+            format!("{:.0} % of the median random scene's time at the reference step", 100.0 * TARGET_SHARE),
         ),
     };
     let typical = median(&mut times_at(&samples, 1.0)).unwrap_or(target);

@@ -40,7 +40,7 @@ impl ResponseCurve {
             Axis::log("relative frame time"),
         )
         .size(900.0, 300.0)
-        .series(Series::new("calibration scenes", Mark::Points(samples)).color(6))
+        .series(Series::new("random scenes", Mark::Points(samples)).color(6))
         .series(Series::new("G (median, never rising)", Mark::Line(points)).color(0))
     }
 }
@@ -58,7 +58,7 @@ pub struct Story {
     pub volume: String,
     /// The path, for people.
     pub path: String,
-    /// What predicts.
+    /// The predictor and its errors.
     pub predictor: Steers,
     /// G.
     pub response: ResponseCurve,

@@ -1,5 +1,4 @@
-//! What a caller says of how a file becomes a volume: which array, which values are no data, which range maps to
-//! [0, 1].
+//! Options of reading a volume file: the array, the values that are no data, the range that maps to [0, 1].
 
 use super::VolumeData;
 use anyhow::{Result, ensure};
@@ -11,7 +10,7 @@ use std::str::FromStr;
 /// Width of the range of unsigned bytes below which a volume looks empty or flat over 0…255.
 const NARROW: f32 = 64.0;
 
-/// How a file becomes a volume. The default finds everything out.
+/// Options of reading a volume file. The default finds everything out.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Reading {
@@ -190,7 +189,7 @@ pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) ->
     })
 }
 
-/// What a user should know of the range that a volume is shown over, if anything.
+/// A note about the range that a volume is shown over, where it hides the voxels' values.
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
     let narrow = range == Range::Default && view.range() != (low, high) && high - low < NARROW;
@@ -202,7 +201,7 @@ pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     })
 }
 
-/// What a user should know of voxels that are no numbers, if anything.
+/// A note about voxels that are no numbers.
 pub(super) fn non_finite(view: &VolumeView<'_>) -> Option<String> {
     let (broken, all) = (view.non_finite(), view.shape().voxels);
     (broken > 0).then(|| {

@@ -159,7 +159,7 @@ fn half(value: f32) -> f32 {
     0.5 * value
 }
 
-/// Whether sorted values are enough different ones to tell a fill value from a label.
+/// True where sorted values are enough different ones to tell a fill value from a label.
 fn many(sorted: &[f32]) -> bool {
     let changes = sorted.windows(2).filter(|pair| pair[0] < pair[1]).take(DISTINCT - 1).count();
     changes == DISTINCT - 1

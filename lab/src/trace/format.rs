@@ -22,7 +22,7 @@ pub struct TraceVolume {
     pub file: PathBuf,
     /// Enlargement at load.
     pub enlarge: usize,
-    /// What its files were; empty where that was not kept.
+    /// Identities of its files; empty where that was not kept.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub files: Vec<Identity>,
 }

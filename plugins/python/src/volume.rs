@@ -203,7 +203,7 @@ impl<'py> FromPyObject<'_, 'py> for Fill {
     }
 }
 
-/// What a masked array hides, as an array of bool, if anything.
+/// The mask of a masked array, as an array of bool.
 fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
     let ma = array.py().import("numpy.ma")?;
     if !array.is_instance(&ma.getattr("MaskedArray")?)? {
