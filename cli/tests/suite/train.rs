@@ -81,7 +81,6 @@ proptest! {
         let step = trainer.evaluate(&pool, &x, &y, &w).unwrap();
         let norm = trainer.gradient().iter().map(|g| g * g).sum::<f64>().sqrt();
         prop_assert!((norm - step.gradient_norm).abs() <= 1e-12 * norm.max(1.0));
-        let h = 1e-6;
         let shifted = |at: usize, by: f64| {
             let mut flat = 0;
             let layers: Vec<(Vec<f64>, Vec<f64>)> = (0..network.layers())
@@ -102,10 +101,14 @@ proptest! {
         let scale = norm.max(1e-3);
         let mut beyond = 0;
         for (at, g) in trainer.gradient().iter().enumerate() {
-            let slope = (loss_of(&shifted(at, h)) - loss_of(&shifted(at, -h))) / (2.0 * h);
-            beyond += usize::from((slope - g).abs() > FINITE_DIFFERENCE_TOLERANCE * scale);
+            // SELU, Huber and pinball have kinks: where one lies within the longer step, the shorter one misses it.
+            let differs = |h: f64| {
+                let slope = (loss_of(&shifted(at, h)) - loss_of(&shifted(at, -h))) / (2.0 * h);
+                (slope - g).abs() > FINITE_DIFFERENCE_TOLERANCE * scale
+            };
+            beyond += usize::from(differs(1e-6) && differs(1e-7));
         }
-        // SELU, Huber and pinball have kinks: a parameter within h of one may differ.
+        // One that lies within both may be left.
         prop_assert!(beyond <= 1 + trainer.gradient().len() / 50, "{beyond} of {}", trainer.gradient().len());
     }
 }

@@ -344,6 +344,8 @@ impl Correction {
                     self.covariance[i][j] *= s;
                     self.covariance[j][i] *= s;
                 }
+                // Not a rounding error more, so that what was bounded once stays as it is.
+                self.covariance[i][i] = MAX_VARIANCE;
             } else if d < 1.0e-9 {
                 self.covariance[i][i] = 1.0e-9;
             }
@@ -441,6 +443,19 @@ mod tests {
             1.0e-4 * (1 + state % 1000) as f32
         });
         CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
+    }
+
+    #[test]
+    fn a_variance_that_was_bounded_is_loaded_as_it_is() {
+        for k in 1..400 {
+            let mut correction = Correction::new(Prior::Unknown, CorrectionConstants::default());
+            correction.covariance[3][3] = MAX_VARIANCE * (1.0 + f64::from(k) / 401.0);
+            let mut once = correction.clone();
+            once.load(&mut Reader(&saved(&correction))).unwrap();
+            let mut twice = once.clone();
+            twice.load(&mut Reader(&saved(&once))).unwrap();
+            assert_eq!(saved(&once), saved(&twice), "{k}");
+        }
     }
 
     #[test]
