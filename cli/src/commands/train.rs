@@ -158,7 +158,7 @@ pub struct Options {
     /// Members or volumes for testing, instead of a random tenth.
     #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
     pub test_groups: Vec<String>,
-    /// Which clock's seconds are learned. Unless given, that of the model that training starts from, else cpu
+    /// The clock whose seconds are learned. Unless given, that of the model that training starts from, else cpu
     /// (processor time) where every frame has it.
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
