@@ -85,7 +85,7 @@ pub struct Options {
     )]
     pub controllers: Vec<ControllerKind>,
     /// Random scenes of the volume that are rendered first, at six steps each, to measure what a coarser step saves.
-    #[arg(long, default_value_t = 16, value_name = "N")]
+    #[arg(long, alias = "calibrate", default_value_t = 16, value_name = "N")]
     pub scenes: usize,
     /// Renderings of each of their frames; the median counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
