@@ -7,18 +7,16 @@ STUDY_OUT ?= out/study
 study: ## Make and judge every predictor of STUDY: out/study/report.html
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)"
 
-.PHONY: study-nested
-study-nested: ## As study, and judge the choice of a predictor by nested cross-validation on the training members
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --nested
-
 # Each table's make of machine has the model at its place.
 FRAMES_TABLES := none-train none-epyc-train none-xeon-train
+FRAMES_JUDGED := none-members none-epyc-members none-xeon-members
 FRAMES_MODELS := unshaded-selected unshaded-epyc-selected unshaded-xeon-selected
+FRAMES_OPTIONS := --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) --judged $(FRAMES_JUDGED:%=data/timings/%.csv.gz) \
+    --priors $(FRAMES_MODELS:%=models/%.safetensors)
 
 .PHONY: study-frames
-study-frames: ## How many frames of another make of machine a calibration needs, on training members
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- frames --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) \
-	    --priors $(FRAMES_MODELS:%=models/%.safetensors) --out out/frames
+study-frames: ## How many frames of another make of machine a calibration needs
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
 
 .PHONY: bars-accuracy
 bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
@@ -34,5 +32,13 @@ distill: build ## Distill the selected predictors into the paper's network, an h
 
 .PHONY: models
 models: ## Make the shipped predictors and their cards anew from the timing tables: models/
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --nested --ship models
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study data/timings/machines-study.json --out "$(STUDY_OUT)-machines" --ship models
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models
+
+LAB := $(CARGO) run --release --quiet --package entire-lab --bin entire-lab --
+.PHONY: bars-model
+bars-model: build ## Print the bars of the predictors and of their calibration, by both clocks: make bars-model [BEFORE=REVISION]
+	$(LAB) study --study "$(STUDY)" --out out/study > /dev/null
+	$(LAB) study --study "$(STUDY)" --clock wall --out out/study-wall > /dev/null
+	$(LAB) frames $(FRAMES_OPTIONS) --clock cpu --out out/frames > /dev/null
+	$(LAB) frames $(FRAMES_OPTIONS) --clock wall --out out/frames-wall > /dev/null
+	python3 lab/scripts/bars_model.py --before "$(BEFORE)"

@@ -2,10 +2,12 @@
 //! compared by a factor that nobody meant.
 
 use crate::dataset::{Clock, TimedFrame};
+use crate::device;
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
+use entire_vk_raycaster::Renderer;
 
 /// The clock that a model predicts, as its file says: under [`Key::Clock`], else in its provenance. `None`
 /// where it says nothing.
@@ -52,6 +54,17 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
          have: --clock wall or cpu"
     );
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
+}
+
+/// The clock that `auto` stands for: what a user waits for, the device's timestamps on a GPU and wall time where a
+/// processor renders.
+pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
+    let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
+    match clock {
+        Clock::Auto if device::is_software(renderer) || !timestamps => Clock::Wall,
+        Clock::Auto => Clock::Device,
+        named => named,
+    }
 }
 
 /// What training learns where no clock is named: the clock of the model that it starts from where there is

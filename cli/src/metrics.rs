@@ -1,6 +1,6 @@
 //! How well predicted seconds fit measured ones.
 
-pub use entire_core::calibrate::median;
+pub use entire_core::numeric::median;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;

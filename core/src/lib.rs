@@ -82,6 +82,7 @@ mod memory;
 pub mod model;
 mod names;
 pub mod nn;
+pub mod numeric;
 pub mod predict;
 pub mod scene;
 pub mod schedule;

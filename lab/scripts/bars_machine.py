@@ -41,6 +41,18 @@ FEW_FRAMES = 20
 FEW_LIMIT = 0.10
 OBSERVED = 10
 BUSY_LIMIT = 0.08
+# A neighbor takes a core in bursts of 50 to 500 ms, a fifth of the time.
+NEIGHBORS = 1
+NEIGHBOR = """
+import random, sys, time
+draw = random.Random(int(sys.argv[1]))
+while True:
+    burst = draw.uniform(0.05, 0.5)
+    end = time.monotonic() + burst
+    while time.monotonic() < end:
+        pass
+    time.sleep(4 * burst)
+"""
 # When test frames are timed, with calibration between.
 WHEN = ("before", "after")
 INVALID_LIMIT = 0
@@ -100,10 +112,11 @@ class Machine:
         begin = time.monotonic()
         self.run("calibrate", "--shade", mode, "--out", self.out / f"{name}.safetensors", "--table", frames, *more)
         seconds = time.monotonic() - begin
+        self.by_clocks(name, mode)
         (self.out / f"{name}.json").write_text(json.dumps({"seconds": seconds, "load": os.getloadavg()}))
 
     def calibrate_busy(self):
-        loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+        loops = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(seed)]) for seed in range(NEIGHBORS)]
         try:
             self.calibrate("busy", "none")
         finally:
@@ -111,16 +124,22 @@ class Machine:
                 loop.kill()
                 loop.wait()
 
-    def evaluate(self, model, split, mode):
+    def by_clocks(self, name, mode):
+        """Models of the same frames by processor time and by wall time."""
+        for clock in ("cpu", "wall"):
+            self.run("calibrate", "--data", self.out / f"{name}.csv", "--shade", mode, "--clock", clock, "--quiet", "--out",
+                     self.out / f"{name}-{clock}.safetensors")
+
+    def evaluate(self, model, split, mode, clock="cpu"):
         """What `entire evaluate` finds; kept until model or table change."""
         files = [self.out / f"{model}.safetensors", self.out / f"{split}-{mode}.csv"]
         if not all(f.exists() for f in files) or not (self.out / f"{split}-{mode}.done").exists():
             return None
-        into = self.out / f"evaluated-{model}-{split}-{mode}"
+        into = self.out / f"evaluated-{model}-{split}-{mode}-{clock}"
         found = into / "evaluation.json"
         if not found.exists() or found.stat().st_mtime < max(f.stat().st_mtime for f in files):
-            more = ["--observed", OBSERVED] if model == "busy" else []
-            self.run("evaluate", "--clock", "cpu", "--model", files[0], "--data", files[1], "--out", into, "--quiet",
+            more = ["--observed", OBSERVED] if model.startswith("busy") else []
+            self.run("evaluate", "--clock", clock, "--model", files[0], "--data", files[1], "--out", into, "--quiet",
                      *more, cwd=self.data)
         return json.loads(found.read_text())
 
@@ -169,12 +188,12 @@ def found(machine, test):
         yield f"{mode}/calibrate-seconds", read(f"model-{mode}").get("seconds"), None
     for mode in MODES:
         for split in ("members", "scans") if LIMITS[mode][2] is not None else ("members",):
-            found = machine.evaluate(f"model-{mode}", split, mode)
+            found = machine.evaluate(f"model-{mode}-cpu", split, mode)
             yield f"{mode}/{split}/mdape", metrics(found).get("mdape"), between(found, "mdape")
             yield f"{mode}/{split}/rmse-over-sd", metrics(found).get("rmse_over_sd"), between(found, "rmse_over_sd")
-    found = machine.evaluate("few", "members", "none")
+    found = machine.evaluate("few-cpu", "members", "none")
     yield f"none/members/mdape-after-{FEW_FRAMES}-frames", metrics(found).get("mdape"), between(found, "mdape")
-    found = machine.evaluate("busy", "members", "none")
+    found = machine.evaluate("busy-cpu", "members", "none")
     in_session = next(iter(found["in_session"].values()), {}) if found else {}
     yield f"none/members/mdape-calibrated-busy-{OBSERVED}-observed", in_session.get("mdape"), None
     yield "shipped/predictions-not-positive", invalid(machine, test), None

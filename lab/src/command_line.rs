@@ -22,8 +22,6 @@ enum Command {
     Study(commands::study::Options),
     /// Hold every table and figure of the paper against ours.
     Paper(commands::paper::Options),
-    /// Find the cheapest predictor that is good enough, and the inputs that it can do without.
-    Select(commands::select::Options),
     /// Find how many frames of another make of machine a calibration needs.
     Frames(commands::frames::Options),
     /// Record what every frame of a path costs at a grid of ray steps.
@@ -61,7 +59,6 @@ pub fn main() -> ExitCode {
         match &lab.command {
             Command::Study(options) => commands::study::run(options),
             Command::Paper(options) => commands::paper::run(options),
-            Command::Select(options) => commands::select::run(options),
             Command::Frames(options) => commands::frames::run(options),
             Command::Record(options) => commands::record::run(options),
             Command::Replay(options) => commands::replay::run(options),

@@ -1,6 +1,6 @@
 //! Shipping what a study made: model files with cards, judged as they are shipped.
 
-use crate::study::{Findings, Fit, Intervals, Runner, Set, Ship, Study, clock, nested_report};
+use crate::study::{Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, Set, Ship, Study, clock, shipped};
 use anyhow::{Context, Result};
 use entire_cli::bound;
 use entire_cli::dataset::{Table, read_tables};
@@ -36,11 +36,13 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
     let mut out = Vec::new();
     for set in &study.sets {
         for ship in &study.ship {
+            let predictor = shipped(study, found, &set.name, &ship.predictor)
+                .with_context(|| format!("the rule selects nothing for {}", set.name))?;
             let made = found
                 .files
                 .iter()
-                .find(|f| f.0 == set.name && f.1 == ship.predictor)
-                .with_context(|| format!("{} was not made for {}", ship.predictor, set.name))?;
+                .find(|f| f.0 == set.name && f.1 == predictor)
+                .with_context(|| format!("{predictor} was not made for {}", set.name))?;
             let (mut file, model) = read_model_file(&made.2)?;
             let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;
@@ -49,19 +51,19 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
             let tables = read_tables(&paths)?;
             let figures = judge(&file, study, set, &tables, runner)?;
             let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
-            let fit = found.fit(&set.name, &ship.predictor);
+            let fit = found.fit(&set.name, predictor);
             let as_it_is = study
                 .predictors
                 .iter()
-                .any(|p| p.name == ship.predictor && p.recipe_for(&set.name).file.is_some());
+                .any(|p| p.name == predictor && p.recipe_for(&set.name).file.is_some());
             provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit, as_it_is)?;
             let path = folder.join(format!("{name}.safetensors"));
             write_whole(&path, &file.to_bytes()?)?;
-            let latency = found.latency(&set.name, &ship.predictor);
+            let latency = found.latency(&set.name, predictor);
             let text = card(
                 &name,
                 &file,
-                ship,
+                (predictor, ship),
                 study,
                 set,
                 &tables[..set.training.len()],
@@ -174,7 +176,7 @@ fn provenance(
 fn card(
     name: &str,
     file: &ModelFile,
-    ship: &Ship,
+    (predictor, ship): (&str, &Ship),
     study: &Study,
     set: &Set,
     training: &[Table],
@@ -204,7 +206,7 @@ fn card(
          {}\n\
          entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
          `entire steer --model here.safetensors` steers with it.\n",
-        if PriorModel::new(file).is_ok() {
+        if PriorModel::new(std::slice::from_ref(file)).is_ok() {
             format!(
                 "entire calibrate --data FRAMES.csv --shade {shading} --prior models/{name}.safetensors --out here.safetensors"
             )
@@ -261,7 +263,7 @@ fn card(
             let _ = writeln!(md, "- training, other ray steps: `data/timings/{}`", file_name(path));
         }
     }
-    let fit = found.fit(&set.name, &ship.predictor);
+    let fit = found.fit(&set.name, predictor);
     let crossed = fit.and_then(|f| Some((f.crossed.as_ref()?, f.folds)));
     match crossed {
         Some((_, folds)) => {
@@ -345,9 +347,9 @@ fn card(
             ))
         );
     }
-    // What is cross-validated is what the rule chooses among.
-    if crossed.is_some() {
-        md += &nested_report::on_card(found, &set.name);
+    if ship.predictor == SELECTED {
+        let numbers = fit.map_or(0, |f| f.numbers);
+        let _ = writeln!(md, "\nThe rule selects `{predictor}` ({numbers} fitted numbers). {SENTENCE}");
     }
     if let Some(l) = latency {
         let _ = writeln!(

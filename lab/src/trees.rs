@@ -3,9 +3,10 @@
 
 use anyhow::{Result, anyhow, ensure};
 use entire_cli::dataset::Timed;
-use entire_cli::fit::{FitContext, Recipe};
+use entire_cli::fit::{FitContext, Kind, Recipe, predict};
 use entire_cli::inputs::Layout;
-use entire_core::predict::Inputs;
+use entire_core::model::Model;
+use entire_core::predict::{Inputs, load};
 use forust_ml::metric::Metric;
 use forust_ml::objective::ObjectiveType;
 use forust_ml::{GradientBooster, Matrix};
@@ -20,9 +21,10 @@ const LEARNING_RATE: f32 = 0.05;
 /// Trees without a better validation error after which growing stops.
 const PATIENCE: usize = 60;
 
-/// Trees on ln seconds.
+/// Trees on ln seconds, or, of recipes of kind residual, on what an analytic model leaves of it.
 pub struct Trees {
     layout: Layout,
+    analytic: Option<Model>,
     booster: GradientBooster,
 }
 
@@ -47,11 +49,20 @@ impl Trees {
         validation: Timed<'_>,
     ) -> Result<Self> {
         ensure!(!training.frames.is_empty(), "there are no training frames");
+        let costs = Recipe { kind: Kind::Analytic, probe_side: recipe.probe_side, ..Recipe::default() };
+        let analytic = match recipe.kind {
+            Kind::Residual => Some(costs.make(context, training, validation)?.file.to_model()?),
+            _ => None,
+        };
         let (_, layout) = recipe.layout(training)?;
         let width = layout.width();
         let prepared = |part: Timed<'_>| -> Result<(Vec<f64>, Vec<f64>, Vec<f64>)> {
             let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
-            let logs: Vec<f64> = part.seconds.iter().map(|t| t.ln()).collect();
+            let mut logs: Vec<f64> = part.seconds.iter().map(|t| t.ln()).collect();
+            if let Some(model) = &analytic {
+                let estimates = predict(model, context, part.frames)?;
+                logs.iter_mut().zip(estimates).for_each(|(log, t)| *log -= t.ln());
+            }
             Ok((by_columns(&rows, width), vec![1.0; logs.len()], logs))
         };
         let (x, ones, y) = prepared(training)?;
@@ -68,7 +79,7 @@ impl Trees {
             .pool
             .install(|| booster.fit(&Matrix::new(&x, y.len(), width), &y, &ones, judged))
             .map_err(|e| anyhow!("boosted trees: {e}"))?;
-        Ok(Self { layout, booster })
+        Ok(Self { layout, analytic, booster })
     }
 
     /// Seconds of frames.
@@ -83,7 +94,11 @@ impl Trees {
         let rows = self.layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
         let columns = by_columns(&rows, self.layout.width());
         let logs = self.booster.predict(&Matrix::new(&columns, frames.len(), self.layout.width()), false);
-        Ok(logs.into_iter().map(f64::exp).collect())
+        let factors = logs.into_iter().map(f64::exp);
+        Ok(match &self.analytic {
+            Some(model) => predict(model, context, frames)?.iter().zip(factors).map(|(t, f)| t * f).collect(),
+            None => factors.collect(),
+        })
     }
 
     /// Seconds of one frame.
@@ -94,7 +109,11 @@ impl Trees {
         let mut row = vec![0.0; self.layout.width()];
         self.layout.write(inputs, &mut row)?;
         let row: Vec<f64> = row.into_iter().map(f64::from).collect();
-        Ok(self.booster.predict(&Matrix::new(&row, 1, row.len()), false)[0].exp())
+        let factor = self.booster.predict(&Matrix::new(&row, 1, row.len()), false)[0].exp();
+        Ok(match &self.analytic {
+            Some(model) => factor * f64::from(load(model)?.predict(inputs)?.seconds),
+            None => factor,
+        })
     }
 
     /// Rays along each side of the probe.

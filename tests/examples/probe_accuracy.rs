@@ -12,7 +12,7 @@
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;
 use entire_core::features::{
-    Changes, FrameFeatures, SceneQuantity, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+    FrameFeatures, SceneQuantity, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
 use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
@@ -75,7 +75,7 @@ fn main() {
                 features.measure(&summary, &mut transfer, &frame).expect("a frame");
                 let setting = Setting::from(&frame);
                 let work = features.work(&setting);
-                let share = |q| features.quantity(q, &setting, &work, Changes::default());
+                let share = |q| features.quantity(q, &setting, &work);
                 let terminated = share(SceneQuantity::TerminatedShare);
                 let occupied = share(SceneQuantity::OccupiedShare);
                 // The twin counts shadow samples with the primary ones.

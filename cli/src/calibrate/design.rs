@@ -1,12 +1,13 @@
 //! Which frames tell most: greedy D-optimal design over what is known of the candidates.
 //!
-//! A frame's vector holds its inputs in standard deviations and the shares of its expected time that each
-//! kind of work has. The next frame is the one that adds most to ln det of the information matrix for what it
+//! A frame's vector holds the shares of its expected time that each kind of work has, and the inputs of the
+//! prior's factor, if it has one, in standard deviations. The next frame is the one that adds most to ln det of the information matrix for what it
 //! costs; none of them has been drawn.
 
 use super::pool::Pool;
+use entire_core::numeric::dot;
 #[cfg(test)]
-use entire_core::calibrate::solve;
+use entire_core::numeric::solve;
 
 /// Exponent of a frame's seconds in what its information is divided by: 0 takes frames whatever they cost, 1
 /// takes the cheapest information alone, which leaves out the long frames that decide a root mean square. Where the
@@ -110,10 +111,10 @@ fn random_order(pool: &Pool) -> Vec<usize> {
 
 fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
     let n = pool.candidates.len() as f64;
-    let width = pool.candidates.first().map_or(0, |c| c.rows[0].len());
+    let width = pool.candidates.first().map_or(0, |c| c.row.len());
     let mut moments = vec![(0.0, 0.0); width];
     for c in &pool.candidates {
-        for (m, &x) in moments.iter_mut().zip(&c.rows[0]) {
+        for (m, &x) in moments.iter_mut().zip(&c.row) {
             m.0 += f64::from(x) / n;
             m.1 += f64::from(x).powi(2) / n;
         }
@@ -122,7 +123,7 @@ fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
         .iter()
         .map(|c| {
             let mut v = vec![1.0];
-            v.extend(c.rows[0].iter().zip(&moments).map(|(&x, (mean, square))| {
+            v.extend(c.row.iter().zip(&moments).map(|(&x, (mean, square))| {
                 let deviation = (square - mean * mean).max(0.0).sqrt();
                 if deviation > 1e-6 { (f64::from(x) - mean) / deviation } else { 0.0 }
             }));
@@ -133,10 +134,6 @@ fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
             v
         })
         .collect()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// ln det of the information of some frames, for tests: by Cholesky of the matrix itself.
@@ -161,7 +158,7 @@ mod tests {
     use super::*;
     use crate::calibrate::pool::Candidate;
     use crate::dataset::TimedFrame;
-    use entire_core::model::ModelFile;
+    use entire_core::calibrate::PriorModel;
     use entire_core::predict::COSTS;
 
     fn pool(rows: &[[f32; 2]]) -> Pool {
@@ -169,7 +166,7 @@ mod tests {
             volume: 0,
             factor: 1,
             scene: TimedFrame::of_no_volume("v", "").scene,
-            rows: vec![row.to_vec()],
+            row: row.to_vec(),
             work: [1.0; COSTS],
             random: false,
         };
@@ -178,7 +175,7 @@ mod tests {
             files: Vec::new(),
             reading: Default::default(),
             candidates: rows.iter().map(candidate).collect(),
-            priors: vec![ModelFile::default()],
+            prior: PriorModel::default(),
             expected: vec![1.0; rows.len()],
         }
     }

@@ -14,7 +14,6 @@ use crate::identity;
 use crate::metrics::median;
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail};
-use entire_core::predict::UnitCosts;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::collections::{BTreeMap, HashMap};
@@ -129,9 +128,7 @@ impl<'a> Measuring<'a> {
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
     pub fn run(&mut self) -> Result<()> {
-        let costs = entire_core::calibrate::PriorModel::new(&self.pool.priors[0])
-            .map_or(UnitCosts::SOFTWARE.0, |p| *p.costs());
-        let mut design = Design::new(self.pool, &costs);
+        let mut design = Design::new(self.pool, self.pool.prior.costs());
         // What the prior expects is of another machine: a small batch says by how much it is off here.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {

@@ -14,11 +14,11 @@ pub mod report;
 
 use crate::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed};
 use crate::fit::FitContext;
-use crate::fit::analytic::counts;
+use crate::fit::analytic::{counts, expected_costs};
 use crate::inputs::{Layout, work_of};
 use crate::volume::Reading;
 use anyhow::{Context, Result, ensure};
-use entire_core::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, blank_prior, fit_quality};
+use entire_core::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
 use entire_core::features::PROBE_SIDE;
 use entire_core::model::ModelFile;
 use entire_core::nn::Executor;
@@ -89,28 +89,15 @@ fn ensure_fixed(clock: Clock) -> Result<()> {
     Ok(())
 }
 
-/// What each prior makes of the frames, and the fit that predicts volumes best that it was not fitted to. `observed`
-/// gives the frames as the prior of an index sees them.
-fn best_fit(
-    priors: &[ModelFile],
-    observed: &[Vec<Observed>],
-    renderer: &UnitCosts,
-    judged: impl Fn(usize) -> bool,
-    threads: &rayon::ThreadPool,
-) -> Result<(usize, Chosen)> {
-    let mut best: Option<(usize, Chosen)> = None;
-    for (i, (prior, frames)) in priors.iter().zip(observed).enumerate() {
-        let chosen = PriorModel::new(prior)?.choose(frames, renderer, &judged, Executor::Rayon(threads))?;
-        if best.as_ref().is_none_or(|(_, b)| chosen.score < b.score) {
-            best = Some((i, chosen));
-        }
-    }
-    best.context("there is no model to start from")
+/// The files of models to start from, and their names in a list; no name without any.
+fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
+    let names: Vec<&str> = priors.iter().map(|p| p.0.as_str()).collect();
+    let names = (!names.is_empty()).then(|| names.join(", "));
+    (priors.iter().map(|p| p.1.clone()).collect(), names)
 }
 
-/// Renders frames for as long as there is time, or until `stop` says so, and fits a model to them: each of
-/// `priors` is taken to them, and the one that then predicts left-out volumes best is kept. Without any, unit costs
-/// of a software renderer and no factor are what is started from.
+/// Renders frames for as long as there is time, or until `stop` says so, and fits a model to them, starting from
+/// `priors` as [`PriorModel::new`] takes them.
 ///
 /// # Errors
 /// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or it was
@@ -128,7 +115,8 @@ pub fn calibrate(
     let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(1.0));
     bar.set_length(settings.seconds.ceil() as u64);
     bar.set_message("choosing frames");
-    let pool = Pool::draw(settings, priors.iter().map(|p| p.1.clone()).collect(), threads)?;
+    let (files, names) = named(priors);
+    let pool = Pool::draw(settings, &files, threads)?;
     let frames_end =
         deadline - Duration::from_secs_f64(PICTURES_SHARE * settings.seconds).min(deadline - start);
     let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, bar);
@@ -144,41 +132,33 @@ pub fn calibrate(
         frames.len()
     );
     let mut groups = Groups::default();
-    let of_first: Vec<Observed> = frames
+    let observed: Vec<Observed> = frames
         .iter()
         .map(|f| {
             let candidate = &pool.candidates[f.number as usize];
-            let seconds = f.seconds(settings.clock).with_context(|| {
+            let seconds = f.undisturbed(settings.clock).with_context(|| {
                 format!(
                     "the renderer has no clock {}; choose another --clock (every renderer has wall)",
                     settings.clock.name()
                 )
             })?;
             Ok(Observed {
-                row: candidate.rows[0].clone(),
+                row: candidate.row.clone(),
                 work: candidate.work,
                 seconds,
                 group: groups.number(&f.scene.volume),
             })
         })
         .collect::<Result<_>>()?;
-    let mut observed = vec![of_first];
-    for prior in 1..pool.priors.len() {
-        let rows = frames.iter().map(|f| pool.candidates[f.number as usize].rows[prior].clone());
-        let others = observed[0].iter().zip(rows).map(|(o, row)| Observed { row, ..o.clone() }).collect();
-        observed.push(others);
-    }
     // Chosen frames are the strange ones; those drawn at random are what users draw.
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
-    // On some processors rays that lie apart wait for memory, on others hardly.
-    let (started, chosen) = best_fit(&pool.priors, &observed, &UnitCosts::CONVERTING, judged, threads)?;
-    let observed = observed.swap_remove(started);
+    let chosen = pool.prior.choose(&observed, &UnitCosts::SOFTWARE, Executor::Rayon(threads))?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let report = Report::new(
         (settings.shading, settings.clock),
-        priors.get(started).map(|p| p.0.as_str()),
+        names,
         &observed,
         &chosen,
         judged,
@@ -195,53 +175,63 @@ pub fn calibrate(
     Ok(Calibrated { file, report, frames })
 }
 
-/// Takes each prior to timed frames, whatever renderer drew them. Returns which one is kept, the fit, and the frames
-/// as that prior sees them.
+/// Fits a model to timed frames, whatever renderer drew them. Returns the fit, and the frames as it saw them.
 fn fit_to_frames(
     context: &FitContext<'_>,
     part: Timed<'_>,
     priors: &[ModelFile],
-) -> Result<(usize, Chosen, Vec<Observed>)> {
+) -> Result<(Chosen, Vec<Observed>)> {
     let mut groups = Groups::default();
-    let volumes: Vec<u64> = part.frames.iter().map(|f| groups.number(&f.scene.volume)).collect();
-    let mut renderer = UnitCosts::CONVERTING;
-    let mut observed: Vec<Vec<Observed>> = Vec::new();
-    for file in priors {
-        let layout = Layout::of_model(&file.to_model()?)?;
-        let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
-        // Another renderer may convert stored values or wait for memory; tables from before that was counted hold
-        // no such work.
-        let work = counts(context, part, &renderer, layout.probe_side()).or_else(|_| {
-            renderer = UnitCosts::SOFTWARE;
-            counts(context, part, &renderer, layout.probe_side())
-        })?;
-        let of_prior = rows.chunks_exact(layout.width()).zip(work).zip(part.seconds).zip(&volumes);
-        observed.push(
-            of_prior
-                .map(|(((row, counted), &seconds), &group)| Observed {
-                    row: row.to_vec(),
-                    work: work_of(counted),
-                    seconds,
-                    group,
-                })
-                .collect(),
-        );
-    }
-    let (started, chosen) = best_fit(priors, &observed, &renderer, |_| true, context.pool)?;
-    Ok((started, chosen, observed.swap_remove(started)))
+    let prior = PriorModel::new(priors)?;
+    let (rows, width, side) = match prior.layout() {
+        None => (Vec::new(), 0, PROBE_SIDE),
+        Some(_) => {
+            let layout = Layout::of_model(&priors[0].to_model()?)?;
+            let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
+            (rows, layout.width(), layout.probe_side())
+        }
+    };
+    let renderer = expected_costs(context, part);
+    let work = counts(context, part, &renderer, side)?;
+    let observed: Vec<Observed> = part
+        .frames
+        .iter()
+        .zip(work)
+        .zip(part.seconds)
+        .enumerate()
+        .map(|(i, ((frame, counted), &seconds))| Observed {
+            row: rows[i * width..(i + 1) * width].to_vec(),
+            work: work_of(counted),
+            seconds,
+            group: groups.number(&frame.scene.volume),
+        })
+        .collect();
+    let chosen = prior.choose(&observed, &renderer, Executor::Rayon(context.pool))?;
+    Ok((chosen, observed))
 }
 
-/// Takes a model to timed frames as [`calibrate_to_tables`] does, for curves of its error: what the file says of
-/// itself stays what the prior said.
+/// Takes a model to timed frames, as few as there are; the file states nothing of its origin.
 ///
 /// # Errors
-/// When there are no frames, inputs cannot be computed, or the model is no analytic one times a learned factor.
+/// When there are no frames, inputs cannot be computed, or no calibration starts from the model.
 pub fn calibrate_to_frames(
     prior: &ModelFile,
     context: &FitContext<'_>,
     frames: Timed<'_>,
 ) -> Result<ModelFile> {
-    Ok(fit_to_frames(context, frames, std::slice::from_ref(prior))?.1.file)
+    Ok(fit_to_frames(context, frames, std::slice::from_ref(prior))?.0.file)
+}
+
+/// As [`calibrate_to_frames`], from several models.
+///
+/// # Errors
+/// As [`calibrate_to_frames`].
+pub fn calibrate_from(
+    priors: &[NamedPrior],
+    context: &FitContext<'_>,
+    frames: Timed<'_>,
+) -> Result<ModelFile> {
+    Ok(fit_to_frames(context, frames, &named(priors).0)?.0.file)
 }
 
 /// Fits a model to frames that some renderer logged, as [`calibrate`] does to those that it renders: nothing
@@ -266,18 +256,14 @@ pub fn calibrate_to_tables(
         frames.len(),
         shading
     );
-    let files: Vec<ModelFile> = match priors {
-        [] => vec![blank_prior(PROBE_SIDE)?],
-        some => some.iter().map(|p| p.1.clone()).collect(),
-    };
+    let (files, names) = named(priors);
     let hidden = ProgressBar::hidden();
     let context = FitContext { tables, pool: threads, bar: &hidden, stop: &|| false };
-    let (started, chosen, observed) =
-        fit_to_frames(&context, Timed { frames: &frames, seconds: &seconds }, &files)?;
+    let (chosen, observed) = fit_to_frames(&context, Timed { frames: &frames, seconds: &seconds }, &files)?;
     let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
     let report = Report::new(
         (shading, clock),
-        priors.get(started).map(|p| p.0.as_str()),
+        names,
         &observed,
         &chosen,
         |_| true,

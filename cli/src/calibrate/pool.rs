@@ -9,9 +9,10 @@ use crate::inputs::{Layout, measure, work_of};
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::volume::Reading;
 use anyhow::{Result, ensure};
-use entire_core::calibrate::blank_prior;
-use entire_core::features::{Changes, PROBE_SIDE};
+use entire_core::calibrate::PriorModel;
+use entire_core::features::PROBE_SIDE;
 use entire_core::model::ModelFile;
+use entire_core::numeric::dot;
 use entire_core::predict::{COST_QUANTITIES, COSTS};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use indicatif::ProgressBar;
@@ -37,8 +38,8 @@ pub struct Candidate {
     pub factor: usize,
     /// What is shown.
     pub scene: Scene,
-    /// Inputs of each prior model, in its order.
-    pub rows: Vec<Vec<f32>>,
+    /// Inputs of the prior's factor, in its order; empty where it has none.
+    pub row: Vec<f32>,
     /// Estimated work: 1, then the counts.
     pub work: [f64; COSTS],
     /// Whether it is one of those that are drawn as users draw.
@@ -55,9 +56,9 @@ pub struct Pool {
     pub reading: Reading,
     /// The candidates; a frame's number is its index.
     pub candidates: Vec<Candidate>,
-    /// The models that calibration may start from; at least one.
-    pub priors: Vec<ModelFile>,
-    /// Seconds by the first of them, for its own machine.
+    /// The model that the calibration starts from.
+    pub prior: PriorModel,
+    /// Seconds by it, for its own machine.
     pub expected: Vec<f64>,
 }
 
@@ -71,12 +72,8 @@ impl Pool {
     /// Draws candidates of every volume and computes what is known of them.
     ///
     /// # Errors
-    /// When a volume cannot be read, or priors cast different numbers of probe rays.
-    pub fn draw(
-        settings: &Settings,
-        mut priors: Vec<ModelFile>,
-        threads: &rayon::ThreadPool,
-    ) -> Result<Self> {
+    /// When a volume cannot be read, or the models to start from do not go together.
+    pub fn draw(settings: &Settings, priors: &[ModelFile], threads: &rayon::ThreadPool) -> Result<Self> {
         ensure!(!settings.volumes.is_empty(), "there is no volume to calibrate with; name some");
         let scenes = SceneDistribution {
             radii: DEFAULT_RADII.to_vec(),
@@ -122,16 +119,13 @@ impl Pool {
                 }
             }
         }
-        if priors.is_empty() {
-            priors.push(blank_prior(PROBE_SIDE)?);
-        }
-        let layouts: Vec<Layout> =
-            priors.iter().map(|p| Layout::of_model(&p.to_model()?)).collect::<Result<_>>()?;
-        let probe_side = layouts[0].probe_side();
-        ensure!(
-            layouts.iter().all(|l| l.probe_side() == probe_side),
-            "the models to start from cast different numbers of probe rays; name one of them with --prior"
-        );
+        let prior = PriorModel::new(priors)?;
+        let factor = match prior.layout() {
+            Some(_) => Some(priors[0].to_model()?),
+            None => None,
+        };
+        let layout = factor.as_ref().map(Layout::of_model).transpose()?;
+        let probe_side = layout.as_ref().map_or(PROBE_SIDE, Layout::probe_side);
         let tables = [Table {
             path: PathBuf::new(),
             manifest: None,
@@ -143,31 +137,32 @@ impl Pool {
         let refs: Vec<&TimedFrame> = frames.iter().collect();
         let bar = ProgressBar::hidden();
         let known = measure(&tables, &refs, Some(probe_side), None, threads, &bar, |_, inputs| {
-            let rows: Vec<Vec<f32>> = layouts
-                .iter()
-                .map(|layout| {
-                    let mut row = vec![0.0; layout.width()];
-                    layout.write(inputs, &mut row)?;
-                    Ok(row)
-                })
-                .collect::<Result<_>>()?;
+            let mut row = Vec::new();
+            if let Some(layout) = &layout {
+                row.resize(layout.width(), 0.0);
+                layout.write(inputs, &mut row)?;
+            }
             let work = inputs.features.work(&inputs.setting);
-            let count = |q| inputs.features.quantity(q, &inputs.setting, &work, Changes::default()) as f32;
-            Ok((rows, COST_QUANTITIES.map(count)))
+            let count = |q| inputs.features.quantity(q, &inputs.setting, &work) as f32;
+            Ok((row, COST_QUANTITIES.map(count)))
         })?;
         let candidates: Vec<Candidate> = frames
             .iter()
             .zip(known)
             .zip(places)
-            .map(|((frame, (rows, counted)), (volume, factor, random))| {
+            .map(|((frame, (row, counted)), (volume, factor, random))| {
                 let work = work_of(counted);
-                Candidate { volume, factor, scene: frame.scene.clone(), rows, work, random }
+                Candidate { volume, factor, scene: frame.scene.clone(), row, work, random }
             })
             .collect();
-        let model = priors[0].to_model()?;
-        let rows: Vec<f32> = candidates.iter().flat_map(|c| c.rows[0].iter().copied()).collect();
-        let expected = crate::fit::predict_rows(&model, &rows, layouts[0].width())?;
+        let expected = match (&factor, &layout) {
+            (Some(model), Some(layout)) => {
+                let rows: Vec<f32> = candidates.iter().flat_map(|c| c.row.iter().copied()).collect();
+                crate::fit::predict_rows(model, &rows, layout.width())?
+            }
+            _ => candidates.iter().map(|c| dot(prior.costs(), &c.work)).collect(),
+        };
         let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
-        Ok(Self { volumes, files, reading, candidates, priors, expected })
+        Ok(Self { volumes, files, reading, candidates, prior, expected })
     }
 }

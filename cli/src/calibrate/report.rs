@@ -8,7 +8,7 @@ use crate::identity::Identity;
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
 use anyhow::{Context, Result};
-use entire_core::calibrate::{Belief, Chosen, FittedQuality, Observed};
+use entire_core::calibrate::{Chosen, FittedQuality, Observed};
 use entire_core::model::{Key, ModelFile};
 use entire_core::predict::{Quality, UpperBound};
 use entire_core::scene::Shading;
@@ -42,8 +42,6 @@ pub struct Report {
     pub seconds: f64,
     /// The model that it started from; `None` for the unit costs of a software renderer.
     pub prior: Option<String>,
-    /// How strongly that was believed, as cross-validation chose.
-    pub belief: Belief,
     /// Parts of the cross-validation; 0 where there were too few volumes.
     pub folds: usize,
     /// Frames that the error to expect is told by.
@@ -95,7 +93,7 @@ impl Report {
     #[expect(clippy::too_many_arguments, reason = "everything that a calibration knows of itself, once")]
     pub fn new(
         (shading, clock): (Shading, Clock),
-        prior: Option<&str>,
+        prior: Option<String>,
         observed: &[Observed],
         chosen: &Chosen,
         judged: impl Fn(usize) -> bool,
@@ -120,8 +118,7 @@ impl Report {
             rounds,
             warm_ups,
             seconds,
-            prior: prior.map(str::to_owned),
-            belief: chosen.belief,
+            prior,
             folds: chosen.folds,
             judged: measured.len(),
             median_error: metrics.mdape,
@@ -190,19 +187,8 @@ impl Report {
         if let Some(noise) = self.noise {
             line(&mut out, "noise", noise.describe());
         }
-        let from = self.prior.as_deref().unwrap_or("unit costs of a software renderer");
-        let Belief { costs, share, weights } = self.belief;
-        let believed = if costs > 0.0 {
-            format!(
-                "its unit costs within a factor of {:.2}, {:.0} % of its learned factor within {weights:.1} times \
-                 its weights",
-                costs.exp(),
-                100.0 * share
-            )
-        } else {
-            "it as it is, but for this machine's speed".into()
-        };
-        line(&mut out, "fitted", format!("from {from}; on average over fits, it believes {believed}"));
+        let from = self.prior.as_deref().unwrap_or("the unit costs of a software renderer");
+        line(&mut out, "prior", from.into());
         let interval = self
             .median_error_interval
             .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));
@@ -262,17 +248,12 @@ impl Report {
         file.metadata.insert(Key::Renderer.into(), renderer.into());
         file.metadata.insert(Key::Device.into(), device.into());
         file.metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
-        let prior = self.prior.as_deref().map(|p| {
-            std::path::Path::new(p)
-                .file_name()
-                .map_or_else(|| p.to_owned(), |n| n.to_string_lossy().into_owned())
-        });
         let provenance = json!({
-            "what": "Calibrated to a machine: analytic cost model times a learned factor",
+            "what": "Calibrated to a machine",
             "clock": self.clock,
             "shading": self.shading,
             "calibration": { "frames": self.frames, "volumes": self.volumes, "files": self.files.values().flatten().collect::<Vec<_>>(), "rounds": self.rounds,
-                "seconds": self.seconds, "prior": prior, "belief": self.belief, "folds": self.folds,
+                "seconds": self.seconds, "prior": self.prior, "folds": self.folds,
                 "judged": self.judged, "median_error": self.median_error, "rmse_over_sd": self.rmse_over_sd,
                 "noise": self.noise, "pictures": self.pictures, "others": self.others, "busy": self.others.busy() },
             "machine": machine::machine(),

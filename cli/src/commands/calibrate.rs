@@ -23,10 +23,9 @@ use std::path::{Path, PathBuf};
 /// Fit a model to this machine in a minute and a half.
 ///
 /// Renders the frames that tell most (chosen by design of experiment, none of the candidates drawn), discards
-/// warm-up renderings, repeats in passes until its own spread is small, and takes the shipped model of the
-/// shading mode to what was measured: unit costs and the learned factor are each believed as much as
-/// cross-validation by volume calls for. Says what error to expect on volumes that are not in it, and whether
-/// something else used the machine. Ctrl-C fits what was measured so far. `demo`, `steer`, `predict` and
+/// warm-up renderings, repeats in passes until its own spread is small, and fits unit costs to what was measured,
+/// near those of the shipped models of the shading mode: three frames set the speed of this machine, hundreds every
+/// cost. Prints the error to expect on volumes that are not in it, and says if something else used the machine. Ctrl-C fits what was measured so far. `demo`, `steer`, `predict` and
 /// libentire (entire_model_open_machine) find the machine's model by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -56,8 +55,8 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOrAll,
     /// The clock whose seconds the model predicts: processor time of all threads, wall time, or the device's
-    /// timestamps.
-    #[arg(long, value_parser = crate::clock::fixed_parser(), default_value = "cpu")]
+    /// timestamps; auto is what a user waits for, the device's timestamps on a GPU and wall time elsewhere.
+    #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub clock: Clock,
     /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Unless given,
     /// machine-MODE.safetensors in the folder entire of the user's data folder.
@@ -66,8 +65,7 @@ pub struct Options {
     /// Write the measured frames too, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// The model to start from, of kind residual; unless given, each of the mode's shipped ones in models/ is
-    /// tried, and the one that then predicts left-out volumes best is kept.
+    /// The model to start from, of kind analytic or residual; unless given, the shipped ones of the mode in models/.
     #[arg(long, value_name = "SAFETENSORS")]
     pub prior: Option<PathBuf>,
     /// Wall seconds that each mode may take.
@@ -189,10 +187,11 @@ pub fn run(options: &Options) -> Result<()> {
         make_folder_of(out)?;
         check_model_out(out)?;
     }
-    say_prior_clock(options)?;
     let threads = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
+    let clock = crate::clock::waited_for(options.clock, renderer.as_ref());
+    say_prior_clock(options, clock)?;
     let mut table = options.table.as_deref().map(Writer::create).transpose()?;
     let mut written = 0;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
@@ -210,7 +209,7 @@ pub fn run(options: &Options) -> Result<()> {
             shading,
             skipping: options.skip.into(),
             termination: options.termination,
-            clock: options.clock,
+            clock,
             seconds: options.seconds,
             frames: options.frames as usize,
             sizes: (options.min_size, options.max_size),
@@ -278,10 +277,10 @@ fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
 ///
 /// # Errors
 /// When it cannot be read.
-fn say_prior_clock(options: &Options) -> Result<()> {
+fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     let Some(path) = &options.prior else { return Ok(()) };
     let theirs = crate::clock::of(&open_model(path)?);
-    if let Some(text) = crate::clock::started_from(&path.display().to_string(), theirs, options.clock) {
+    if let Some(text) = crate::clock::started_from(&path.display().to_string(), theirs, clock) {
         note(&text);
     }
     Ok(())
@@ -292,15 +291,16 @@ fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let threads = thread_pool(options.threads)?;
-    say_prior_clock(options)?;
+    let clock = crate::clock::concrete(options.clock, tables.iter().flat_map(|t| &t.frames))?;
+    say_prior_clock(options, clock)?;
     for &shading in options.shade.modes() {
         let out = out_of(options, shading)?;
         check_model_out(&out)?;
-        if let Some(text) = left_out(&tables, options.clock, Some(shading)) {
+        if let Some(text) = left_out(&tables, clock, Some(shading)) {
             note(&text);
         }
         let priors = priors_of(options, shading)?;
-        let (file, report) = calibrate_to_tables(&tables, (shading, options.clock), &priors, &threads)?;
+        let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, &threads)?;
         write_whole(&out, &file.to_bytes()?)?;
         print!("{}", report.text());
         for warning in report.warnings() {

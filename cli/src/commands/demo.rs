@@ -99,19 +99,6 @@ pub struct Options {
     pub seed: u64,
 }
 
-/// The clock that `auto` stands for: what a user waits for.
-fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> Clock {
-    match clock {
-        Clock::Auto
-            if device::is_software(renderer) || renderer.limits().is_none_or(|l| l.timestamps.is_none()) =>
-        {
-            Clock::Wall
-        }
-        Clock::Auto => Clock::Device,
-        named => named,
-    }
-}
-
 /// A model of this machine, made of other volumes than the one that is played: those in data/, of its ensembles the
 /// members that models are trained on. `None` where there are none.
 fn calibrated(
@@ -243,7 +230,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.render.device)?;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     let (machines, clock) = machine_model_for(options.render.shade.into(), options.clock)?;
-    let clock = choose_clock(clock, renderer.as_ref());
+    let clock = crate::clock::waited_for(clock, renderer.as_ref());
     println!("clock      {}", clock.name());
     let asked = DrawSettings::new(options.size, &options.render, clock);
     let renderings = (7 * options.scenes + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;

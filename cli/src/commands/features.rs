@@ -73,7 +73,7 @@ pub fn run(options: &Options) -> Result<()> {
             let work = inputs.features.work(&inputs.setting);
             Ok(SceneQuantity::ALL
                 .iter()
-                .map(|&q| inputs.features.quantity(q, &inputs.setting, &work, inputs.changes) as f32)
+                .map(|&q| inputs.features.quantity(q, &inputs.setting, &work) as f32)
                 .collect::<Vec<f32>>())
         })?;
         for &side in &further {
@@ -84,7 +84,7 @@ pub fn run(options: &Options) -> Result<()> {
                 let work = inputs.features.work(&inputs.setting);
                 Ok(probed
                     .iter()
-                    .map(|&q| inputs.features.quantity(q, &inputs.setting, &work, inputs.changes) as f32)
+                    .map(|&q| inputs.features.quantity(q, &inputs.setting, &work) as f32)
                     .collect::<Vec<f32>>())
             })?;
             columns.extend(probed.iter().map(|&q| quantity_column(q, side)));

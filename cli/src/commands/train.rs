@@ -6,7 +6,7 @@ use crate::dataset::{
 };
 use crate::files::{check_model_out, note, read_model_file, write_whole};
 use crate::fit::{
-    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows, transfer,
+    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows,
 };
 use crate::inputs::Layout;
 use crate::metrics::Metrics;
@@ -40,13 +40,11 @@ Examples:
   entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate \
   1e-4
   entire train --data frames.csv --out costs.safetensors --model-kind analytic
-        unit costs by non-negative least squares: fits from a few frames on
+        unit costs: fits from a few frames on
   entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
         the analytic model times a learned factor
   entire train --data frames.csv --pictures pictures.csv --out both.safetensors --model-kind analytic
-        what a frame takes, and what coarser steps and smaller images cost its picture
-  entire train --data new-renderer.csv --out there.safetensors --transfer residual.safetensors
-        from one renderer to another with a few frames, all of which are learned from")]
+        what a frame takes, and what coarser steps and smaller images cost its picture")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
@@ -98,11 +96,6 @@ pub struct Options {
     /// rays take less time for every prediction.
     #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
     pub probe_side: Option<usize>,
-    /// Solve the analytic part for what converting stored values and waiting for memory cost, too: for
-    /// renderers on the CPU that look values up in tables or read large volumes voxel by voxel, such as VTK's
-    /// fixed-point mapper and yt.
-    #[arg(long)]
-    pub converting: bool,
     /// Take the mean of so many networks of other seeds, stored as one.
     #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
     pub ensemble: usize,
@@ -132,13 +125,6 @@ pub struct Options {
     /// Start from this model: its layers, inputs, target and standardization stay, its weights learn on.
     #[arg(long, value_name = "SAFETENSORS")]
     pub fine_tune: Option<PathBuf>,
-    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew (as
-    /// with `--converting`), and the factor's last layer is fitted towards a quarter of its weights. All
-    /// frames are learned from; some fifty will do.
-    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = [
-        "fine_tune", "model_kind", "validation_groups", "test_groups",
-    ])]
-    pub transfer: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
@@ -203,18 +189,13 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(text) = left_out(&tables, clock, options.shade) {
         note(&text);
     }
-    let mut split = Split::new(
+    let split = Split::new(
         frames.iter().map(|f| f.0),
         options.split,
         &options.validation_groups,
         &options.test_groups,
         options.seed,
     )?;
-    if options.transfer.is_some() {
-        let Split { training, validation, test, .. } = &mut split;
-        training.append(validation);
-        training.append(test);
-    }
     let seconds: BTreeMap<(usize, u64), f64> =
         frames.iter().map(|(f, t)| ((f.table, f.number), *t)).collect();
     let refs: Vec<&TimedFrame> = frames.iter().map(|f| f.0).collect();
@@ -235,7 +216,7 @@ pub fn run(options: &Options) -> Result<()> {
         count(Part::Validation),
         count(Part::Test)
     ));
-    if split.validation.is_empty() && options.transfer.is_none() {
+    if split.validation.is_empty() {
         note(&format!(
             "fewer than three {}s, so every frame trains and nothing is held out; test on other data",
             split.by.name()
@@ -254,19 +235,7 @@ pub fn run(options: &Options) -> Result<()> {
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };
-    let fitted = match &options.transfer {
-        Some(path) => {
-            let (file, _) = read_model_file(path)?;
-            FittedModel {
-                file: transfer(&file, &context, training)?,
-                what: "Analytic cost model times a learned factor, taken to another renderer".into(),
-                settings: json!({ "transferred_from": path.file_name().map(|n| n.to_string_lossy()) }),
-                history: Vec::new(),
-                outcome: format!("transferred with {} frames", training.frames.len()),
-            }
-        }
-        None => options.recipe().make(&context, training, validation)?,
-    };
+    let fitted = options.recipe().make(&context, training, validation)?;
     bar.finish_and_clear();
     let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
 
@@ -391,8 +360,7 @@ struct Trained {
 
 /// The clock that is asked for, or that of the model that training starts from, or processor time.
 fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
-    let base = options.transfer.as_ref().or(options.fine_tune.as_ref());
-    let base = match base {
+    let base = match &options.fine_tune {
         Some(path) => {
             let (_, model) = read_model_file(path)?;
             crate::clock::of(&model).map(|clock| (path.display().to_string(), clock))
@@ -417,7 +385,6 @@ impl Options {
             inputs: self.inputs.clone(),
             scene_features: self.scene_features.clone(),
             probe_side: self.probe_side,
-            converting: self.converting,
             ensemble: self.ensemble,
             target: self.target,
             loss: self.loss.clone(),

@@ -307,9 +307,7 @@ mod tests {
     #[test]
     fn this_version_stands_for_these_values() {
         use crate::volume::{Volume, VolumeData};
-        use entire_core::features::{
-            Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-        };
+        use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
         use entire_core::scene::{Arcball, Camera, Frame, Shading, TransferFunction};
         // Half of it is empty.
         let value = |i: u32| if i % 24 < 12 { 0 } else { (i * i / 97 % 251) as u8 };
@@ -328,15 +326,11 @@ mod tests {
             let setting = Setting::from(&frame);
             let work = features.work(&setting);
             for q in SceneQuantity::ALL {
-                let value = features.quantity(*q, &setting, &work, Changes::default());
+                let value = features.quantity(*q, &setting, &work);
                 text += &format!("{q} {value:.3e}\n");
             }
         }
-        assert_eq!(
-            (VERSION, format!("{:016x}", fnv1a(text.as_bytes()))),
-            (4, "94accf51371c74b7".into()),
-            "{text}"
-        );
+        assert_eq!((VERSION, format!("{:016x}", fnv1a(text.as_bytes()))), (4, "@@HASH@@".into()), "{text}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Unit costs of estimated work, fitted to measured frames.
 
 use super::FitContext;
-use crate::dataset::Timed;
+use crate::dataset::{Timed, TimedFrame};
 use crate::inputs::{Layout, seconds_of, work_of};
 use anyhow::Result;
 use entire_core::features::SceneFeature;
@@ -12,14 +12,14 @@ pub(super) fn fit_analytic(
     context: &FitContext<'_>,
     training: Timed<'_>,
     probe_side: usize,
-    default: &UnitCosts,
 ) -> Result<(AnalyticModel, String)> {
+    let default = &expected_costs(context, training);
     let measurements: Vec<Measurement> = counts(context, training, default, probe_side)?
         .iter()
         .zip(training.seconds)
         .map(|(row, &seconds)| Measurement { work: work_of(*row), seconds })
         .collect();
-    let mut model = AnalyticModel::default();
+    let mut model = AnalyticModel::default().with_probe_side(probe_side);
     let report = model.fit(default, &measurements)?;
     let text = format!(
         "fitted to {} frames, {} refused, median error {:.2} %",
@@ -28,6 +28,16 @@ pub(super) fn fit_analytic(
         100.0 * report.median_error
     );
     Ok((model, text))
+}
+
+/// The unit costs that a fit begins with: those of a renderer that converts stored values, unless all frames are of the
+/// project's raycaster or its twin, which do not.
+pub(crate) fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
+    let own = |f: &&TimedFrame| {
+        let manifest = context.tables.get(f.table).and_then(|t| t.manifest.as_ref());
+        manifest.is_some_and(|m| ["vulkan", "cpu"].contains(&m.renderer.as_str()))
+    };
+    if part.frames.iter().all(own) { UnitCosts::SOFTWARE } else { UnitCosts::CONVERTING }
 }
 
 /// The counts that unit costs stand for, one row per frame; 0 for those that cost nothing.

@@ -8,16 +8,13 @@
 //! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
 //!   as dense layers that carry `log_estimated_seconds` past the network.
 
-mod adapt;
 pub(crate) mod analytic;
 mod compose;
-mod least_squares;
 mod recipe;
 #[cfg(test)]
 mod tests;
 mod training;
 
-pub use adapt::transfer;
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_features};
 
 use crate::dataset::{Table, TimedFrame};

@@ -2,7 +2,6 @@
 
 use super::analytic::{estimates, fit_analytic};
 use super::compose::{carry_past, side_by_side};
-use super::least_squares::{last_layer, robust_least_squares, standardized};
 use super::training::run_training;
 use super::{FitContext, FittedModel};
 use crate::dataset::Timed;
@@ -12,8 +11,8 @@ use crate::train::{EpochRecord, Loss, Network, Samples, Settings, Standardizatio
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use entire_core::model::{GroupKind, ModelFile};
-use entire_core::nn::{Dtype, Normalization, PredNetParts, Target};
-use entire_core::predict::{InputLayout, InputRange, UnitCosts};
+use entire_core::nn::{Dtype, PredNetParts, Target};
+use entire_core::predict::{InputLayout, InputRange};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -22,9 +21,6 @@ use std::path::{Path, PathBuf};
 
 /// Most networks whose mean is taken.
 const MAX_ENSEMBLE: usize = 16;
-
-/// Ridge of the log-linear fit, relative to the number of frames, on standardized inputs.
-const RIDGE: f64 = 1e-4;
 
 /// What is fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
@@ -37,8 +33,6 @@ pub enum Kind {
     Prednet,
     /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
     Analytic,
-    /// ln seconds as a linear function of scene features, by robust least squares.
-    Linear,
     /// The analytic model times a learned factor: a small network on ln(measured / analytic).
     Residual,
 }
@@ -96,10 +90,6 @@ pub struct Recipe {
     /// Rays along each side of the probe behind scene features; the standard number unless given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_side: Option<usize>,
-    /// Whether an analytic model is solved for [`UnitCosts::CONVERTING`], too: what converting stored values
-    /// and waiting for memory cost.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub converting: bool,
     /// Networks of other seeds whose mean is taken; stored as one network, each beside the others.
     pub ensemble: usize,
     /// What a network gives.
@@ -143,7 +133,6 @@ impl Default for Recipe {
             inputs: vec![GroupKind::SceneFeatures.to_string()],
             scene_features: Vec::new(),
             probe_side: None,
-            converting: false,
             ensemble: 1,
             target: TargetChoice::LogSeconds,
             loss: "mse".into(),
@@ -196,10 +185,8 @@ pub fn standard_features() -> Vec<SceneFeature> {
     [
         (Q::Pixels, true),
         (Q::SamplesPerPixel, true),
-        (Q::SkipsPerPixel, true),
-        (Q::ShadedPerPixel, true),
         (Q::ShadowPerPixel, true),
-        (Q::RunsPerRay, true),
+        (Q::SegmentsPerRay, true),
         (Q::RaySpacing, true),
         (Q::FootprintShare, false),
         (Q::TerminatedShare, false),
@@ -208,8 +195,6 @@ pub fn standard_features() -> Vec<SceneFeature> {
         (Q::VisibleShare, true),
         (Q::MeanExtinction, true),
         (Q::MeanChord, true),
-        (Q::Tilt, false),
-        (Q::Turn, false),
         (Q::Step, true),
         (Q::Voxels, true),
     ]
@@ -262,11 +247,6 @@ impl Recipe {
                 (1..=MAX_PROBE_SIDE).contains(&side),
                 "a probe of {side} rays a side; 1 to {MAX_PROBE_SIDE} is accepted"
             );
-            ensure!(
-                self.kind != Kind::Analytic || side == PROBE_SIDE,
-                "the analytic model stands on the standard probe of {PROBE_SIDE} rays a side; leave the \
-                 probe's side away"
-            );
         }
         self.settings()?;
         ensure!(
@@ -275,17 +255,11 @@ impl Recipe {
                 || self.inputs.iter().map(|g| g.trim()).eq([<&str>::from(GroupKind::SceneFeatures)]),
             "a residual model takes scene_features alone; leave other --inputs away"
         );
-        ensure!(
-            !self.converting || matches!(self.kind, Kind::Analytic | Kind::Residual),
-            "--converting is about the costs of an analytic model; name --model-kind analytic or residual, \
-             or leave it away"
-        );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, context, training, validation);
         }
         match self.kind {
             Kind::Analytic => self.analytic(context, training),
-            Kind::Linear => self.linear(context, training),
             Kind::Residual => self.residual(context, training, validation),
             Kind::Prednet => self.network(context, training, validation),
         }
@@ -369,49 +343,15 @@ impl Recipe {
         }
     }
 
-    /// The ratios that unit costs are drawn to; those that are 0 stay so.
-    fn default_costs(&self) -> UnitCosts {
-        if self.converting { UnitCosts::CONVERTING } else { UnitCosts::SOFTWARE }
-    }
-
     fn analytic(&self, context: &FitContext<'_>, training: Timed<'_>) -> Result<FittedModel> {
-        let (model, report) = fit_analytic(context, training, self.side(), &self.default_costs())?;
+        let (model, report) = fit_analytic(context, training, self.side())?;
         let costs: BTreeMap<String, f64> = model.costs().named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
             file: model.to_model_file()?,
-            what:
-                "Analytic cost model: unit costs of estimated work, non-negative least squares on relative \
-                errors"
-                    .into(),
-            settings: json!({ "kind": self.kind, "unit_costs_seconds": costs }),
+            what: "Unit costs of estimated work".into(),
+            settings: json!({ "kind": self.kind, "probe_side": self.side(), "unit_costs_seconds": costs }),
             history: Vec::new(),
             outcome: report,
-        })
-    }
-
-    fn linear(&self, context: &FitContext<'_>, training: Timed<'_>) -> Result<FittedModel> {
-        let (mut file, layout) = self.layout(training)?;
-        let rows = layout.rows(context.tables, training.frames, context.pool, &ProgressBar::hidden())?;
-        let logs: Vec<f64> = training.seconds.iter().map(|t| t.ln()).collect();
-        let samples = Samples { inputs: &rows, seconds: training.seconds };
-        let scale = Standardization::fit(samples, layout.width(), Target::LogSeconds);
-        let y: Vec<f64> =
-            logs.iter().map(|l| (l - f64::from(scale.output_mean)) / f64::from(scale.output_std)).collect();
-        let x = standardized(&rows, &scale);
-        let solution = robust_least_squares(&x, layout.width(), &y, &vec![0.0; layout.width() + 1], RIDGE);
-        let parts = PredNetParts {
-            layers: vec![last_layer(&solution)],
-            input: Some(Normalization { mean: scale.input_mean, std: scale.input_std }),
-            output: Some(Normalization { mean: vec![scale.output_mean], std: vec![scale.output_std] }),
-            target: Target::LogSeconds,
-        };
-        self.store(&mut file, parts, &layout)?;
-        Ok(FittedModel {
-            file,
-            what: "Log-linear model on scene features, robust least squares".into(),
-            settings: json!({ "kind": self.kind, "inputs": self.inputs, "ridge": RIDGE }),
-            history: Vec::new(),
-            outcome: format!("fitted to {} frames", training.frames.len()),
         })
     }
 
@@ -422,7 +362,7 @@ impl Recipe {
         validation: Timed<'_>,
     ) -> Result<FittedModel> {
         let (mut file, layout) = self.layout(training)?;
-        let (model, report) = fit_analytic(context, training, self.side(), &self.default_costs())?;
+        let (model, report) = fit_analytic(context, training, self.side())?;
         let costs = model.costs();
         let estimated = estimates(context, training, &costs, self.side())?;
         let ratios = ratios_of(training.seconds, &estimated);

@@ -143,7 +143,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
                 lobes: Some(&lobes),
             };
             let work = measured.work(&setting);
-            let quantity = |q| measured.quantity(q, &setting, &work, Changes::default());
+            let quantity = |q| measured.quantity(q, &setting, &work);
             let x = [
                 (quantity(SceneQuantity::Pixels) + 1.0).ln() as f32,
                 quantity(SceneQuantity::MeanChord) as f32,

@@ -45,7 +45,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let none = run(at, &["predict", "--inputs", "rows.csv"]);
     assert!(!none.status.success() && stderr(&none).contains("entire calibrate --shade none"), "{none:?}");
 
-    let mut arguments = vec!["calibrate", "--table", "frames.csv"];
+    let mut arguments = vec!["calibrate", "--clock", "cpu", "--table", "frames.csv"];
     arguments.extend(QUICK);
     arguments.push("1");
     let made = run(at, &arguments);
@@ -89,7 +89,8 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
         run(at, &["calibrate", "--data", "frames.csv", "--out", "logged.safetensors", "--threads", "1"]);
     assert!(fitted.status.success() && stdout(&fitted).contains("to expect"), "{}", stderr(&fitted));
     let logged = Model::from_bytes(&std::fs::read(at.join("logged.safetensors")).unwrap()).unwrap();
-    assert!(load(&logged).is_ok() && logged.metadata()["entire.clock"] == "cpu");
+    // The clock that a user waits for: the twin has no time stamps.
+    assert!(load(&logged).is_ok() && logged.metadata()["entire.clock"] == "wall");
 
     // Started from for another clock, which is said.
     let prior = ["--clock", "wall", "--prior", path.to_str().unwrap(), "--out", "wall.safetensors"];
@@ -153,9 +154,8 @@ fn a_model_states_what_coarser_pictures_cost() {
     }
 }
 
-/// Of the shipped models, that of the make of machine whose frames are fitted to is started from.
 #[test]
-fn the_model_of_the_nearest_machine_is_started_from() {
+fn all_makes_of_machine_are_started_from() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let priors: Vec<NamedPrior> = ["unshaded-selected", "unshaded-epyc-selected", "unshaded-xeon-selected"]
         .map(|name| {
@@ -164,17 +164,15 @@ fn the_model_of_the_nearest_machine_is_started_from() {
         })
         .into();
     let threads = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    for (table, expected) in [
-        ("none-steps", "unshaded-selected"),
-        ("none-epyc-steps", "unshaded-epyc-selected"),
-        ("none-xeon-steps", "unshaded-xeon-selected"),
-    ] {
-        // All frames: some ten do not tell two processors of one maker apart.
-        let tables = read_tables(&[root.join(format!("data/timings/{table}.csv.gz"))]).unwrap();
-        let (_, report) =
-            calibrate_to_tables(&tables, (Shading::None, Clock::Cpu), &priors, &threads).unwrap();
-        assert_eq!(report.prior.as_deref(), Some(expected), "{}", report.text());
-    }
+    let tables = read_tables(&[root.join("data/timings/none-epyc-steps.csv.gz")]).unwrap();
+    let errors = [&priors[..], &[]].map(|priors| {
+        let mut few = tables.clone();
+        few[0].frames.retain(|f| f.number % 40 == 0);
+        let (_, report) = calibrate_to_tables(&few, (Shading::None, Clock::Cpu), priors, &threads).unwrap();
+        assert_eq!(report.prior.is_some(), !priors.is_empty());
+        report.median_error
+    });
+    assert!(errors[0] < 0.2 && errors[1] < 0.3, "{errors:?}");
 }
 
 #[test]
@@ -184,10 +182,6 @@ fn what_cannot_be_calibrated_is_said() {
     volumes(at);
     refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
     refuses_after_output(at, &["calibrate", "gone.nrrd", "--out", "m.safetensors"], &["gone.nrrd"]);
-    // A model states one clock.
-    let auto = entire(at, &["calibrate", "a.nrrd", "--clock", "auto", "--out", "m.safetensors"]);
-    assert_eq!(auto.status.code(), Some(2), "{auto:?}");
-    assert!(stderr(&auto).contains("'auto'") && stderr(&auto).contains("device, wall, cpu"), "{auto:?}");
     // The CPU twin has no time stamps.
     let mut arguments = vec!["calibrate", "a.nrrd", "--clock", "device", "--out", "m.safetensors"];
     arguments.extend(QUICK);

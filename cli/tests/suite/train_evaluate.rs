@@ -347,7 +347,7 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
     let data = data(6);
     let out = data.path("m.safetensors");
     works(&["features", "--quiet", "--data", data.csv()]);
-    works(&["train", "--quiet", "--data", data.csv(), "--out", &out, "--model-kind", "linear"]);
+    works(&["train", "--quiet", "--data", data.csv(), "--out", &out, "--model-kind", "analytic"]);
     let folder = data.path("evaluation");
     let evaluate = ["evaluate", "--model", &out, "--data", data.csv(), "--out", &folder];
     let result = || {
@@ -372,7 +372,8 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
     let root = elsewhere.path().to_str().unwrap();
     std::fs::remove_file(data.path("t.features.csv.gz")).unwrap();
     fails(&evaluate, 1, "blobs/m01/t0000.nrrd");
-    for command in [&evaluate[..], &["train", "--data", data.csv(), "--out", &out, "--model-kind", "linear"]]
+    for command in
+        [&evaluate[..], &["train", "--data", data.csv(), "--out", &out, "--model-kind", "analytic"]]
     {
         let output = entire(&[command, &["--root", root, "--quiet"]].concat());
         assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");

@@ -1,21 +1,16 @@
 //! Fitting a model to frames that were timed on the machine at hand.
 //!
-//! A [`Calibration`] keeps timed frames and takes a model that was fitted on another machine to them: unit
-//! costs and learned factor are each believed as much as cross-validation by volume calls for. A session
+//! A [`Calibration`] keeps timed frames and fits a model of another machine to them. A session
 //! fills one from what it observes ([`crate::Session::record`]), so that a host never leaves its render
 //! loop. [`PriorModel::choose`] is the fit itself.
 
-mod blank;
-mod linear;
 mod pictures;
 mod posterior;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
-pub use blank::blank_prior;
-pub use linear::{median, solve};
 pub use pictures::{FEWEST_SCENES, FittedQuality, Picture, fit_quality};
-pub use posterior::{Belief, Chosen, Observed, PriorModel, hidden_activations};
+pub use posterior::{Chosen, Observed, PriorModel, hidden_activations};
 
 use crate::Result;
 use crate::error::bail;
@@ -24,12 +19,13 @@ use crate::kernels::Executor;
 use crate::memory::{filled, mixed, reserve, room};
 use crate::model::{Key, ModelFile};
 use crate::names::names;
+use crate::numeric::{median, rmse_over_sd};
 use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
 use crate::scene::TransferTable;
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use core::ops::RangeInclusive;
-use posterior::{FEWEST_GROUPS, rmse_over_sd};
+use posterior::FEWEST_GROUPS;
 
 /// Fewest frames that a model is fitted to.
 pub const FEWEST_FRAMES: usize = 8;
@@ -57,7 +53,7 @@ impl Shown {
     }
 }
 
-/// What was left out in turn to find how strongly to believe the prior model, and what error to expect.
+/// Frames that were left out in turn to find the error to expect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum HeldOut {
@@ -93,8 +89,6 @@ pub struct Calibrated {
     pub rmse_over_sd: f64,
     /// The upper bound that they give.
     pub upper: UpperBound,
-    /// How strongly the prior model was believed.
-    pub belief: Belief,
     /// What pictures said of coarser steps and smaller images, where enough of them were added.
     pub quality: Option<FittedQuality>,
 }
@@ -125,13 +119,13 @@ struct Kept {
 
 impl Calibration {
     /// With room for `frames`, [`KEPT_FRAMES`]; nothing is allocated afterwards but by [`Calibration::fit`].
-    /// `prior` is a model of another machine or renderer, analytic times a learned factor; [`blank_prior`]
-    /// where there is none.
+    /// `prior` is a model of another machine or renderer, analytic, or analytic times a learned factor; without one,
+    /// the unit costs of a software renderer are where the fit begins.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for another number of frames,
     /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
-    pub fn new(prior: &ModelFile, frames: usize) -> Result<Self> {
+    pub fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
         if !KEPT_FRAMES.contains(&frames) {
             bail!(
                 InvalidArgument,
@@ -140,8 +134,11 @@ impl Calibration {
                 KEPT_FRAMES.end()
             );
         }
-        let prior = PriorModel::new(prior)?;
-        let width = prior.layout().width();
+        let prior = match prior {
+            Some(file) => PriorModel::new(core::slice::from_ref(file))?,
+            None => PriorModel::default(),
+        };
+        let width = prior.width();
         let (rows, row) = (room(frames * width)?, filled(width, 0.0)?);
         Ok(Self { rows, row, kept: room(frames)?, capacity: frames, offered: 0, prior, pictures: Vec::new() })
     }
@@ -172,7 +169,7 @@ impl Calibration {
             bail!(InvalidArgument, "a frame took {seconds} seconds; 0 to {LONGEST_FRAME} are accepted");
         }
         let mut row = core::mem::take(&mut self.row);
-        let written = self.prior.layout().write(inputs, &mut row);
+        let written = self.prior.write(inputs, &mut row);
         if written.is_ok() {
             let Measurement { work, seconds } = Measurement::new(inputs.features, &inputs.setting, seconds);
             self.add_written(&row, &work, shown, seconds);
@@ -254,19 +251,20 @@ impl Calibration {
             );
         }
         // The fit asks for memory piece by piece: whether it is there is found out first.
-        let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.layout().width() + 512);
+        let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.width() + 512);
         drop(room::<u8>(pieces)?);
         let (held_out, groups) = self.groups();
-        let width = self.prior.layout().width();
+        let width = self.prior.width();
+        let row = |i: usize| self.rows[i * width..(i + 1) * width].to_vec();
         let frames: Vec<Observed> = self
             .kept
             .iter()
-            .zip(self.rows.chunks_exact(width))
             .zip(&groups)
-            .map(|((k, row), &group)| Observed { row: row.to_vec(), work: k.work, seconds: k.seconds, group })
+            .enumerate()
+            .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
             .collect();
-        // A renderer that nothing is known of may convert stored values and wait for memory.
-        let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, |_| true, executor)?;
+        // A renderer that nothing is known of may convert stored values.
+        let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, executor)?;
         let pairs: Vec<(f64, f64)> =
             chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();
         let mut errors: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();
@@ -277,7 +275,6 @@ impl Calibration {
             median_error: median(&mut errors).unwrap_or(f64::NAN),
             rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
             upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
-            belief: chosen.belief,
             // Too few scenes say nothing: the model then states nothing of pictures.
             quality: fit_quality(&self.pictures).ok(),
         };
@@ -307,7 +304,7 @@ impl Calibrated {
             metadata.remove(Key::Clock.name());
         }
         let provenance = serde_json::json!({
-            "what": "Calibrated to its host's renderer: analytic cost model times a learned factor",
+            "what": "Calibrated to its host's renderer",
             "clock": stated(clock),
             "frames": self.frames,
             "held_out": self.held_out.to_string(),

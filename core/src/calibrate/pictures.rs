@@ -5,9 +5,9 @@
 //! squares in logarithms of the means over scenes, then moved to where choosing by the law costs least among
 //! what was drawn.
 
-use super::linear::{median, solve};
 use crate::Result;
 use crate::error::bail;
+use crate::numeric::{median, solve};
 use crate::predict::Quality;
 use alloc::collections::BTreeMap;
 use alloc::vec;

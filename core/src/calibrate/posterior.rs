@@ -1,130 +1,90 @@
-//! A model of another machine taken to this one: unit costs and the factor's last layer, each drawn towards
-//! what they were by as much as cross-validation says.
+//! Models of other machines fitted to frames of this one: unit costs, and where the prior has one the last layer of
+//! its learned factor, held near what they were as strongly as few frames need and as loosely as many allow.
 //!
-//! ln t = ln Σ m_i e^θ_i c_i + ψ·w + b, with c the counts of estimated work, m the unit costs of the prior
-//! model, ψ the activations before its last layer and w that layer's weights. θ_i ~ N(0, τ²), w ~ N(r·w₀,
-//! (α s)²) with s the root mean square of w₀, b free. What is fitted is the mean over several τ, α and r, each
-//! weighted by how well it predicts groups of frames that it was not fitted to (Bayesian model averaging).
+//! The fit is [`CostFit`]'s; the factor's last layer is held within [`FACTOR_SD`] of its root mean square.
 
-use super::linear::{dot, median, solve};
 use crate::Result;
 use crate::error::bail;
 use crate::features::{SceneFeature, SceneQuantity};
 use crate::kernels::Executor;
 use crate::model::ModelFile;
 use crate::nn::{Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE, Target};
-use crate::predict::{COSTS, InputLayout, InputRange, UnitCosts};
+use crate::numeric::{dot, median};
+use crate::predict::{
+    AnalyticModel, COST_SD, COSTS, CostFit, Expected, FitRow, InputLayout, InputRange, Inputs, UnitCosts,
+};
 use alloc::collections::BTreeMap;
 use alloc::vec;
 use alloc::vec::Vec;
 
-const NOT_A_PRIOR: &str = "only an analytic model times a learned factor can be the prior of a calibration (entire train \
-     --model-kind residual makes one); give another, or none";
+const NOT_A_PRIOR: &str = "a calibration starts from analytic models, or from one analytic model times a learned factor \
+     (entire train --model-kind analytic and residual make them); give another, or none";
 
-/// How strongly the prior model is believed.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Belief {
-    /// Standard deviation of the logarithm of each unit cost.
-    pub costs: f64,
-    /// Share of the factor's weights that is expected.
-    pub share: f64,
-    /// Standard deviation of the factor's weights, over their root mean square.
-    pub weights: f64,
-}
+/// The same of a cost that the prior does not know.
+const UNKNOWN_SD: f64 = 1.5;
 
-/// The beliefs that are averaged, beside [`SPEED_ALONE`].
-const COSTS_SD: [f64; 3] = [0.15, 0.5, 1.5];
-const WEIGHTS_SD: [(f64, f64); 7] =
-    [(1.0, 0.0), (1.0, 0.2), (1.0, 0.7), (0.5, 0.0), (0.5, 0.2), (0.5, 0.7), (0.25, 2.0)];
+/// Standard deviation of a weight of the factor's last layer, over their root mean square.
+const FACTOR_SD: f64 = 0.2;
 
-/// The prior model is of a machine like this one: all that it does not know is how fast this one runs today.
-const SPEED_ALONE: Belief = Belief { costs: 0.0, share: 1.0, weights: 0.0 };
-
-/// Exponent of a belief's root mean square error in its weight, per frame: that of n independent Gaussian errors
-/// would be −n; frames of one volume err alike, and count as a quarter of them.
-const LIKELIHOOD: f64 = 0.25;
-
-/// Standard deviation of ln t about the model, before it is known.
-const NOISE: f64 = 0.06;
-
-/// Exponent of the expected time in a frame's importance: long frames decide the RMSE.
-const IMPORTANCE: f64 = 0.25;
-
-/// Rounds of Gauss and Newton.
-const ROUNDS: usize = 6;
+/// A cost that a machine's model has at 0, as a share of what a software renderer as fast pays: how far its frames
+/// could tell one kind of work from another says little of the next machine.
+const ZERO_SHARE: f64 = 0.1;
 
 /// Parts for cross-validation at most, and groups of frames that it needs.
 const FOLDS: usize = 7;
 pub(super) const FEWEST_GROUPS: usize = 3;
 
-/// Least cost that is thought possible of work whose cost the prior model does not know, as a share of what a
-/// renderer of the kind would pay at the prior's speed.
-const UNKNOWN_SHARE: f64 = 0.1;
-
-/// Standard deviation of the logarithm of such a cost, at least.
-const UNKNOWN_SD: f64 = 1.5;
-
-/// A model file split into what a calibration fits and what stays.
+/// The models that a calibration starts from: unit costs, and at most one learned factor.
 #[derive(Clone, Debug)]
 pub struct PriorModel {
+    costs: [f64; COSTS],
+    factor: Option<Factor>,
+}
+
+/// A learned factor, split into the last layer and the rest.
+#[derive(Clone, Debug)]
+struct Factor {
     file: ModelFile,
     parts: PredNetParts,
     layout: InputLayout,
     /// Mean and deviation of each input, and the deviation of the output.
     inputs: Vec<(f64, f64)>,
     deviation: f64,
-    costs: [f64; COSTS],
     weights: Vec<f64>,
-    /// What ln t has besides the estimate and the factor.
+    /// ln t besides the estimate and the factor.
     constant: f64,
     root_mean_square: f64,
-    /// What the factor's inputs are held within.
+    /// Range that the factor's inputs are held within.
     range: Option<InputRange>,
 }
 
 /// One frame, as the fit sees it.
 #[derive(Clone, Debug)]
 pub struct Observed {
-    /// Inputs of the prior model, in its order.
+    /// Inputs of the prior's factor, in its order; empty where it has none.
     pub row: Vec<f32>,
     /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
-    /// What is left out together in cross-validation: frames of one volume have one number.
+    /// Number of the frames that are left out together in cross-validation: that of their volume.
     pub group: u64,
 }
 
-/// What was fitted.
-struct Posterior {
-    costs: [f64; COSTS],
-    weights: Vec<f64>,
-    bias: f64,
-}
-
-/// A fitted model and what is known of it.
+/// A fitted model and its errors.
 #[derive(Clone, Debug)]
 pub struct Chosen {
     /// The model file.
     pub file: ModelFile,
-    /// How strongly the prior was believed: the weighted mean of the beliefs that were averaged.
-    pub belief: Belief,
-    /// Seconds that each frame was predicted to take without its volume, by beliefs that the other volumes
-    /// weight; as fitted where there are fewer than three volumes.
+    /// Seconds that each frame was predicted to take by the fit to all groups but its own; as fitted where there are
+    /// fewer than three groups.
     pub crossed: Vec<f64>,
-    /// Groups that were left out in turn; 0 where nothing was.
+    /// Parts that were left out in turn; 0 where nothing was.
     pub folds: usize,
-    /// Of the belief that does best: ln of a robust relative error plus ln of RMSE over SD, of the judged frames
-    /// without their volume. Fits of several priors to the same frames compare by it; less is better.
-    pub score: f64,
 }
 
-impl PriorModel {
-    /// Takes a model apart.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::Unsupported`] for a model that is no analytic one times a learned factor.
-    pub fn new(file: &ModelFile) -> Result<Self> {
+impl Factor {
+    fn new(file: &ModelFile) -> Result<(Self, [f64; COSTS])> {
         let model = file.to_model()?;
         let layout = InputLayout::of_model(&model)?;
         let carried = layout.scene_features.last()
@@ -155,32 +115,18 @@ impl PriorModel {
             parts: parts.clone(),
             inputs,
             deviation,
-            costs,
             weights,
             constant: 0.0,
-            root_mean_square: libm::sqrt(square),
+            root_mean_square: libm::sqrt(square).max(1e-3),
             range: InputRange::of(&model, layout.width())?,
             layout,
         };
-        if out.root_mean_square < 1e-6 {
-            out.root_mean_square = 0.05;
-        }
         let psi = out.activations(&mean);
         out.constant = total - mean.last().map_or(0.0, |&m| f64::from(m)) - dot(&psi, &out.weights);
-        Ok(out)
+        Ok((out, costs))
     }
 
-    /// The prior's unit costs.
-    pub fn costs(&self) -> &[f64; COSTS] {
-        &self.costs
-    }
-
-    /// What the model takes.
-    pub fn layout(&self) -> &InputLayout {
-        &self.layout
-    }
-
-    /// ψ of a row: what enters the last layer, in units of the output.
+    /// Values that enter the last layer, in units of the output.
     fn activations(&self, row: &[f32]) -> Vec<f64> {
         let mut held = row.to_vec();
         if let Some(range) = &self.range {
@@ -194,26 +140,8 @@ impl PriorModel {
         values
     }
 
-    /// Unit costs that observations may move: those of the prior model, and a little of what it does not know
-    /// and a software renderer pays for.
-    fn prior_costs(&self, frames: &[Observed], renderer: &UnitCosts) -> [f64; COSTS] {
-        let mut ratios: Vec<f64> = frames
-            .iter()
-            .map(|f| dot(&self.costs, &f.work) / dot(&renderer.0, &f.work))
-            .filter(|r| r.is_finite() && *r > 0.0)
-            .collect();
-        let speed = median(&mut ratios).unwrap_or(1.0);
-        let mut out = self.costs;
-        for (cost, known) in out.iter_mut().zip(&renderer.0) {
-            if *cost == 0.0 {
-                *cost = UNKNOWN_SHARE * speed * known;
-            }
-        }
-        out
-    }
-
-    /// The model with what was fitted.
-    fn with(&self, fitted: &Posterior) -> Result<ModelFile> {
+    /// The model file with fitted costs and last layer.
+    fn with(&self, fitted: &CostFit) -> Result<ModelFile> {
         let mut file = self.file.clone();
         let mut parts = self.parts.clone();
         if let Some(layer) = parts.layers.last_mut() {
@@ -228,103 +156,93 @@ impl PriorModel {
         layout.store(&parts, &mut file)?;
         Ok(file)
     }
+}
 
-    /// Fits the frames, believing the prior as strongly as said.
-    fn fit(&self, prior: &[f64; COSTS], frames: &[&Prepared], belief: Belief) -> Posterior {
-        // Where no cost may move, work that costs nothing in the prior model costs nothing here.
-        let moves = belief.costs > 0.0;
-        let prior = if moves { prior } else { &self.costs };
-        let paid = |i: usize| prior[i] > 0.0 && frames.iter().any(|f| f.work[i] > 0.0);
-        let active: Vec<usize> = (0..COSTS).filter(|&i| moves && paid(i)).collect();
-        let (k, width) = (active.len(), if belief.weights > 0.0 { self.weights.len() } else { 0 });
-        let m = k + width + 1;
-        let expected: Vec<f64> = self.weights.iter().map(|w| belief.share * w).collect();
-        let mut fitted = Posterior { costs: *prior, weights: expected.clone(), bias: 0.0 };
-        let mut rest: Vec<f64> = frames
-            .iter()
-            .map(|f| f.log - libm::log(dot(&fitted.costs, &f.work)) - dot(&f.psi, &expected))
-            .collect();
-        fitted.bias = median(&mut rest).unwrap_or(self.constant);
-        let mut mean = 0.0;
-        let importance: Vec<f64> = frames
-            .iter()
-            .map(|f| {
-                let w = libm::exp(IMPORTANCE * f.log);
-                mean += w / frames.len() as f64;
-                w
-            })
-            .collect();
-        let mut theta = vec![0.0; k];
-        let mut jacobian = vec![0.0; m];
-        for round in 0..ROUNDS {
-            let residuals: Vec<f64> = frames.iter().map(|f| f.log - fitted.log_seconds(f)).collect();
-            let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
-            let limit = (2.0 * 1.4826 * median(&mut sizes).unwrap_or(0.0)).max(0.5 * NOISE);
-            let (mut gram, mut rhs) = (vec![0.0; m * m], vec![0.0; m]);
-            for ((f, r), w) in frames.iter().zip(&residuals).zip(&importance) {
-                let estimate = dot(&fitted.costs, &f.work);
-                for (slot, &i) in jacobian.iter_mut().zip(&active) {
-                    *slot = fitted.costs[i] * f.work[i] / estimate;
+impl Default for PriorModel {
+    /// The unit costs of a software renderer.
+    fn default() -> Self {
+        Self { costs: UnitCosts::SOFTWARE.0, factor: None }
+    }
+}
+
+impl PriorModel {
+    /// From analytic models, of as many makes of machine as there are: the geometric mean of their unit costs; or
+    /// from one analytic model times a learned factor. From none, the unit costs of a software renderer.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Unsupported`] for other models.
+    pub fn new(files: &[ModelFile]) -> Result<Self> {
+        let mut logs = [0.0; COSTS];
+        for file in files {
+            let Some(model) = AnalyticModel::from_model(&file.to_model()?)? else {
+                if files.len() > 1 {
+                    bail!(Unsupported, "{NOT_A_PRIOR}");
                 }
-                jacobian[k..k + width].copy_from_slice(&f.psi[..width]);
-                jacobian[m - 1] = 1.0;
-                let robust = if r.abs() <= limit { 1.0 } else { limit / r.abs() };
-                let weight = robust * w / mean / (NOISE * NOISE);
-                for i in 0..m {
-                    let scaled = weight * jacobian[i];
-                    rhs[i] += scaled * r;
-                    for (g, j) in gram[i * m..i * m + i + 1].iter_mut().zip(&jacobian) {
-                        *g += scaled * j;
-                    }
-                }
-            }
-            for (i, t) in theta.iter().enumerate() {
-                let known = self.costs[active[i]] > 0.0;
-                let deviation = if known { belief.costs } else { belief.costs.max(UNKNOWN_SD) };
-                let precision = 1.0 / (deviation * deviation);
-                gram[i * m + i] += precision;
-                rhs[i] -= precision * t;
-            }
-            let deviation = belief.weights * self.root_mean_square;
-            for (i, (w, mean)) in fitted.weights.iter().zip(&expected).enumerate().take(width) {
-                let precision = 1.0 / (deviation * deviation);
-                gram[(k + i) * m + k + i] += precision;
-                rhs[k + i] -= precision * (w - mean);
-            }
-            gram[m * m - 1] += 1e-6;
-            let Some(step) = solve(&mut gram, rhs) else { break };
-            for ((t, s), &i) in theta.iter_mut().zip(&step).zip(&active) {
-                *t = (*t + s.clamp(-1.0, 1.0)).clamp(-6.0, 6.0);
-                fitted.costs[i] = prior[i] * libm::exp(*t);
-            }
-            for (w, s) in fitted.weights.iter_mut().zip(&step[k..k + width]) {
-                *w += s;
-            }
-            fitted.bias += step[m - 1];
-            if round > 1 && step.iter().all(|s| s.abs() < 1e-4) {
-                break;
+                let (factor, costs) = Factor::new(file)?;
+                return Ok(Self { costs, factor: Some(factor) });
+            };
+            let UnitCosts(costs) = with_unknown(&model.costs(), &UnitCosts::SOFTWARE);
+            for (log, cost) in logs.iter_mut().zip(costs) {
+                *log += libm::log(cost) / files.len() as f64;
             }
         }
-        fitted
+        Ok(if files.is_empty() { Self::default() } else { Self { costs: logs.map(libm::exp), factor: None } })
     }
 
-    /// Fits frames of this machine, believing the prior as much as cross-validation by group calls for: where the
-    /// speed alone explains them as well as anything, as far as so few frames can tell, the speed is what is fitted;
-    /// otherwise the fits of all beliefs are averaged, which so few frames mislead less than a choice among them.
-    /// `renderer` holds costs of a renderer of the kind, for work whose cost the prior does not know;
-    /// `judged` says by which frames, by their index, the choice is made.
+    /// The prior's unit costs; 0 of work that it does not know.
+    pub fn costs(&self) -> &[f64; COSTS] {
+        &self.costs
+    }
+
+    /// Inputs of the prior's factor; `None` where it has none and a frame's work is all.
+    pub fn layout(&self) -> Option<&InputLayout> {
+        self.factor.as_ref().map(|f| &f.layout)
+    }
+
+    /// Numbers in a row of those inputs.
+    pub(crate) fn width(&self) -> usize {
+        self.factor.as_ref().map_or(0, |f| f.inputs.len())
+    }
+
+    /// Rays along each side of the probe that the factor was fitted with; 0 where any will do.
+    pub fn probe_side(&self) -> usize {
+        self.factor.as_ref().map_or(0, |f| f.layout.probe_side)
+    }
+
+    /// Writes such a row.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] when an input was not supplied.
+    pub(crate) fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
+        match &self.factor {
+            Some(factor) => factor.layout.write(inputs, row),
+            None => Ok(()),
+        }
+    }
+
+    fn fit(&self, prior: &[f64; COSTS], frames: &[&FitRow]) -> CostFit {
+        let (weights, weight_sd): (&[f64], f64) = match &self.factor {
+            Some(f) => (&f.weights, FACTOR_SD * f.root_mean_square),
+            None => (&[], 1.0),
+        };
+        let known = |i: usize| self.costs[i] > 0.0;
+        let cost_sd = core::array::from_fn(|i| if known(i) { COST_SD } else { UNKNOWN_SD });
+        CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
+    }
+
+    /// Fits frames of this machine. `renderer` holds costs of a renderer of the kind, for work whose cost the prior
+    /// does not know; work that costs nothing there either stays free.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or when rows
-    /// are not the model's.
+    /// are not those of the prior's factor.
     pub fn choose(
         &self,
         frames: &[Observed],
         renderer: &UnitCosts,
-        judged: impl Fn(usize) -> bool,
         executor: Executor<'_>,
     ) -> Result<Chosen> {
-        let inputs = self.inputs.len();
+        let inputs = self.width();
         if frames.is_empty() {
             bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
         }
@@ -339,120 +257,60 @@ impl PriorModel {
                 );
             }
         }
-        let prior = self.prior_costs(frames, renderer);
-        let prepared: Vec<Prepared> = frames
+        let UnitCosts(prior) = with_unknown(&UnitCosts(self.costs), renderer);
+        let prepared: Vec<FitRow> = frames
             .iter()
-            .map(|f| Prepared { psi: self.activations(&f.row), work: f.work, log: libm::log(f.seconds) })
+            .map(|f| FitRow {
+                psi: self.factor.as_ref().map_or(Vec::new(), |factor| factor.activations(&f.row)),
+                work: f.work,
+                log: libm::log(f.seconds),
+            })
             .collect();
-        let all: Vec<&Prepared> = prepared.iter().collect();
-        let pairs = |crossed: &[f64]| -> Vec<(f64, f64)> {
-            let pairs = crossed.iter().zip(frames).enumerate();
-            pairs.filter(|(i, _)| judged(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
-        };
         let folds = folds(frames);
-        let count = folds.iter().max().map_or(0, |m| m + 1);
+        let mut count = folds.iter().max().map_or(0, |m| m + 1);
         if count < FEWEST_GROUPS {
-            // Too little to choose by: the prior's factor, costs near the prior's, and the speed of this machine.
-            let belief = Belief { costs: COSTS_SD[0], share: 1.0, weights: 0.0 };
-            let fitted = self.fit(&prior, &all, belief);
-            let crossed: Vec<f64> = prepared.iter().map(|f| libm::exp(fitted.log_seconds(f))).collect();
-            let score = score(&pairs(&crossed));
-            return Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: 0, score });
+            count = 0;
         }
-        let with = |costs| WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights });
-        let mut tried: Vec<Tried> = core::iter::once(SPEED_ALONE)
-            .chain(COSTS_SD.into_iter().flat_map(with))
-            .map(|belief| Tried { belief, without: Vec::new(), all: None, crossed: Vec::new() })
-            .collect();
-        each(executor, &mut tried, &|tried: &mut Tried| {
-            tried.without = (0..count)
-                .map(|fold| {
-                    let rest = prepared.iter().zip(&folds).filter(|(_, f)| **f != fold);
-                    self.fit(&prior, &rest.map(|(p, _)| p).collect::<Vec<_>>(), tried.belief)
-                })
-                .collect();
-            tried.crossed = prepared
-                .iter()
-                .zip(&folds)
-                .map(|(p, &f)| libm::exp(tried.without[f].log_seconds(p)))
-                .collect();
-            tried.all = Some(self.fit(&prior, &all, tried.belief));
+        // The fit to all, then the fits without each part.
+        let mut fits: Vec<(usize, Option<CostFit>)> = (0..=count).map(|part| (part, None)).collect();
+        each(executor, &mut fits, &|(part, fit): &mut (usize, Option<CostFit>)| {
+            let kept = prepared.iter().zip(&folds).filter(|(_, f)| *part == 0 || **f + 1 != *part);
+            *fit = Some(self.fit(&prior, &kept.map(|(p, _)| p).collect::<Vec<_>>()));
         });
-        // How much each belief counts, by the frames of all parts but one, if any.
-        let weigh = |without: Option<usize>| -> Vec<f64> {
-            let counts = |i: usize| judged(i) && without != Some(folds[i]);
-            let pairs: Vec<Vec<(f64, f64)>> = tried
-                .iter()
-                .map(|t| {
-                    let pairs = t.crossed.iter().zip(frames).enumerate();
-                    pairs.filter(|(i, _)| counts(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
-                })
-                .collect();
-            weights(&pairs)
-        };
-        let weights = weigh(None);
-        // What a part's frames were predicted by weights that the others give: an error that they did not see.
-        let without: Vec<Posterior> = (0..count)
-            .map(|fold| Posterior::mean(&weigh(Some(fold)), tried.iter().map(|t| &t.without[fold])))
-            .collect();
+        let fits: Vec<CostFit> = fits.into_iter().filter_map(|(_, fit)| fit).collect();
+        let without = |fold: usize| &fits[if count == 0 { 0 } else { fold + 1 }];
         let crossed: Vec<f64> =
-            prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(without[f].log_seconds(p))).collect();
+            prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(without(f).log_seconds(p))).collect();
         if !crossed.iter().all(|p| p.is_finite()) {
             bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
         }
-        let score = tried.iter().map(|t| score(&pairs(&t.crossed))).fold(f64::INFINITY, f64::min);
-        let fitted = Posterior::mean(&weights, tried.iter().filter_map(|t| t.all.as_ref()));
-        let mean = |of: fn(&Belief) -> f64| weights.iter().zip(&tried).map(|(w, t)| w * of(&t.belief)).sum();
-        Ok(Chosen {
-            file: self.with(&fitted)?,
-            belief: Belief {
-                costs: mean(|b| b.costs),
-                share: mean(|b| b.share),
-                weights: mean(|b| b.weights),
-            },
-            crossed,
-            folds: count,
-            score,
-        })
+        let file = match &self.factor {
+            Some(factor) => factor.with(&fits[0])?,
+            None => {
+                let costs = fits[0].costs.map(|c| c * libm::exp(fits[0].bias));
+                let works = frames.iter().map(|f| &f.work);
+                AnalyticModel::from_costs(costs)?.ranging_over(works).to_model_file()?
+            }
+        };
+        Ok(Chosen { file, crossed, folds: count })
     }
 }
 
-/// What a belief makes of the frames.
-struct Tried {
-    belief: Belief,
-    /// Fitted to all frames but those of each part of cross-validation.
-    without: Vec<Posterior>,
-    /// Fitted to all frames.
-    all: Option<Posterior>,
-    /// Seconds of each frame by the fit that did not see its part.
-    crossed: Vec<f64>,
-}
-
-/// How much each belief counts, of its predicted and the measured seconds; the first is [`SPEED_ALONE`].
-fn weights(pairs: &[Vec<(f64, f64)>]) -> Vec<f64> {
-    let n = pairs.first().map_or(0, Vec::len).max(1) as f64;
-    let scores: Vec<f64> = pairs.iter().map(|p| score(p)).collect();
-    let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
-    // The rule of one standard error.
-    if scores.first().is_some_and(|s| *s <= best + 1.0 / libm::sqrt(n)) {
-        let mut alone = vec![0.0; pairs.len()];
-        alone[0] = 1.0;
-        return alone;
+/// Unit costs with [`ZERO_SHARE`] of what a renderer of the kind pays, at the same speed, where they are 0.
+fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
+    let known = costs.0.iter().zip(&renderer.0).filter(|(c, r)| **c > 0.0 && **r > 0.0);
+    let mut ratios: Vec<f64> = known.map(|(c, r)| c / r).collect();
+    let speed = median(&mut ratios).unwrap_or(1.0);
+    let mut out = *costs;
+    for (cost, typical) in out.0.iter_mut().zip(&renderer.0) {
+        if *cost == 0.0 {
+            *cost = ZERO_SHARE * speed * typical;
+        }
     }
-    let error = |pairs: &Vec<(f64, f64)>| {
-        let squares: f64 = pairs.iter().map(|(p, t)| libm::pow(libm::log(p / t), 2.0)).sum();
-        if squares.is_finite() { 0.5 * libm::log((squares / n).max(1e-12)) } else { f64::INFINITY }
-    };
-    let errors: Vec<f64> = pairs.iter().map(error).collect();
-    let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
-    // A belief whose fit predicts nothing has no say: its error is infinite, that of the best is not.
-    let mut weights: Vec<f64> = errors.iter().map(|e| libm::exp(-LIKELIHOOD * n * (e - least))).collect();
-    let sum: f64 = weights.iter().sum();
-    weights.iter_mut().for_each(|w| *w /= sum);
-    weights
+    out
 }
 
-/// What enters a network's last layer, of standardized inputs.
+/// Values that enter a network's last layer, of standardized inputs.
 pub fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
     let hidden = parts.layers.split_last().map_or(&[][..], |(_, hidden)| hidden);
     for layer in hidden {
@@ -482,59 +340,6 @@ fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) +
     }
 }
 
-/// What the fit needs of a frame.
-struct Prepared {
-    psi: Vec<f64>,
-    work: [f64; COSTS],
-    log: f64,
-}
-
-impl Posterior {
-    /// The mean of fits whose weights add up to 1: of their estimates in seconds, and of what their factors say
-    /// in logarithms.
-    fn mean<'a>(weights: &[f64], fits: impl Iterator<Item = &'a Self> + Clone) -> Self {
-        let counted = || weights.iter().zip(fits.clone()).filter(|(w, _)| **w > 0.0);
-        let bias: f64 = counted().map(|(w, fit)| w * fit.bias).sum();
-        let mut out = Self { costs: [0.0; COSTS], weights: Vec::new(), bias };
-        for (w, fit) in counted() {
-            out.weights.resize(fit.weights.len(), 0.0);
-            // Each fit's own speed goes with its costs.
-            let scale = w * libm::exp(fit.bias - bias);
-            out.costs.iter_mut().zip(&fit.costs).for_each(|(slot, cost)| *slot += scale * cost);
-            out.weights.iter_mut().zip(&fit.weights).for_each(|(slot, weight)| *slot += w * weight);
-        }
-        out
-    }
-
-    fn log_seconds(&self, frame: &Prepared) -> f64 {
-        libm::log(dot(&self.costs, &frame.work).max(1e-12)) + dot(&self.weights, &frame.psi) + self.bias
-    }
-}
-
-/// What choices go by: the geometric mean of a robust relative error and of RMSE over SD. Pairs of predicted
-/// and measured seconds.
-fn score(pairs: &[(f64, f64)]) -> f64 {
-    let Some(whole) = rmse_over_sd(pairs) else { return f64::INFINITY };
-    let mut sizes: Vec<f64> = pairs.iter().map(|(p, t)| libm::log(p / t).abs()).collect();
-    sizes.sort_unstable_by(f64::total_cmp);
-    sizes.truncate((sizes.len() * 9).div_ceil(10));
-    let spread = libm::sqrt(dot(&sizes, &sizes) / sizes.len() as f64);
-    let score = libm::log(spread.max(1e-6)) + libm::log(whole.max(1e-6));
-    if score.is_nan() { f64::INFINITY } else { score }
-}
-
-/// Root of the mean squared error over the standard deviation of the measured seconds; `None` without pairs.
-pub(super) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
-    if pairs.is_empty() {
-        return None;
-    }
-    let n = pairs.len() as f64;
-    let mean = pairs.iter().map(|p| p.1).sum::<f64>() / n;
-    let variance = pairs.iter().map(|(_, t)| (t - mean) * (t - mean)).sum::<f64>() / n;
-    let square = pairs.iter().map(|(p, t)| (p - t) * (p - t)).sum::<f64>() / n;
-    Some(libm::sqrt(square / variance))
-}
-
 /// The part of cross-validation that each frame is left out with: whole groups, spread so that parts have
 /// about as many frames.
 fn folds(frames: &[Observed]) -> Vec<usize> {
@@ -552,55 +357,4 @@ fn folds(frames: &[Observed]) -> Vec<usize> {
         fold_of.insert(group, least);
     }
     frames.iter().map(|f| fold_of[&f.group]).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Measured seconds, and predictions that are off by ± `error` in logarithms.
-    fn off(error: f64) -> Vec<(f64, f64)> {
-        (0..32)
-            .map(|i| {
-                let measured = 0.01 * f64::from(1 + i % 7);
-                (measured * libm::exp(if i % 2 == 0 { error } else { -error }), measured)
-            })
-            .collect()
-    }
-
-    #[test]
-    fn beliefs_count_by_their_errors_and_speed_alone_wins_where_nothing_is_better() {
-        // Weights are errors to the power −n/4: with n = 32, of twice the error 2^−8 as much.
-        let found = weights(&[off(0.5), off(0.1), off(0.2)]);
-        assert!((found.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{found:?}");
-        assert!((found[2] / found[1] - libm::pow(2.0, -8.0)).abs() < 1e-6, "{found:?}");
-        assert!((found[0] / found[1] - libm::pow(5.0, -8.0)).abs() < 1e-7, "{found:?}");
-        // Within a standard error of the best, speed alone is all.
-        assert_eq!(weights(&[off(0.105), off(0.1), off(0.2)]), [1.0, 0.0, 0.0]);
-        // A fit that predicts nothing has no say.
-        let mut broken = off(0.1);
-        broken[3].0 = f64::NAN;
-        let found = weights(&[off(0.5), off(0.1), broken]);
-        assert!(found[2] == 0.0 && found[1] > 0.99, "{found:?}");
-    }
-
-    #[test]
-    fn the_mean_of_fits_adds_up_their_estimates() {
-        let fit = |cost: f64, weight: f64, bias: f64| Posterior {
-            costs: core::array::from_fn(|i| if i == 3 { cost } else { 0.0 }),
-            weights: vec![weight, 0.0],
-            bias,
-        };
-        let fits = [fit(2e-6, 0.5, 0.3), fit(5e-6, 0.5, -0.4), fit(f64::NAN, f64::NAN, f64::NAN)];
-        let mut work = [0.0; COSTS];
-        work[3] = 1e4;
-        let frame = Prepared { psi: vec![0.7, 1.0], work, log: 0.0 };
-        let mean = Posterior::mean(&[0.25, 0.75, 0.0], fits.iter());
-        let expected = libm::log(0.25 * 2e-2 * libm::exp(0.3) + 0.75 * 5e-2 * libm::exp(-0.4)) + 0.5 * 0.7;
-        assert!((mean.log_seconds(&frame) - expected).abs() < 1e-12);
-        // One fit is its own mean.
-        let one = Posterior::mean(&[0.0, 1.0, 0.0], fits.iter());
-        assert!((one.log_seconds(&frame) - fits[1].log_seconds(&frame)).abs() < 1e-12);
-        assert_eq!((one.costs, one.bias), (fits[1].costs, fits[1].bias));
-    }
 }

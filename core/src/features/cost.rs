@@ -1,9 +1,9 @@
 //! Unit costs: seconds per count of estimated work.
 
-use super::{Changes, FrameFeatures, SceneQuantity, Setting};
+use super::{FrameFeatures, SceneQuantity, Setting};
 
 /// Unit costs of the linear model: one for the frame itself, then one per quantity of [`COST_QUANTITIES`].
-pub const COSTS: usize = 21;
+pub const COSTS: usize = 22;
 
 /// The quantities that cost time, in the order of the unit costs after the first.
 pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
@@ -12,48 +12,45 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::Skips,
     SceneQuantity::Samples,
     SceneQuantity::LaneSamples,
+    SceneQuantity::Runs,
+    SceneQuantity::Segments,
     SceneQuantity::LocalSamples,
     SceneQuantity::ScatterSamples,
     SceneQuantity::ShadowSamples,
-    SceneQuantity::Runs,
-    SceneQuantity::SpreadRuns,
-    SceneQuantity::SpreadSamples,
-    SceneQuantity::Segments,
-    SceneQuantity::SpreadSegments,
     SceneQuantity::LaneShadowSamples,
-    SceneQuantity::SpreadShadowSamples,
-    SceneQuantity::SpreadLocalSamples,
-    SceneQuantity::RemappedSamples,
+    SceneQuantity::FarSkips,
+    SceneQuantity::FarSamples,
+    SceneQuantity::FarRuns,
+    SceneQuantity::FarSegments,
+    SceneQuantity::FarLocalSamples,
+    SceneQuantity::FarShadowSamples,
     SceneQuantity::FarX,
     SceneQuantity::FarY,
     SceneQuantity::FarZ,
+    SceneQuantity::RemappedSamples,
 ];
 
-/// The first of [`COST_QUANTITIES`] are what every renderer may pay for; those beyond are for renderers that
-/// convert each stored value or wait for memory ([`UnitCosts::CONVERTING`]), and cost others nothing.
-pub(crate) const COMMON_COSTS: usize = 17;
+/// The first of [`COST_QUANTITIES`] are what every renderer may pay for; the last is for renderers that convert each
+/// stored value ([`UnitCosts::CONVERTING`]), and costs others nothing.
+pub(crate) const COMMON_COSTS: usize = 21;
 
 /// Seconds of a frame and of each of [`COST_QUANTITIES`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitCosts(pub [f64; COSTS]);
 
 impl UnitCosts {
-    /// Of the order of a software renderer on a few cores; what matters are their ratios, since the first
-    /// observations set the scale.
+    /// A software renderer on two processors: the geometric mean of those that were measured. Their ratios
+    /// count, since the first observations set the scale.
     pub const SOFTWARE: Self = Self([
-        2.0e-4, 3.5e-8, 1.0e-8, 1.1e-8, 2.0e-9, 7.0e-9, 6.0e-9, 2.0e-8, 1.0e-9, 3.5e-8, 1.6e-7, 1.2e-8,
-        1.0e-9, 1.0e-9, 4.0e-9, 1.0e-8, 2.0e-8, 0.0, 0.0, 0.0, 0.0,
+        1.3e-4, 8.0e-8, 1.3e-8, 5.5e-9, 2.2e-9, 1.2e-9, 2.5e-8, 1.9e-8, 4.2e-10, 1.2e-9, 5.3e-11, 2.7e-9,
+        2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0,
     ]);
 
-    /// [`UnitCosts::SOFTWARE`] of a renderer on the CPU that looks stored values up in tables and reads
-    /// volumes larger than its caches voxel by voxel, as VTK's fixed-point mapper and yt do.
+    /// [`UnitCosts::SOFTWARE`] of a renderer that looks stored values up in tables, as VTK's fixed-point mapper and
+    /// yt do.
     pub const CONVERTING: Self = {
         let mut costs = Self::SOFTWARE.0;
-        let mut i = COMMON_COSTS;
-        while i < COSTS {
-            costs[i] = 2.0e-9;
-            i += 1;
-        }
+        costs[COMMON_COSTS] = 2.0e-9;
         Self(costs)
     };
 
@@ -74,7 +71,7 @@ impl FrameFeatures {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];
         for (slot, &quantity) in out[1..].iter_mut().zip(&COST_QUANTITIES) {
-            *slot = self.quantity(quantity, setting, &work, Changes::default());
+            *slot = self.quantity(quantity, setting, &work);
         }
         out
     }

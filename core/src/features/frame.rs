@@ -116,22 +116,19 @@ pub struct Work {
 }
 
 impl Work {
-    /// How little neighboring rays share of what they read, 0…1: s²/(s² + [`UNSHARED_SPACING`]²) at ray
-    /// spacing s. Rays closer than a voxel read the same memory, rays far apart read each their own.
-    pub(crate) fn unshared(&self) -> f64 {
+    /// Share of what a ray reads that no neighboring ray reads, 0…1: s²/(s² + d²) at ray spacing s, where d is
+    /// the spacing at which it is half.
+    pub(crate) fn unshared(&self, half: f64) -> f64 {
         let square = self.ray_spacing * self.ray_spacing;
-        square / (square + UNSHARED_SPACING * UNSHARED_SPACING)
-    }
-
-    /// As [`Self::unshared`] of what is read around a sample, for its gradient or along its shadow ray, with
-    /// [`UNSHARED_SHADING`].
-    pub(crate) fn unshared_shading(&self) -> f64 {
-        let square = self.ray_spacing * self.ray_spacing;
-        square / (square + UNSHARED_SHADING * UNSHARED_SHADING)
+        square / (square + half * half)
     }
 }
 
-/// Voxels of a volume of which a cache holds half, for [`SceneQuantity::FarX`] and the like.
+/// Voxels of a volume of which a cache holds half.
+///
+/// What waits for memory (the far share) is what no neighboring ray reads times the share of the volume outside of a
+/// cache. This spacing and these voxels are those with the least cross-validated error over the tables of four
+/// machines; see the book's page on the cost of a frame.
 pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
 
 /// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
@@ -151,16 +148,10 @@ pub struct FrameFeatures {
     level: Level,
     probe: Probe,
     pose: Arcball,
-    fov_y: f32,
     occupied_share: f32,
     visible_share: f32,
-    mean_opacity: f32,
-    mean_square_opacity: f32,
     mean_extinction: f32,
-    max_opacity: f32,
     voxels: f32,
-    bytes_per_voxel: f32,
-    cells_per_step: f32,
     remapped: bool,
     along: Vec3,
 }
@@ -183,16 +174,10 @@ impl FrameFeatures {
             level: Level::detect(),
             probe: Probe::NOTHING,
             pose: Arcball { rx: 0.0, ry: 0.0, dz: 0.0 },
-            fov_y: 0.0,
             occupied_share: 0.0,
             visible_share: 0.0,
-            mean_opacity: 0.0,
-            mean_square_opacity: 0.0,
             mean_extinction: 0.0,
-            max_opacity: 0.0,
             voxels: 0.0,
-            bytes_per_voxel: 0.0,
-            cells_per_step: 0.0,
             remapped: false,
             along: Vec3::splat(1.0 / 3.0),
         }
@@ -212,19 +197,12 @@ impl FrameFeatures {
         frame.checked()?;
         self.probe = Probe::on(self.level, volume, transfer, frame, self.probe_side);
         self.pose = frame.camera.to_arcball();
-        self.fov_y = frame.camera.fov_y();
         self.occupied_share = transfer.occupied_share();
         self.visible_share = transfer.visible_share();
-        self.mean_opacity = transfer.mean_opacity();
-        self.mean_square_opacity = transfer.mean_square_opacity();
         self.mean_extinction = transfer.mean_extinction();
-        self.max_opacity = transfer.max_opacity();
         self.voxels = volume.voxels() as f32;
-        self.bytes_per_voxel = volume.scalar_type().bytes() as f32;
-        let spacing = volume.shape().spacing;
-        self.cells_per_step = spacing.min_element() / spacing.max_element();
         self.remapped = volume.remapped();
-        self.along = along(frame, spacing, self.probe.footprint());
+        self.along = along(frame, volume.shape().spacing, self.probe.footprint());
         Ok(())
     }
 
@@ -319,45 +297,46 @@ impl FrameFeatures {
             ray_spacing: f64::from(p.spread / setting.height as f32),
         };
         // Rays nearer than a voxel or two shade together.
-        work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared() * (waiting - 1.0));
+        work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared(UNSHARED_SPACING) * (waiting - 1.0));
         work
     }
 
     /// A quantity at a setting.
-    pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting, work: &Work, changes: Changes) -> f64 {
+    pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting, work: &Work) -> f64 {
         use SceneQuantity as Q;
         let p = &self.probe;
-        let flag = |b: bool| f64::from(u8::from(b));
         let per_pixel = |v: f64| v / work.pixels.max(1.0);
         let only = |shading: Shading, v: f64| if setting.shading == shading { v } else { 0.0 };
+        let far = |spacing: f64| work.unshared(spacing) * self.uncached();
         match quantity {
             Q::Pixels => work.pixels,
             Q::Rays => work.rays,
-            Q::Samples => work.samples,
             Q::Skips => work.skips,
+            Q::Samples => work.samples,
             Q::LaneSamples => work.lane_samples,
+            Q::Runs => work.runs,
+            Q::Segments => work.segments,
             Q::LocalSamples => only(Shading::Local, work.shaded),
             Q::ScatterSamples => only(Shading::Scatter, work.shaded),
             Q::ShadowSamples => work.shadow_samples,
-            Q::Runs => work.runs,
-            Q::SpreadSamples => work.lane_samples * work.unshared(),
-            Q::SpreadRuns => work.runs * work.unshared(),
-            Q::Segments => work.segments,
-            Q::SpreadSegments => work.segments * work.unshared(),
             Q::LaneShadowSamples => work.lane_shadow_samples,
-            Q::SpreadShadowSamples => work.parted_shadow_samples * work.unshared_shading(),
-            Q::SpreadLocalSamples => only(Shading::Local, work.shaded) * work.unshared_shading(),
-            Q::SegmentsPerRay => work.segments / work.rays.max(1.0),
-            Q::ShadedPerPixel => per_pixel(work.shaded),
-            Q::ShadowPerPixel => per_pixel(work.shadow_samples),
-            Q::RunsPerRay => work.runs / work.rays.max(1.0),
+            Q::FarSkips => work.skips * far(UNSHARED_SPACING),
+            Q::FarSamples => work.lane_samples * far(UNSHARED_SPACING),
+            Q::FarRuns => work.runs * far(UNSHARED_SPACING),
+            Q::FarSegments => work.segments * far(UNSHARED_SPACING),
+            Q::FarLocalSamples => only(Shading::Local, work.shaded) * far(UNSHARED_SHADING),
+            Q::FarShadowSamples => work.parted_shadow_samples * far(UNSHARED_SHADING),
+            Q::FarX => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.x),
+            Q::FarY => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.y),
+            Q::FarZ => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.z),
+            Q::RemappedSamples => f64::from(u8::from(self.remapped)) * work.samples,
             Q::EstimatedSeconds => UnitCosts::SOFTWARE.seconds(&self.cost_work(setting)),
-            Q::RaySpacing => work.ray_spacing,
             Q::SamplesPerPixel => per_pixel(work.samples),
-            Q::SkipsPerPixel => per_pixel(work.skips),
+            Q::ShadowPerPixel => per_pixel(work.shadow_samples),
+            Q::SegmentsPerRay => work.segments / work.rays.max(1.0),
+            Q::RaySpacing => work.ray_spacing,
             Q::FootprintShare => f64::from(p.footprint.share),
             Q::MeanChord => f64::from(p.mean_chord),
-            Q::MaxChord => f64::from(p.max_chord),
             Q::TerminatedShare => f64::from(p.terminated),
             Q::Divergence => {
                 if work.samples > 0.0 {
@@ -368,40 +347,15 @@ impl FrameFeatures {
             }
             Q::OccupiedShare => f64::from(self.occupied_share),
             Q::VisibleShare => f64::from(self.visible_share),
-            Q::MeanOpacity => f64::from(self.mean_opacity),
-            Q::MeanSquareOpacity => f64::from(self.mean_square_opacity),
             Q::MeanExtinction => f64::from(self.mean_extinction),
-            Q::MaxOpacity => f64::from(self.max_opacity),
-            Q::Step => f64::from(setting.step),
-            Q::Distance => f64::from(self.pose.dz),
-            Q::FieldOfView => f64::from(self.fov_y),
-            Q::Tilt => f64::from(libm::fabsf(libm::sinf(self.pose.rx.to_radians()))),
-            Q::Turn => f64::from(libm::fabsf(libm::sinf(2.0 * self.pose.ry.to_radians()))),
-            Q::Inside => flag(p.footprint.inside),
             Q::Voxels => f64::from(self.voxels),
-            Q::BytesPerVoxel => f64::from(self.bytes_per_voxel),
-            Q::Anisotropy => f64::from(self.cells_per_step),
-            Q::Local => flag(setting.shading == Shading::Local),
-            Q::Scatter => flag(setting.shading == Shading::Scatter),
-            Q::SkippingBlocks => flag(setting.skipping == Skipping::Blocks),
-            Q::SkippingDistance => flag(setting.skipping == Skipping::Distance),
-            Q::FirstFrame => flag(changes.first),
-            Q::TransferChanged => flag(changes.transfer),
-            Q::VolumeChanged => flag(changes.volume),
-            Q::SizeChanged => flag(changes.size),
-            Q::Remapped => flag(self.remapped),
-            Q::AlongX => f64::from(self.along.x),
-            Q::AlongZ => f64::from(self.along.z),
-            Q::RemappedSamples => flag(self.remapped) * work.samples,
-            Q::FarX => self.far(work) * f64::from(self.along.x),
-            Q::FarY => self.far(work) * f64::from(self.along.y),
-            Q::FarZ => self.far(work) * f64::from(self.along.z),
+            Q::Step => f64::from(setting.step),
         }
     }
 
-    /// Samples that no ray beside shares, of the part of the volume that no cache holds.
-    fn far(&self, work: &Work) -> f64 {
+    /// Share of the volume that lies outside of a cache, 0…1: n / (n + [`CACHED_VOXELS`]).
+    fn uncached(&self) -> f64 {
         let voxels = f64::from(self.voxels);
-        work.samples * work.unshared() * voxels / (voxels + CACHED_VOXELS)
+        voxels / (voxels + CACHED_VOXELS)
     }
 }

@@ -111,11 +111,8 @@ pub struct TransferSummary {
     /// Working memory: two lines of cells.
     line: Vec<u8>,
     occupied_share: f32,
-    mean_opacity: f32,
-    mean_square_opacity: f32,
     mean_extinction: f32,
     visible_share: f32,
-    max_opacity: f32,
 }
 
 impl TransferSummary {
@@ -141,11 +138,8 @@ impl TransferSummary {
             bits: Vec::new(),
             line: Vec::new(),
             occupied_share: 0.0,
-            mean_opacity: 0.0,
-            mean_square_opacity: 0.0,
             mean_extinction: 0.0,
             visible_share: 0.0,
-            max_opacity: 0.0,
         };
         summary.update(volume, table)?;
         Ok(summary)
@@ -207,7 +201,6 @@ impl TransferSummary {
     fn read_table(&mut self, table: &TransferTable) {
         let ratio = CORRELATION_LENGTH / table.unit_distance();
         self.unit_distance = table.unit_distance();
-        self.max_opacity = 0.0;
         for (i, entry) in table.rgba().iter().enumerate() {
             let counts = table.is_visible(i);
             let alpha = if counts { entry[3] } else { 0.0 };
@@ -220,22 +213,17 @@ impl TransferSummary {
             self.entries[i] = [alpha, log];
             self.opaque[i + 1] = self.opaque[i] + u16::from(counts);
             self.transmittance[i + 1] = self.transmittance[i] + f64::from(through);
-            self.max_opacity = self.max_opacity.max(alpha);
         }
     }
 
     /// What follows from the table and the volume's histogram alone.
     fn read_histogram(&mut self, volume: &VolumeSummary) {
-        let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
-        for (i, (&[alpha, log], &share)) in self.entries.iter().zip(volume.histogram()).enumerate() {
+        let (mut extinction, mut shown) = (0.0f64, 0.0f64);
+        for (i, (&[_, log], &share)) in self.entries.iter().zip(volume.histogram()).enumerate() {
             let (share, counts) = (f64::from(share), self.opaque[i + 1] > self.opaque[i]);
-            mean += share * f64::from(alpha);
-            square += share * f64::from(alpha) * f64::from(alpha);
             extinction -= share * f64::from(log) / f64::from(self.unit_distance);
             shown += share * f64::from(u8::from(counts));
         }
-        self.mean_opacity = mean as f32;
-        self.mean_square_opacity = square as f32;
         self.mean_extinction = extinction as f32;
         self.visible_share = shown as f32;
     }
@@ -329,16 +317,6 @@ impl TransferSummary {
         self.occupied_share
     }
 
-    /// Opacity of the table averaged over the volume's voxels.
-    pub(crate) fn mean_opacity(&self) -> f32 {
-        self.mean_opacity
-    }
-
-    /// Squared opacity averaged over the volume's voxels.
-    pub(crate) fn mean_square_opacity(&self) -> f32 {
-        self.mean_square_opacity
-    }
-
     /// Extinction per reference step averaged over the volume's voxels.
     pub(crate) fn mean_extinction(&self) -> f32 {
         self.mean_extinction
@@ -347,11 +325,6 @@ impl TransferSummary {
     /// Share of voxels with any opacity.
     pub(crate) fn visible_share(&self) -> f32 {
         self.visible_share
-    }
-
-    /// Largest opacity in the table.
-    pub(crate) fn max_opacity(&self) -> f32 {
-        self.max_opacity
     }
 
     /// Whether a cell is empty, so that a renderer skips it whole.

@@ -57,9 +57,9 @@ impl InputValues for FrameValues<'_> {
     }
 
     fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
-        let Inputs { features, setting, changes, .. } = self.inputs;
+        let Inputs { features, setting, .. } = self.inputs;
         let work = self.work.get_or_insert_with(|| features.work(setting));
-        Some(features.quantity(quantity, setting, work, *changes))
+        Some(features.quantity(quantity, setting, work))
     }
 
     fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {

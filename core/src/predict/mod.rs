@@ -7,11 +7,10 @@ mod analytic;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod bounds;
 mod clock;
+mod cost_fit;
 mod inputs;
 mod layout;
 mod network;
-#[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
-mod nnls;
 mod quality;
 mod range;
 mod seconds;
@@ -22,6 +21,7 @@ pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
 pub(crate) use bounds::FeatureRange;
 pub use bounds::{UPPER_LEVEL, UpperBound};
 pub use clock::Clock;
+pub(crate) use cost_fit::{COST_SD, CostFit, Expected, FitRow};
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};
 pub use network::{ModelPredictor, load};

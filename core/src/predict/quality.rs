@@ -168,7 +168,7 @@ impl KnownQuality {
 mod tests {
     use super::*;
     use crate::ErrorKind;
-    use crate::calibrate::blank_prior;
+    use crate::predict::AnalyticModel;
     use crate::predict::{ModelPredictor, Predictor};
 
     const SOME: Quality =
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn files_keep_it_and_it_holds_for_their_renderer() {
-        let mut file = blank_prior(5).unwrap();
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
         let holds = |file: &ModelFile, renderer: &str| {
             ModelPredictor::new(&file.to_model().unwrap()).unwrap().quality(renderer)
         };

@@ -26,17 +26,6 @@ pub enum ScalarType {
     F32,
 }
 
-impl ScalarType {
-    /// Bytes per voxel.
-    pub(crate) const fn bytes(self) -> usize {
-        match self {
-            Self::U8 => 1,
-            Self::U16 | Self::I16 => 2,
-            Self::F32 => 4,
-        }
-    }
-}
-
 names! { ScalarType:
     U8 "u8",
     U16 "u16",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """How well predictions do per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
-and an analytic model are trained and judged on the volumes that they did not see. A model that was trained on the Vulkan
-raycaster's frames is then transferred with a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing
+and an analytic model are trained and judged on the volumes that they did not see. `entire calibrate` is then
+given a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing
 makes the bars short.
 
 ENTIRE_DATA  folder that the tables' volume names start from (default ../shared/data)
@@ -18,15 +18,10 @@ import shutil
 import subprocess
 
 RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
-BASE = ("none-xeon-train", "none-xeon-steps")
 HOW = "--model-kind residual --batch 128 --learning-rate 0.003 --epochs 150".split()
-PLAIN = [*HOW, "--layers", "32"]
-# What renderers pay for beyond what the raycaster does; a mean of networks of eight seeds.
-MORE = """log_pixels log_samples_per_pixel log_skips_per_pixel log_shaded_per_pixel log_shadow_per_pixel log_runs_per_ray
-log_ray_spacing footprint_share terminated_share log_divergence occupied_share log_visible_share log_mean_extinction
-log_mean_chord tilt turn log_step log_voxels remapped along_x along_z""".split()
-FACTOR = [*HOW, "--layers", "32,16", "--converting", "--ensemble", "8", "--scene-features", ",".join(MORE)]
-ANALYTIC = "--model-kind analytic --converting".split()
+# A mean of networks of eight seeds.
+FACTOR = [*HOW, "--layers", "32,16", "--ensemble", "8"]
+ANALYTIC = "--model-kind analytic".split()
 SHARE = 0.05
 ASKED = {name: limit for r in RENDERERS for name, limit in ((f"{r}-rmse-over-sd-on-unseen-volumes", 0.15),
                                                             (f"{r}-transferred-over-fully-trained", 1.2))}
@@ -75,6 +70,11 @@ def run(options, bars):
         entire("train", "--data", *tables, "--clock", "cpu", "--split", "volume", "--quiet", "--out", model, *how)
         return model
 
+    def calibrated(table, name):
+        model = os.path.join(out, f"{name}.safetensors")
+        entire("calibrate", "--data", table, "--clock", "cpu", "--quiet", "--out", model)
+        return model
+
     def judge(renderer):
         learn, test = (os.path.join(tables, f"{renderer}-{part}.csv.gz") for part in ("train", "test"))
         with gzip.open(learn, "rt", newline="") as file:
@@ -82,11 +82,10 @@ def run(options, bars):
         few = max(8, int(SHARE * frames))
         part = os.path.join(out, f"{renderer}-{few}.csv.gz")
         cut(learn, few, part)
-        tuned = f"transferred with {few}"
+        tuned = f"calibrated with {few}"
         models = {"factor": train([learn], f"{renderer}-factor", *FACTOR),
                   "analytic": train([learn], f"{renderer}-analytic", *ANALYTIC),
-                  "vulkan": base,
-                  tuned: train([part], f"{renderer}-transferred-{few}", "--transfer", base)}
+                  tuned: calibrated(part, f"{renderer}-calibrated-{few}")}
         folder = os.path.join(out, f"evaluation-{renderer}")
         entire("evaluate", "--model", *models.values(), "--data", test, "--clock", "cpu", "--quiet", "--out", folder)
         with open(os.path.join(folder, "evaluation.json")) as file:
@@ -104,7 +103,6 @@ def run(options, bars):
         bars.found(f"{renderer}-transferred-over-fully-trained", value[tuned] / value["factor"], tuned)
 
     with bars.part(*ASKED):
-        base = train([os.path.join(tables, f"{n}.csv.gz") for n in BASE], "vulkan", *PLAIN)
         for renderer in RENDERERS:
             with bars.part(*(name for name in ASKED if name.startswith(f"{renderer}-"))):
                 judge(renderer)

@@ -1,7 +1,8 @@
 //! `entire-lab frames`: how many frames of another make of machine a calibration needs.
 
+use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
-use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
+use entire_cli::calibrate::{NamedPrior, calibrate_from, calibrate_to_tables};
 use entire_cli::dataset::{Clock, Table as TimingTable, read_tables};
 use entire_cli::files::{make_folder, read_model_file, write_whole};
 use entire_cli::fit::{FitContext, predict};
@@ -11,6 +12,7 @@ use entire_cli::options::thread_pool;
 use entire_cli::progress::templated_bar;
 use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
 use entire_cli::split::{GroupBy, TimedFrames};
+use entire_core::calibrate::FEWEST_FRAMES;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -20,31 +22,36 @@ use std::path::PathBuf;
 /// Volumes of a calibration at most, as `data/` has.
 const VOLUMES: usize = 9;
 
-/// Frames of the other members that are judged, at most.
-const JUDGED: usize = 1000;
-
 /// Draws for each number of frames.
 const DRAWS: u64 = 8;
+
+/// Largest geometric mean of the median errors over makes of machine, by number of frames.
+const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
 /// Find how many frames of another make of machine a calibration needs.
 ///
 /// Each table is of one make of machine, and so is each prior; a table's frames are calibrated to from the priors
 /// of the other makes. A draw takes one member of each ensemble, nine volumes of those at most, and so many of their
-/// frames, the volumes in turn; the model is judged on frames of the other members. Prints the geometric means over
-/// the draws, and the largest; writes frames.csv and frames.svg into DIR.
+/// frames, the volumes in turn; the model is judged on a table of members that no prior saw. Prints the geometric
+/// means over the draws and the largest, and a bar for each number of frames; writes frames.csv and frames.svg into
+/// DIR.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
-  entire-lab frames --data xeon.csv epyc.csv --priors xeon.safetensors epyc.safetensors --out out/frames")]
+  entire-lab frames --data xeon.csv epyc.csv --judged xeon-members.csv epyc-members.csv \
+      --priors xeon.safetensors epyc.safetensors --out out/frames")]
 pub struct Options {
     /// Timing tables, each of one make of machine.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
+    /// Tables to judge by, each of the make of the table at its place.
+    #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
+    pub judged: Vec<PathBuf>,
     /// Models, each of the make of the table at its place.
     #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
     pub priors: Vec<PathBuf>,
     /// Numbers of frames.
-    #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "10,20,40,80,160,320")]
+    #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "3,10,20,40,160,500")]
     pub frames: Vec<usize>,
     /// The clock whose seconds are learned.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
@@ -57,14 +64,8 @@ pub struct Options {
     pub threads: Option<usize>,
 }
 
-/// Frames of a draw, by their index: to calibrate to, and to judge by.
-struct Draw {
-    calibrated: Vec<usize>,
-    judged: Vec<usize>,
-}
-
-/// Draws frames, of which the volume and the ensemble member are given; `None` where no ensemble has two members.
-fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Option<Draw> {
+/// Draws frames by their index, of which the volume and the ensemble member are given.
+fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ensemble = |member: &str| member.rsplit_once('/').map_or(String::new(), |(e, _)| e.to_owned());
     let mut of_ensemble: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
@@ -72,15 +73,10 @@ fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Option<Draw> {
         of_ensemble.entry(ensemble(member)).or_default().insert(member);
     }
     let mut taken = BTreeSet::new();
-    let mut left = BTreeSet::new();
     for members in of_ensemble.into_values() {
         let mut members: Vec<&str> = members.into_iter().collect();
         members.shuffle(&mut rng);
         taken.extend(members.first().copied());
-        left.extend(members.into_iter().skip(1));
-    }
-    if left.is_empty() {
-        return None;
     }
     let mut volumes: Vec<&str> =
         of_frames.iter().filter(|(_, m)| taken.contains(m.as_str())).map(|(v, _)| *v).collect();
@@ -101,11 +97,7 @@ fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Option<Draw> {
         let next: Vec<usize> = of_volume.iter_mut().filter_map(Vec::pop).collect();
         calibrated.extend(next.into_iter().take(count - calibrated.len()));
     }
-    let mut judged: Vec<usize> =
-        (0..of_frames.len()).filter(|&i| left.contains(of_frames[i].1.as_str())).collect();
-    judged.shuffle(&mut rng);
-    judged.truncate(JUDGED);
-    Some(Draw { calibrated, judged })
+    calibrated
 }
 
 /// What a draw gave.
@@ -127,11 +119,11 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
 /// # Errors
 /// When tables or models cannot be read, their numbers differ, or no ensemble has two members.
 pub fn run(options: &Options) -> Result<()> {
+    let (tables, judged, models) = (options.data.len(), options.judged.len(), options.priors.len());
     ensure!(
-        options.data.len() == options.priors.len(),
-        "--data names {} tables and --priors {} models; name the model of each table's make of machine",
-        options.data.len(),
-        options.priors.len()
+        tables == models && tables == judged,
+        "--data names {tables} tables, --judged {judged} and --priors {models} models; name those of each table's make \
+         of machine"
     );
     ensure!(!options.frames.contains(&0), "--frames must be 1 or more");
     make_folder(&options.out)?;
@@ -149,7 +141,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut found: Vec<(String, Vec<Found>)> = Vec::new();
     let mut csv = String::from("table,frames,draw,median_error,rmse_over_sd,expected_median_error\n");
     'tables: for (own, path) in options.data.iter().enumerate() {
-        let tables = read_tables(std::slice::from_ref(path))?;
+        let tables = read_tables(&[path.clone(), options.judged[own].clone()])?;
         let name = path.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
         let name = name.split('.').next().unwrap_or_default().to_owned();
         let shading = tables[0].frames[0].scene.shading;
@@ -168,17 +160,18 @@ pub fn run(options: &Options) -> Result<()> {
                     break 'tables;
                 }
                 bar.set_message(format!("{name}, {count} frames"));
-                let drawn = draw(&of_frames, count, seed).with_context(|| {
-                    format!(
-                        "{}: no ensemble has two members; one is to calibrate to, the others judge",
-                        path.display()
-                    )
-                })?;
-                let few = drawn.calibrated.iter().map(|&i| tables[0].frames[i].clone()).collect();
+                let drawn = draw(&of_frames, count, seed);
+                let few = drawn.iter().map(|&i| tables[0].frames[i].clone()).collect();
                 let few = [TimingTable { frames: few, ..tables[0].clone() }];
-                let (file, report) = calibrate_to_tables(&few, (shading, options.clock), &others, &pool)?;
-                let judged =
-                    TimedFrames::of(drawn.judged.iter().map(|&i| &tables[0].frames[i]), options.clock);
+                let (file, expected) = if count < FEWEST_FRAMES {
+                    let few = TimedFrames::of(&few[0].frames, options.clock);
+                    let file = calibrate_from(&others, &context, few.timed())?;
+                    (file, f64::NAN)
+                } else {
+                    let (file, report) = calibrate_to_tables(&few, (shading, options.clock), &others, &pool)?;
+                    (file, report.median_error)
+                };
+                let judged = TimedFrames::of(&tables[1].frames, options.clock);
                 let predicted = predict(&file.to_model()?, &context, &judged.frames)?;
                 let metrics =
                     Metrics::new(&predicted, &judged.seconds).context("there are no frames to judge by")?;
@@ -186,7 +179,7 @@ pub fn run(options: &Options) -> Result<()> {
                     frames: count,
                     error: metrics.mdape,
                     rmse_over_sd: metrics.rmse_over_sd,
-                    expected: report.median_error,
+                    expected,
                 };
                 csv.push_str(&format!(
                     "{name},{count},{seed},{:.5},{:.5},{:.5}\n",
@@ -249,6 +242,13 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
     write_whole(&svg, chart.to_svg_file().as_bytes())?;
     println!("{}", table.to_text());
     println!("Chart: {}", svg.display());
+    for (count, limit) in BARS {
+        let of = |(_, of_table): &(String, Vec<Found>)| {
+            mean(of_table.iter().filter(|f| f.frames == count).map(|f| f.error))
+        };
+        let value = options.frames.contains(&count).then(|| mean(found.iter().map(of)));
+        println!("{}", Bar::at_most(format!("calibrated-to-another-make-{count}-frames"), value, limit));
+    }
     Ok(())
 }
 
@@ -257,30 +257,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_draw_judges_by_other_members_than_it_calibrates_to() {
+    fn a_draw_takes_one_member_of_each_ensemble_and_its_volumes_in_turn() {
         let members = [("a/m01", 6), ("a/m02", 6), ("b/m01", 5), ("b/m02", 5), ("c/m01", 3)];
         let volumes: Vec<(String, &str)> =
             members.iter().flat_map(|(m, n)| (0..*n).map(move |v| (format!("{m}/t{v}.nrrd"), *m))).collect();
         let frames: Vec<(&str, String)> =
             volumes.iter().flat_map(|(v, m)| [(); 4].map(|()| (v.as_str(), (*m).to_owned()))).collect();
-        let member = |i: &usize| frames[*i].1.clone();
         for seed in 0..5 {
-            let drawn = draw(&frames, 20, seed).unwrap();
-            let calibrated: BTreeSet<String> = drawn.calibrated.iter().map(member).collect();
-            let judged: BTreeSet<String> = drawn.judged.iter().map(member).collect();
-            assert!(calibrated.is_disjoint(&judged), "{calibrated:?} {judged:?}");
-            assert_eq!(judged.len(), 2);
-            let distinct: BTreeSet<usize> = drawn.calibrated.iter().copied().collect();
+            let drawn = draw(&frames, 20, seed);
+            let taken: BTreeSet<String> = drawn.iter().map(|i| frames[*i].1.clone()).collect();
+            assert_eq!(taken.len(), 3, "{taken:?}");
+            let distinct: BTreeSet<usize> = drawn.iter().copied().collect();
             assert_eq!(distinct.len(), 20);
-            // The volumes in turn: nine of them have two or three frames each.
             let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-            for &i in &drawn.calibrated {
+            for &i in &drawn {
                 *counts.entry(frames[i].0).or_default() += 1;
             }
             assert_eq!(counts.len(), VOLUMES);
             assert!(counts.values().all(|n| (2..=3).contains(n)), "{counts:?}");
         }
-        // One member alone leaves none to judge by.
-        assert!(draw(&frames[..24], 8, 0).is_none());
     }
 }

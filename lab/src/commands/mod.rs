@@ -8,7 +8,6 @@ pub mod gpu_study;
 pub mod paper;
 pub mod record;
 pub mod replay;
-pub mod select;
 pub mod stress;
 pub mod study;
 pub mod tune;

@@ -1,16 +1,16 @@
 //! `entire-lab study`: a whole study in one report, accuracy against latency first.
 
 use crate::ship::ship;
-use crate::study::nested_report::{book_table, choices, grid_lines, nested_table, outer_table};
 use crate::study::report::{fits_table, main_table, write};
-use crate::study::{Runner, bars, read};
+use crate::study::{Runner, bars, by_rule, read};
 use anyhow::{Result, ensure};
+use entire_cli::dataset::Clock;
 use entire_cli::interrupt;
 use entire_cli::options::thread_pool;
 use entire_cli::progress::templated_bar;
 use std::path::PathBuf;
 
-/// Make and judge every predictor of a study; write one report: accuracy against latency, tables, curves.
+/// Make and judge every predictor of a study; write one report: accuracy against latency, tables.
 ///
 /// Predictors that were made before of the same data are taken from OUT/models, so that a study that was
 /// stopped goes on where it was.
@@ -18,7 +18,6 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   entire-lab study --study data/timings/study.json --out out/study
-  entire-lab study --study data/timings/study.json --out out/study --nested
   entire-lab study --study study.json --only selected,paper --bars")]
 pub struct Options {
     /// The study: data sets, splits and predictors as JSON.
@@ -27,18 +26,15 @@ pub struct Options {
     /// Folder for report.html, study.json, the charts as SVG and the models.
     #[arg(long, value_name = "FOLDER", default_value = "out/study")]
     pub out: PathBuf,
-    /// Only these predictors, and no candidates of the grid.
+    /// Only these predictors.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub only: Vec<String>,
     /// Only these data sets.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub sets: Vec<String>,
-    /// Judge the choice of a predictor, too, by nested cross-validation on the training members: among the
-    /// study's predictors and among the candidates of its grid.
-    ///
-    /// Some minutes when nothing was made before; models are kept like all others.
-    #[arg(long)]
-    pub nested: bool,
+    /// The clock whose seconds are learned and judged, instead of the study's.
+    #[arg(long, value_enum)]
+    pub clock: Option<Clock>,
     /// Print one line per bar, `bar NAME VALUE LIMIT ok|short`, and fail when one is short.
     ///
     /// The value is - where what the bar is about is missing.
@@ -61,20 +57,21 @@ pub fn run(options: &Options) -> Result<()> {
     if !options.only.is_empty() {
         study.predictors.retain(|p| options.only.contains(&p.name));
         let kept: Vec<String> = study.predictors.iter().map(|p| p.name.clone()).collect();
-        study.curves.retain(|c| kept.contains(c));
-        study.grid.clear();
         ensure!(!kept.is_empty(), "--only names no predictor of {}", options.study.display());
     }
     if !options.sets.is_empty() {
         study.sets.retain(|s| options.sets.contains(&s.name));
         ensure!(!study.sets.is_empty(), "--sets names no data set of {}", options.study.display());
     }
+    if let Some(clock) = options.clock {
+        study.clock = clock.name().into();
+    }
     let pool = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
     let bar = templated_bar("study [{bar:30}] {pos}/{len} {msg}");
     let stopped = || interrupt::requested(&stop);
     let runner = Runner { pool: &pool, models: options.out.join("models"), bar: &bar, stop: &stopped };
-    let found = runner.run(&study, options.nested)?;
+    let found = runner.run(&study)?;
     bar.finish_and_clear();
     for (set, what, why) in &found.left_out {
         entire_cli::files::note(&format!("{set}, {what}: left out ({why})"));
@@ -91,26 +88,13 @@ pub fn run(options: &Options) -> Result<()> {
             println!("{}: frames learned from, cross-validation, test", set.name);
             println!("{}", fits_table(&study, &found, &set.name, &split.name).to_text());
         }
-        for text in choices(&found, &set.name) {
-            println!("{}: {text}\n", set.name);
-        }
-        if found.nested.iter().any(|n| n.set == set.name) {
-            println!("{}: nested cross-validation", set.name);
-            println!("{}", nested_table(&found, &set.name).to_text());
-            println!("{}: nested cross-validation, by member left out", set.name);
-            println!("{}", outer_table(&found, &set.name).to_text());
+        if let Some(selected) = by_rule(&study, &found, &set.name) {
+            println!("{}: selected by the rule: {}\n", set.name, selected.name);
         }
         for split in &set.splits {
             println!("{}, split by {}", set.name, split.name);
             println!("{}", main_table(&found, &set.name, &split.name, None).to_text());
         }
-    }
-    if !found.nested.is_empty() {
-        println!("nested cross-validation, all sets\n\n{}", book_table(&study, &found).to_markdown());
-        for line in grid_lines(&study) {
-            println!("grid: {line}");
-        }
-        println!();
     }
     let mut short = 0;
     if options.bars {

@@ -9,8 +9,8 @@
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
 use entire_cli::steering::calibrate::Sample;
-use entire_core::calibrate::solve;
-use entire_core::features::{Changes, FrameFeatures, SceneQuantity, Setting};
+use entire_core::features::{FrameFeatures, SceneQuantity, Setting};
+use entire_core::numeric::solve;
 use entire_core::scene::{Arcball, Camera};
 
 /// Numbers of a frame that the factor depends on, before their squares.
@@ -24,7 +24,7 @@ const LIMIT: f64 = 0.5;
 /// share and step, the divergence of neighboring rays.
 fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option<[f64; TERMS]> {
     let work = features.work(setting);
-    let of = |q: SceneQuantity| features.quantity(q, setting, &work, Changes::default());
+    let of = |q: SceneQuantity| features.quantity(q, setting, &work);
     let log = |v: f64| v.max(1e-3).ln();
     let (_, [forward, ..]) = Camera::from_arcball(camera).ok()?.ray_basis(setting.width, setting.height);
     let [x, y, z] = forward.to_array().map(|v| f64::from(v.abs()));

@@ -15,7 +15,7 @@ use entire_cli::calibrate::calibrate_to_frames;
 use entire_cli::dataset::feature_table::{code_column, encoder_id};
 use entire_cli::dataset::{Clock, Table, TimedFrame};
 use entire_cli::files::open_model;
-use entire_cli::fit::{FitContext, Recipe, predict, transfer};
+use entire_cli::fit::{FitContext, Recipe, predict};
 use entire_cli::metrics::{Metrics, median};
 use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
@@ -34,8 +34,6 @@ struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
     judged: TimedFrames<'a>,
-    /// Whether unit costs are others there.
-    renderer: bool,
     /// The set of results that it belongs to.
     set: &'static str,
 }
@@ -166,7 +164,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             None => {
                 let (learned, judged) = halves(&of_table(*t));
                 let name = place.set.title.clone();
-                targets.push(Target { name, learned, judged, renderer: false, set: TOGETHER });
+                targets.push(Target { name, learned, judged, set: TOGETHER });
             }
         }
     }
@@ -183,7 +181,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             ));
             continue;
         }
-        targets.push(Target { name: name.clone(), learned, judged, renderer: *set == TOGETHER, set });
+        targets.push(Target { name: name.clone(), learned, judged, set });
     }
     let network = Recipe { volumenet: Some(paper.encoders.shipped[0].clone()), ..paper.network.clone() };
     let none = TimedFrames::default();
@@ -246,12 +244,7 @@ impl Pretrained<'_> {
                 let alone = Recipe { epochs: work.paper.tuning.epochs, seed, ..(*recipe).clone() };
                 let (alone, _) = runner.made(&key("alone"), &alone, context, (&few, &none), &bounds)?;
                 found.entry("from nothing").or_default().push(rmse(&alone)?);
-                let moved = if target.renderer {
-                    transfer(ours, context, few.timed())?
-                } else {
-                    calibrate_to_frames(ours, context, few.timed())?
-                };
-                let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
+                let (how, moved) = ("ours, calibrated", calibrate_to_frames(ours, context, few.timed())?);
                 found.entry(how).or_default().push(rmse(&moved)?);
                 if run == 1 {
                     last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];

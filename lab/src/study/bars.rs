@@ -1,11 +1,8 @@
 //! What a study says about its bars.
 
-use super::curves::CALIBRATED;
-use super::{CALIBRATION_FRAMES, CONSTANT, Findings, PROXY, SplitResult, Study};
+use super::description::SELECTED;
+use super::{CONSTANT, Findings, PROXY, SplitResult, Study, shipped};
 use crate::bars::Bar;
-
-/// The predictor of a study that most bars are about.
-pub(super) const SELECTED: &str = "selected";
 
 /// The paper's network, as the paper trains it.
 pub(super) const PAPER: &str = "paper";
@@ -13,10 +10,10 @@ pub(super) const PAPER: &str = "paper";
 /// The paper's network where it is distilled from another predictor.
 const DISTILLED: &str = "distilled";
 
-/// The networks whose error with eight-bit weights is a bar: the paper's and those that ship.
+/// The networks whose error with eight-bit weights is a bar: the paper's, and those that ship by name.
 pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> {
-    std::iter::once(PAPER)
-        .chain(study.ship.iter().map(|s| s.predictor.as_str()).filter(|name| *name != PAPER))
+    let by_name = |name: &&str| ![PAPER, SELECTED].contains(name);
+    std::iter::once(PAPER).chain(study.ship.iter().map(|s| s.predictor.as_str()).filter(by_name))
 }
 
 /// The predictors with a model file, main panel.
@@ -32,18 +29,17 @@ fn best<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a Spl
     models(found, set, split).min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
 }
 
-/// `selected` where the study has one, the best on the test frames otherwise.
+/// The predictor that the rule selects; the best on the test frames where it selects none.
 fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a SplitResult> {
-    if study.predictors.iter().any(|p| p.name == SELECTED) {
-        found.of(set, split, SELECTED)
-    } else {
-        best(found, set, split)
+    match shipped(study, found, set, SELECTED) {
+        Some(name) => found.of(set, split, name),
+        None => best(found, set, split),
     }
 }
 
 /// What a study says about its bars: one for every limit of its sets, short where what it is about is
-/// missing. Most are about the predictor `selected` where the study has one, about the best on the test
-/// frames otherwise.
+/// missing. Most are about the predictor that the rule selects, about the best on the test frames where it selects
+/// none.
 pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();
     let mut at_most = |name: String, value: Option<f64>, limit: f64| {
@@ -89,14 +85,15 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
             }
         }
         let has = |name: &str| study.predictors.iter().any(|p| p.name == name);
-        if limits.latency || (limits.rmse_over_sd.is_some() && has(SELECTED) && has(PAPER)) {
+        let selected = shipped(study, found, s, SELECTED).unwrap_or(SELECTED);
+        if limits.latency || (limits.rmse_over_sd.is_some() && has(PAPER)) {
             let of = |predictor: &str| found.latency(s, predictor).map(|l| l.with_changes());
-            at_most(name("selected-latency-over-paper"), over(of(SELECTED), of(PAPER)), 0.2);
+            at_most(name("selected-latency-over-paper"), over(of(selected), of(PAPER)), 0.2);
         }
         if limits.latency {
             let cold = |predictor: &str| found.latency(s, predictor).map(|l| l.cold);
             let lowest = best(found, s, p).map(|r| r.metrics.rmse);
-            at_most(name("selected-rmse-over-best"), over(rmse(SELECTED), lowest), 1.1);
+            at_most(name("selected-rmse-over-best"), over(rmse(selected), lowest), 1.1);
             let quick = cold(PAPER).and_then(|theirs| {
                 models(found, s, p)
                     .filter(|r| cold(&r.predictor).is_some_and(|c| c <= theirs / 40.0))
@@ -111,12 +108,8 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
             let ours = chosen(study, found, s, p);
             at_most(name("mdape"), ours.map(|r| r.metrics.mdape), 0.15);
             at_most(name("one-less-r2-log"), ours.map(|r| 1.0 - r.metrics.r2_log), 0.03);
-            // As the documented command does it, where it can.
             let tuned = ours.and_then(|r| {
-                let curve = format!("{}, {CALIBRATED}", r.predictor);
-                found.tuning.iter().find(|t| {
-                    t.set == s && t.split == p && t.curve == curve && t.frames == CALIBRATION_FRAMES
-                })
+                found.calibrated.iter().find(|t| t.set == s && t.split == p && t.predictor == r.predictor)
             });
             // Seven percent, or twice the noise where that is more.
             let limit = (2.0 * found.noise_mdape(s, p)).max(0.07);

@@ -1,6 +1,5 @@
 //! What a study is asked for: its JSON file.
 
-use super::Grid;
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::Clock;
 use entire_cli::files::read_text;
@@ -22,18 +21,6 @@ pub struct Study {
     pub sets: Vec<Set>,
     /// Predictors, each made for every set.
     pub predictors: Vec<Named>,
-    /// Candidates that differ in some settings, for nested cross-validation alone.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub grid: Vec<Grid>,
-    /// Numbers of training frames to make predictors with again.
-    #[serde(default)]
-    pub sample_sizes: Vec<usize>,
-    /// Shares of the calibration split's frames, for fine-tuning curves.
-    #[serde(default)]
-    pub shares: Vec<f64>,
-    /// Names of the predictors that sample and fine-tuning curves are drawn for.
-    #[serde(default)]
-    pub curves: Vec<String>,
     /// What `entire-lab study --ship` writes for every set.
     #[serde(default)]
     pub ship: Vec<Ship>,
@@ -45,11 +32,14 @@ fn cpu() -> String {
     Clock::Cpu.name().into()
 }
 
+/// What [`Ship`] calls the predictor that the rule selects.
+pub(crate) const SELECTED: &str = "selected";
+
 /// A predictor to ship.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ship {
-    /// Its name.
+    /// Its name, or `selected` for the one that the rule selects.
     pub predictor: String,
     /// How its weights are stored.
     #[serde(default)]
@@ -77,16 +67,12 @@ pub struct Set {
     /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
     pub low_resolution: BTreeMap<String, PathBuf>,
-    /// The split that fine-tuning curves and the calibration bar are about.
+    /// The split that predictors are calibrated to a hundred frames of.
     #[serde(default)]
     pub calibration_split: Option<String>,
-    /// Further splits that fine-tuning curves are drawn for.
-    #[serde(default)]
-    pub more_calibration_splits: Vec<String>,
-    /// Whether the split that calibration curves are about is of another renderer: a curve is drawn for
-    /// models that are transferred to it, too.
-    #[serde(default)]
-    pub transfer: bool,
+    /// Sets of one shading mode on several machines: what ships must be the smallest good one on all of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
     /// Limits of the bars; there are no bars for limits that are left away.
     #[serde(default)]
     pub limits: Limits,
@@ -119,17 +105,13 @@ pub struct Limits {
     pub modality: bool,
     /// Whether the bars on latency apply.
     pub latency: bool,
-    /// Largest share of the cold latency of the predictor `paper` that the selected one may take; any unless
-    /// given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub cold_over_paper: Option<f64>,
 }
 
 /// A predictor.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Named {
-    /// Its name in every table; `paper` and `selected` have bars of their own.
+    /// Its name in every table; `paper` has bars of its own.
     pub name: String,
     /// How it is made.
     #[serde(default)]
@@ -137,6 +119,9 @@ pub struct Named {
     /// Whether it is boosted trees on the recipe's inputs instead: a yardstick that no model file holds.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trees: bool,
+    /// Sets that it is made for; all unless given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sets: Vec<String>,
     /// Another recipe in the sets of these names: what suits one shading mode is not what suits another.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub in_set: BTreeMap<String, Recipe>,
@@ -151,6 +136,11 @@ pub struct Named {
 }
 
 impl Named {
+    /// Whether it is made for a set.
+    pub fn is_of(&self, set: &str) -> bool {
+        self.sets.is_empty() || self.sets.iter().any(|s| s == set)
+    }
+
     /// How it is made for a set.
     pub fn recipe_for(&self, set: &str) -> &Recipe {
         self.in_set.get(set).unwrap_or(&self.recipe)
@@ -186,7 +176,8 @@ pub fn read(path: &Path) -> Result<Study> {
         for recipe in p.in_set.values_mut().chain(std::iter::once(&mut p.recipe)) {
             recipe.volumenet.iter_mut().chain(&mut recipe.fine_tune).chain(&mut recipe.file).for_each(place);
         }
-        if let Some(other) = p.in_set.keys().find(|n| study.sets.iter().all(|s| s.name != **n)) {
+        if let Some(other) = p.in_set.keys().chain(&p.sets).find(|n| study.sets.iter().all(|s| s.name != **n))
+        {
             bail!("{}: {} names the set {other:?}, which is none", path.display(), p.name);
         }
     }
@@ -195,13 +186,10 @@ pub fn read(path: &Path) -> Result<Study> {
     if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
         bail!("{}: the predictor {:?} stands there twice", path.display(), twice[0]);
     }
-    study.grid_predictors().with_context(|| format!("{}", path.display()))?;
-    for (list, name) in
-        study.curves.iter().map(|n| ("curves", n)).chain(study.ship.iter().map(|s| ("ship", &s.predictor)))
-    {
+    for Ship { predictor: name, .. } in &study.ship {
         ensure!(
-            names.contains(&name.as_str()),
-            "{}: {list} names {name:?}, which is no predictor",
+            name == SELECTED || names.contains(&name.as_str()),
+            "{}: ship names {name:?}, which is no predictor; {SELECTED:?} is what the rule selects",
             path.display()
         );
     }

@@ -1,6 +1,5 @@
 //! What a study found: errors, latencies and curves, by set, split and predictor.
 
-use super::{Choice, Nested, Set};
 use crate::latency::Latency;
 use entire_cli::bound;
 use entire_cli::dataset::{NoiseFloor, TimedFrame};
@@ -10,6 +9,7 @@ use entire_cli::split::GroupBy;
 use entire_cli::split::TimedFrames;
 use entire_core::predict::UpperBound;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Rounds behind every interval.
@@ -75,6 +75,10 @@ pub struct Fit {
     pub crossed_intervals: Option<Intervals>,
     /// How often.
     pub folds: usize,
+    /// Numbers that were fitted: weights, biases, and unit costs.
+    pub numbers: usize,
+    /// Rays along each side of its probe.
+    pub probe_side: usize,
 }
 
 /// How a predictor did on a split.
@@ -100,18 +104,16 @@ pub struct SplitResult {
     pub log_errors: [f64; 7],
 }
 
-/// A curve's point.
+/// How a predictor did on other data that it was calibrated to a hundred frames of.
 #[derive(Clone, Debug, Serialize)]
-pub struct Point {
-    /// Set and split that it was judged on.
+pub struct CalibratedResult {
+    /// Set and split.
     pub set: String,
     /// See `set`.
     pub split: String,
-    /// Which curve.
-    pub curve: String,
-    /// Frames learned from.
-    pub frames: usize,
-    /// Errors on the frames not learned from.
+    /// The predictor.
+    pub predictor: String,
+    /// Errors on volumes that it was not calibrated to.
     pub metrics: Metrics,
 }
 
@@ -128,14 +130,10 @@ pub struct Findings {
     pub eight_bit: Vec<(String, String, f64)>,
     /// Noise floor by set and split.
     pub noise: Vec<(String, String, NoiseFloor, usize)>,
-    /// Training-sample and fine-tuning curves.
-    pub samples: Vec<Point>,
-    /// See `samples`.
-    pub tuning: Vec<Point>,
-    /// What the rule chooses from all training members.
-    pub choices: Vec<Choice>,
-    /// Errors of choosing, fitting and bounding as a whole, by nested cross-validation.
-    pub nested: Vec<Nested>,
+    /// The predictor that the rule selects, by set.
+    pub selected: BTreeMap<String, String>,
+    /// Errors after a calibration.
+    pub calibrated: Vec<CalibratedResult>,
     /// Predictors that could not be made, and why.
     pub left_out: Vec<(String, String, String)>,
     /// Model file by set and predictor.
@@ -173,27 +171,6 @@ pub const CALIBRATION_FRAMES: usize = 100;
 pub const CONSTANT: &str = "constant (mean of 15 % probes)";
 /// The name of the low-resolution proxy.
 pub const PROXY: &str = "LVRP (64³ render, linear fit)";
-
-/// Adds a point to a curve, where there are frames to judge it by.
-pub(super) fn push_point(
-    points: &mut Vec<Point>,
-    set: &Set,
-    split: &str,
-    curve: &str,
-    frames: usize,
-    predicted: &[f64],
-    measured: &[f64],
-) {
-    if let Some(metrics) = Metrics::new(predicted, measured) {
-        points.push(Point {
-            set: set.name.clone(),
-            split: split.to_owned(),
-            curve: curve.to_owned(),
-            frames,
-            metrics,
-        });
-    }
-}
 
 /// Judges predictions on a split; `None` where it has no frames.
 pub(super) fn judge(

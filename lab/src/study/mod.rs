@@ -7,15 +7,10 @@ mod bars;
 mod bars_tests;
 mod baselines;
 mod cache;
-mod curves;
+mod calibrated;
 mod data;
 mod description;
 mod findings;
-mod grid;
-mod nested;
-pub mod nested_report;
-#[cfg(test)]
-mod nested_tests;
 pub mod report;
 mod rule;
 mod runner;
@@ -26,11 +21,9 @@ pub(crate) use baselines::{Line, twins};
 pub(crate) use runner::Bounds;
 
 pub use bars::bars;
+pub(crate) use description::SELECTED;
 pub use description::{Limits, Named, Set, Ship, SplitTables, Study, clock, read};
-pub use findings::{
-    CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, Point, SplitResult,
-};
-pub use grid::Grid;
-pub use nested::{Nested, OuterFold};
-pub use rule::{Choice, GRID, LISTED};
+pub use findings::{CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult};
+pub(crate) use rule::SENTENCE;
+pub use rule::{by_rule, shipped};
 pub use runner::Runner;

@@ -1,8 +1,8 @@
-//! The report of a study: accuracy against latency first, then tables and curves.
+//! The report of a study: accuracy against latency first, then tables.
 
 use super::bars::{bars, models};
-use super::rule::{by_rule, sentence};
-use super::{CONSTANT, Findings, GRID, Intervals, PROXY, Point, SplitResult, Study, grid, nested_report};
+use super::rule::{SENTENCE, by_rule};
+use super::{CALIBRATION_FRAMES, CONSTANT, Findings, Intervals, PROXY, SplitResult, Study};
 use anyhow::Result;
 use entire_cli::files::{make_folder, write_json, write_whole};
 use entire_cli::machine;
@@ -81,20 +81,16 @@ pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Ta
         Column::number("MdAPE % (90 %), frames learned from"),
         Column::number("… cross-validated"),
         Column::number("… test"),
+        Column::number("fitted numbers"),
         Column::number("cold µs"),
         Column::text("rule"),
     ]);
     let rule = by_rule(study, found, set).map(|p| p.name.as_str());
-    let of_grid = found.choices.iter().find(|c| c.set == set && c.among == GRID);
     for f in found.fits.iter().filter(|f| f.set == set) {
-        let shown = |r: &&SplitResult| r.panel == "main" || r.panel == grid::PANEL;
+        let shown = |r: &&SplitResult| r.panel == "main";
         let Some(test) = found.of(set, split, &f.predictor).filter(shown) else { continue };
         let cold = found.latency(set, &f.predictor).map(|l| format!("{:.1}", 1e6 * l.cold));
-        let says = match (rule == Some(f.predictor.as_str()), of_grid) {
-            (true, _) => "selected",
-            (false, Some(c)) if c.predictor == f.predictor => "taken of the grid",
-            _ => "",
-        };
+        let says = if rule == Some(f.predictor.as_str()) { "selected" } else { "" };
         let columns = [
             (Some(&f.seen), f.seen_intervals.as_ref()),
             (f.crossed.as_ref(), f.crossed_intervals.as_ref()),
@@ -103,7 +99,7 @@ pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Ta
         let mut row = vec![f.predictor.clone().into()];
         row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_rmse(i, m)).into()));
         row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_mdape(i, m)).into()));
-        row.extend([cold.into(), says.into()]);
+        row.extend([f.numbers.to_string().into(), cold.into(), says.into()]);
         table.row(row);
     }
     table
@@ -165,45 +161,6 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
         before = Some(p);
     }
     (chart, knee)
-}
-
-fn curve_chart(title: &str, points: &[&Point]) -> Chart {
-    let mut chart = Chart::new(title, Axis::log("frames learned from"), Axis::log("MdAPE, %"));
-    let mut names: Vec<&str> = points.iter().map(|p| p.curve.as_str()).collect();
-    names.dedup();
-    names.sort_unstable();
-    names.dedup();
-    for (i, name) in names.into_iter().enumerate() {
-        let mut line: Vec<(f64, f64)> = points
-            .iter()
-            .filter(|p| p.curve == name)
-            // Before any frame was seen: drawn at one.
-            .map(|p| (p.frames.max(1) as f64, 100.0 * p.metrics.mdape))
-            .collect();
-        line.sort_by(|a, b| a.0.total_cmp(&b.0));
-        chart = chart.series(Series::new(name, Mark::Line(line)).color(i));
-    }
-    chart
-}
-
-fn curve_table(points: &[&Point]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("curve"),
-        Column::number("frames"),
-        Column::number("RMSE/SD"),
-        Column::number("MdAPE, %"),
-        Column::number("R² in log"),
-    ]);
-    for p in points {
-        table.row(vec![
-            p.curve.clone().into(),
-            p.frames.to_string().into(),
-            format!("{:.3}", p.metrics.rmse_over_sd).into(),
-            format!("{:.1}", 100.0 * p.metrics.mdape).into(),
-            format!("{:.4}", p.metrics.r2_log).into(),
-        ]);
-    }
-    table
 }
 
 fn bias_table(found: &Findings, set: &str, split: &str) -> Table {
@@ -292,12 +249,10 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                 &fits_table(study, found, &set.name, &split.name),
                 &format!(
                     "Cross-validated: every training frame predicted without its ensemble member; upper \
-                     bounds follow from these errors, every member counting alike. {} {INTERVALS}",
-                    sentence(set.limits.cold_over_paper)
+                     bounds follow from these errors, every member counting alike. {SENTENCE} {INTERVALS}"
                 ),
             );
         }
-        nested_report::on_page(&mut page, study, found, set);
         for (i, split) in set.splits.iter().enumerate() {
             let (s, p) = (set.name.as_str(), split.name.as_str());
             page.heading(&format!("{s}: split by {p}"));
@@ -320,7 +275,7 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             );
             page.table(&knee, "");
             page.table(&main_table(found, s, p, Some("main")), INTERVALS);
-            for panel in ["ablation", "architecture", grid::PANEL] {
+            for panel in ["ablation", "architecture"] {
                 if found.results.iter().any(|r| r.set == s && r.split == p && r.panel == panel) {
                     page.table(&main_table(found, s, p, Some(panel)), panel);
                 }
@@ -337,27 +292,27 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                 "By image size, and with the eye near or inside the volume.",
             );
         }
-        for (points, title, caption) in [
-            (&found.samples, "frames to learn from", "Error on the main split by number of training frames."),
-            (
-                &found.tuning,
-                "adapting to other data",
-                "Error on volumes not learned from: frames of one half of the volumes are learned from, those of \
-                 the other half judged on, and the other way round. Calibrated: the model of the training tables, \
-                 its last layer fitted anew; from nothing: trained on those frames alone.",
-            ),
-        ] {
-            let of_set: Vec<&Point> = points.iter().filter(|p| p.set == set.name).collect();
-            if !of_set.is_empty() {
-                page.heading(&format!("{}: {title}", set.name));
-                let chart = curve_chart(&format!("{}: {title}", set.name), &of_set);
-                put(
-                    &format!("{}-{}.svg", title.replace(' ', "-"), set.name.replace(' ', "-")),
-                    &chart.to_svg_file(),
-                )?;
-                page.chart(&chart, caption);
-                page.table(&curve_table(&of_set), "");
+        let calibrated: Vec<_> = found.calibrated.iter().filter(|c| c.set == set.name).collect();
+        if !calibrated.is_empty() {
+            page.heading(&format!("{}: calibrated to {CALIBRATION_FRAMES} frames of other data", set.name));
+            let mut table = Table::new(vec![
+                Column::text("predictor"),
+                Column::text("data"),
+                Column::number("RMSE/SD"),
+                Column::number("MdAPE, %"),
+            ]);
+            for c in calibrated {
+                table.row(vec![
+                    c.predictor.clone().into(),
+                    c.split.clone().into(),
+                    format!("{:.3}", c.metrics.rmse_over_sd).into(),
+                    format!("{:.1}", 100.0 * c.metrics.mdape).into(),
+                ]);
             }
+            page.table(
+                &table,
+                "Judged on volumes that the calibration did not see: half of the volumes each.",
+            );
         }
     }
     if !found.left_out.is_empty() {

@@ -3,10 +3,12 @@
 use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
 use super::cache::{STUDY_KEY, identity, kept, path_of};
+use super::calibrated::calibrated;
 use super::data::{Folds, Learned, SetData, SetTables};
 use super::description::main_panel;
 use super::findings::judge;
-use super::{Findings, Fit, Intervals, Named, Set, Study, clock, grid, rule};
+use super::rule::{by_rule, numbers};
+use super::{Findings, Fit, Intervals, Named, Set, Study, clock};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Result, ensure};
@@ -15,6 +17,7 @@ use entire_cli::dataset::{TimedFrame, noise_floor};
 use entire_cli::enlarge::enlarge;
 use entire_cli::files::{make_folder, write_whole};
 use entire_cli::fit::{FitContext, Recipe, predict, predict_stored};
+use entire_cli::inputs::Layout;
 use entire_cli::metrics::Metrics;
 use entire_cli::split::{GroupBy, TimedFrames};
 use entire_cli::volume::Volume;
@@ -70,6 +73,21 @@ impl StudyPredictor {
         match self {
             Self::Model(kept) => predict(&kept.model, context, frames),
             Self::Trees(trees) => trees.predict(context, frames),
+        }
+    }
+
+    fn model(&self) -> Option<&Model> {
+        match self {
+            Self::Model(kept) => Some(&kept.model),
+            Self::Trees(_) => None,
+        }
+    }
+
+    /// Rays along each side of its probe; 0 where it takes no scene features.
+    fn probe_side(&self) -> usize {
+        match self {
+            Self::Model(kept) => Layout::of_model(&kept.model).map_or(0, |l| l.probe_side()),
+            Self::Trees(trees) => trees.probe_side(),
         }
     }
 
@@ -211,11 +229,11 @@ impl Runner<'_> {
         Ok((folds > 0).then_some(Crossed { predicted, measured, groups, volumes, folds }))
     }
 
-    /// Runs a whole study; with `nested`, the choice of a predictor is judged by nested cross-validation too.
+    /// Runs a whole study.
     ///
     /// # Errors
     /// When tables cannot be read, a baseline's tables do not fit, or it was stopped.
-    pub fn run(&self, study: &Study, nested: bool) -> Result<Findings> {
+    pub fn run(&self, study: &Study) -> Result<Findings> {
         let clock = clock(&study.clock)?;
         let mut out = Findings::default();
         let (path, factor) = &study.latency_volume;
@@ -238,17 +256,18 @@ impl Runner<'_> {
             let low = low_resolution(set, &tables.tables, clock)?;
             let mut bench = Bench::new(&volume, data.one_step.all.frames[0].scene.shading)?;
             let on = OnSet { study, set, data: &data, context: &context };
-            for named in &study.predictors {
+            for named in study.predictors.iter().filter(|p| p.is_of(&set.name)) {
                 let made = self.made_and_judged(&on, named, &mut bench, &mut out);
                 self.bar.inc(1);
                 made?;
             }
-            out.choices.extend(rule::choice(study, &out, &set.name));
-            if nested {
-                self.nested(&on, &mut bench, &mut out)?;
-            }
             constant(&on, &mut out);
             proxy(&on, &low, &mut out)?;
+        }
+        for set in &study.sets {
+            if let Some(selected) = by_rule(study, &out, &set.name) {
+                out.selected.insert(set.name.clone(), selected.name.clone());
+            }
         }
         Ok(out)
     }
@@ -287,8 +306,7 @@ impl Runner<'_> {
         let recipe = named.recipe_for(&set.name);
         let method = (recipe, named.trees);
         let learned = on.learned(recipe)?;
-        let crossed = if named.cross_validated && (named.panel == main_panel() || named.panel == grid::PANEL)
-        {
+        let crossed = if named.cross_validated && named.panel == main_panel() {
             self.crossed(&key, method, context, &learned.all, &data.one_step.all)?
         } else {
             None
@@ -307,6 +325,8 @@ impl Runner<'_> {
                 .as_ref()
                 .and_then(|c| Intervals::by(&c.predicted, &c.measured, &c.volumes)),
             folds: crossed.as_ref().map_or(0, |c| c.folds),
+            numbers: made.model().map_or(0, numbers),
+            probe_side: made.probe_side(),
         });
         let upper = match (&made, &crossed) {
             (StudyPredictor::Model(kept), _) => bound::of(&kept.model),
@@ -315,7 +335,7 @@ impl Runner<'_> {
         Ok((made, upper, fit))
     }
 
-    /// Judges a predictor on every split, takes its latency, and draws its curves where it has some.
+    /// Judges a predictor on every split, takes its latency, and calibrates it to other data.
     fn judge(
         &self,
         on: &OnSet<'_>,
@@ -346,9 +366,7 @@ impl Runner<'_> {
             if judged_in_eight_bits(study).any(|name| name == named.name) {
                 eight_bit(on, &named.name, &kept.model, out)?;
             }
-            if study.curves.contains(&named.name) {
-                self.curves(on, named, &kept.file, out)?;
-            }
+            calibrated(on, &named.name, &kept.file, out)?;
         }
         Ok(())
     }

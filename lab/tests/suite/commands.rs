@@ -13,7 +13,7 @@ fn text(bytes: &[u8]) -> String {
 
 #[test]
 fn help_shows_examples_and_wrong_usage_exits_with_2() {
-    for command in ["study", "select", "record", "replay", "tune", "stress", "farm"] {
+    for command in ["study", "record", "replay", "tune", "stress", "farm"] {
         let output = lab(&[command, "--help"]);
         let help = text(&output.stdout);
         assert_eq!(output.status.code(), Some(0), "{command}");
@@ -55,25 +55,6 @@ fn record_says_where_it_cannot_write_before_anything_is_drawn() {
     assert!(said.starts_with("entire-lab: cannot make the folder") && said.lines().count() == 1, "{said}");
     assert!(said.contains(file.to_str().unwrap()), "{said}");
     assert_eq!(std::fs::read(&file).unwrap(), b"x");
-}
-
-#[test]
-fn select_says_what_it_cannot_do_before_any_candidate_is_made() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/none-members.csv.gz");
-    let data = data.to_str().unwrap();
-    let dir = tempfile::tempdir().unwrap();
-    let file = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
-    let (out, below_a_file) = (file("m.safetensors"), format!("{data}/m.safetensors"));
-    // The volume for latencies is looked for last of all.
-    for (name, expected) in
-        [("m.bin", ".safetensors"), (below_a_file.as_str(), "cannot make"), (out.as_str(), "nowhere.nrrd")]
-    {
-        let output = lab(&["select", "--data", data, "--volume", "nowhere.nrrd", "--out", name]);
-        let said = text(&output.stderr);
-        assert!(output.status.code() == Some(1) && said.contains(expected), "{name}: {said}");
-        assert!(said.starts_with("entire-lab: ") && said.lines().count() == 1, "{said}");
-    }
-    assert!(!Path::new(&out).exists());
 }
 
 #[test]

@@ -72,21 +72,12 @@ fn a_small_study_goes_from_tables_to_bars() {
             "calibration_split": "modality",
             "limits": { "rmse_over_sd": 100, "proxy_over_paper": 3, "modality": true }
         }],
-        "predictors": [{
-            "name": "selected",
-            "recipe": {
-                "kind": "residual", "layers": [6], "epochs": 8, "batch": 32, "learning_rate": 0.003,
-                "probe_side": 7
-            }
-        }],
-        "grid": [
-            { "name": "linear", "recipe": { "kind": "linear" } },
-            { "name": "factor {layers}", "axes": { "layers": [[4], [6]] }, "recipe": {
-                "kind": "residual", "epochs": 8, "batch": 32, "learning_rate": 0.003, "probe_side": 7 } }
+        "predictors": [
+            { "name": "analytic", "recipe": { "kind": "analytic" } },
+            { "name": "factor", "recipe": {
+                "kind": "residual", "layers": [6], "epochs": 8, "batch": 32, "learning_rate": 0.003 } }
         ],
-        "ship": [{ "predictor": "selected" }],
-        "shares": [0.1],
-        "curves": ["selected"]
+        "ship": [{ "predictor": "selected" }]
     });
     std::fs::write(at.join("study.json"), description.to_string()).unwrap();
 
@@ -113,9 +104,9 @@ fn a_small_study_goes_from_tables_to_bars() {
         serde_json::from_str(&std::fs::read_to_string(at.join("out/study.json")).unwrap()).unwrap();
     let found = &found["findings"];
     assert_eq!(found["left_out"].as_array().unwrap().len(), 0, "{}", found["left_out"]);
-    let curves: Vec<&str> =
-        found["tuning"].as_array().unwrap().iter().map(|p| p["curve"].as_str().unwrap()).collect();
-    assert!(curves.contains(&"selected, by entire calibrate") && curves.contains(&"selected, from nothing"));
+    let calibrated: Vec<&str> =
+        found["calibrated"].as_array().unwrap().iter().map(|c| c["predictor"].as_str().unwrap()).collect();
+    assert_eq!(calibrated, ["analytic", "factor"]);
     let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(report.contains("small/member/paper-rmse-over-lvrp") && report.contains("<svg"));
 
@@ -126,40 +117,12 @@ fn a_small_study_goes_from_tables_to_bars() {
     assert_eq!(output.status.code(), Some(0));
     assert_eq!(models(at), before);
 
-    // The choice as a whole, member by member: five of them, each pair left out once.
-    let (output, text) = study(at, &["--nested"]);
+    // What the rule selects is what ships.
+    let (output, text) = study(at, &["--ship", "models"]);
     assert_eq!(output.status.code(), Some(0), "{text}");
-    let found: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(at.join("out/study.json")).unwrap()).unwrap();
-    let found = &found["findings"];
-    let list = |key: &str| found[key].as_array().unwrap().clone();
-    assert_eq!(list("left_out").len(), 0, "{}", found["left_out"]);
-    let whats: Vec<String> = list("nested").iter().map(|n| n["what"].as_str().unwrap().to_owned()).collect();
-    assert_eq!(
-        whats,
-        ["the rule, named candidates", "the rule, grid candidates", "`selected` without a choice"]
-    );
-    for n in list("nested") {
-        assert_eq!(n["folds"].as_array().unwrap().len(), 5);
-        let (frames, error) = (n["metrics"]["frames"].as_u64(), n["metrics"]["rmse_over_sd"].as_f64());
-        assert_eq!((frames, n["longest"].is_null()), (Some(200), true));
-        assert!(error.unwrap() < 0.7, "{n}");
-        let interval = &n["intervals"]["rmse_over_sd"];
-        assert!(interval[0].as_f64() < error && error < interval[1].as_f64(), "{n}");
-    }
-    // `factor 6` of the grid is what the study names `selected`: it is made once.
-    let names: Vec<PathBuf> = models(at).into_iter().map(|m| m.0).collect();
-    let made = |what: &str| names.iter().filter(|n| n.to_string_lossy().contains(what)).count();
-    assert_eq!([made("linear-without"), made("factor_4-without"), made("factor_6")], [15, 15, 0]);
-    assert_eq!(made("small-selected-without"), 15);
-    let choices: Vec<(u64, bool)> = list("choices")
-        .iter()
-        .map(|c| (c["candidates"].as_u64().unwrap(), c["same"].as_bool().unwrap()))
-        .collect();
-    assert_eq!((choices.len(), choices[0]), (2, (1, true)));
-    assert!(text.contains("factor {layers}: layers 4 / 6") && text.contains("| small |"), "{text}");
-    let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
-    assert!(report.contains("small: nested cross-validation"));
+    let card = std::fs::read_to_string(at.join("models/small-selected.md")).unwrap();
+    let selected = text.lines().find_map(|l| l.strip_prefix("small: selected by the rule: ")).unwrap();
+    assert!(card.contains(&format!("The rule selects `{selected}`")), "{card}");
 
     // Kept features of a table that has changed since are refused.
     std::fs::copy(at.join("none-members.csv"), at.join("none-train.csv")).unwrap();

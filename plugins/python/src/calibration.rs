@@ -8,7 +8,7 @@ use crate::lock::Guarded;
 use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::calibrate::{Calibrated, Calibration as Core, Picture, Shown, blank_prior};
+use entire_core::calibrate::{Calibrated, Calibration as Core, Picture, Shown};
 use entire_core::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary};
 use entire_core::nn::Executor;
 use entire_core::predict::Inputs;
@@ -45,11 +45,8 @@ impl Calibration {
     #[new]
     #[pyo3(signature = (model = None, *, frames = 1000))]
     fn new(model: Option<&Model>, frames: usize) -> PyResult<Self> {
-        let prior = match model {
-            Some(model) => model.0.model_file()?,
-            None => blank_prior(PROBE_SIDE).map_err(raise)?,
-        };
-        Ok(Self(Guarded::new(Core::new(&prior, frames).map_err(raise)?)))
+        let prior = model.map(|model| model.0.model_file()).transpose()?;
+        Ok(Self(Guarded::new(Core::new(prior.as_ref(), frames).map_err(raise)?)))
     }
 
     /// Adds a timed frame.
@@ -99,7 +96,7 @@ impl Calibration {
             if frame.skipping == Skipping::Distance {
                 transfer.prepare_distance();
             }
-            let side = match core.prior().layout().probe_side {
+            let side = match core.prior().probe_side() {
                 0 => PROBE_SIDE,
                 side => side,
             };

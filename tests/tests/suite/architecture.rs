@@ -236,7 +236,7 @@ const CLI: &Rooms = &[
     ("split", &["dataset"]),
     ("inputs", &["dataset", "enlarge", "files", "volume"]),
     ("evaluation", &["dataset", "inputs", "metrics", "options"]),
-    ("clock", &["dataset", "files"]),
+    ("clock", &["dataset", "device", "files"]),
     ("fit", &["dataset", "files", "inputs", "metrics", "train"]),
     (
         "farm",

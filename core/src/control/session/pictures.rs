@@ -77,9 +77,9 @@ impl Session {
 mod tests {
     use super::*;
     use crate::ErrorKind;
-    use crate::calibrate::blank_prior;
     use crate::control::HybridOptions;
     use crate::kernels::Executor;
+    use crate::predict::AnalyticModel;
     use crate::predict::load;
     use alloc::boxed::Box;
 
@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn what_the_model_states_holds_for_its_renderer_until_the_caller_knows_better() {
-        let mut file = blank_prior(5).unwrap();
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
         SOME.store(&mut file).unwrap();
         file.metadata.insert(crate::model::Key::Renderer.into(), "mine".into());
         let mut session = Session::new(load(&file.to_model().unwrap()).unwrap(), HybridOptions::default());
@@ -105,9 +105,7 @@ mod tests {
         assert!(session.quality() == Some(own) && path(&session) != by_model);
         session.set_quality(None).unwrap();
         assert_eq!((session.quality(), path(&session)), (Some(SOME), by_model));
-        session
-            .set_predictor(Box::new(crate::predict::AnalyticModel::default()), HybridOptions::default())
-            .unwrap();
+        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
         assert!(session.quality().is_none() && path(&session) != by_model);
     }
 

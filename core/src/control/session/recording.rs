@@ -2,7 +2,7 @@
 
 use super::{PENDING_PLANS, Session};
 use crate::Result;
-use crate::calibrate::{Calibrated, Calibration, Picture, Shown, blank_prior};
+use crate::calibrate::{Calibrated, Calibration, Picture, Shown};
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, Setting, VolumeSummary};
 use crate::kernels::Executor;
@@ -54,12 +54,12 @@ impl Recording {
     /// Keeps what a plan's frame will do, drawn at the inputs' setting. A frame that lacks an input which the
     /// prior takes is not kept.
     fn plan(&mut self, id: u64, inputs: &Inputs<'_>) {
-        let layout = self.calibration.prior().layout();
-        let (at, width) = (Self::place(id), layout.width());
+        let prior = self.calibration.prior();
+        let (at, width) = (Self::place(id), prior.width());
         // The first frame of all and of a volume pays for uploads.
         let counts = !inputs.changes.first
             && !inputs.changes.volume
-            && layout.write(inputs, &mut self.rows[at * width..(at + 1) * width]).is_ok();
+            && prior.write(inputs, &mut self.rows[at * width..(at + 1) * width]).is_ok();
         self.planned[at].id = 0;
         if counts {
             let Measurement { work, .. } = Measurement::new(inputs.features, &inputs.setting, 1.0);
@@ -69,7 +69,7 @@ impl Recording {
 
     /// Hears a planned frame's time.
     pub(super) fn observe(&mut self, id: u64, seconds: f32) {
-        let (at, width) = (Self::place(id), self.calibration.prior().layout().width());
+        let (at, width) = (Self::place(id), self.calibration.prior().width());
         let Planned { id: kept, work, shown } = self.planned[at];
         if kept == id {
             let row = &self.rows[at * width..(at + 1) * width];
@@ -84,8 +84,8 @@ impl Session {
     /// ([`crate::calibrate::KEPT_FRAMES`]; later ones take the place of earlier ones, so that those kept are
     /// a fair sample), for [`Session::calibrate`]. What was kept before is forgotten.
     ///
-    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic one times a
-    /// learned factor. Its probe must be the session's. Without one, unit costs of a software renderer are
+    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic one, or one times a
+    /// learned factor, whose probe must be the session's. Without one, unit costs of a software renderer are
     /// what is started from. Frames whose observation is unusual or cancelled do not count, nor do the first
     /// one of all and of a volume, nor those that lack an input which the prior takes. Planning and observing
     /// go on without allocating.
@@ -98,11 +98,8 @@ impl Session {
     /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
     pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
         let side = self.features.probe_side();
-        let calibration = match prior {
-            Some(prior) => Calibration::new(prior, frames)?,
-            None => Calibration::new(&blank_prior(side)?, frames)?,
-        };
-        let wanted = calibration.prior().layout().probe_side;
+        let calibration = Calibration::new(prior, frames)?;
+        let wanted = calibration.prior().probe_side();
         if ![0, side].contains(&wanted) {
             bail!(
                 InvalidArgument,
@@ -110,7 +107,7 @@ impl Session {
                  {side}; make the session with that model, or with its probe"
             );
         }
-        let width = calibration.prior().layout().width();
+        let width = calibration.prior().width();
         let nothing = Planned { id: 0, work: [0.0; COSTS], shown: Shown::default() };
         self.recording = Some(Recording {
             planned: filled(PENDING_PLANS, nothing)?.into_boxed_slice(),
@@ -164,13 +161,13 @@ impl Session {
             side => side,
         };
         if let Some(recording) = &self.recording
-            && ![0, side].contains(&recording.calibration.prior().layout().probe_side)
+            && ![0, side].contains(&recording.calibration.prior().probe_side())
         {
             bail!(
                 InvalidArgument,
                 "frames are being recorded with a probe of {} rays along each side, the new model's has {side}; take one \
                  with the same probe",
-                recording.calibration.prior().layout().probe_side
+                recording.calibration.prior().probe_side()
             );
         }
         if side != self.features.probe_side() {
@@ -203,6 +200,7 @@ mod tests {
     use crate::ErrorKind;
     use crate::adapt::ObserveFlags;
     use crate::calibrate::HeldOut;
+    use crate::calibrate::tests::unit_factor;
     use crate::control::HybridOptions;
     use crate::features::SummaryOptions;
     use crate::predict::{UnitCosts, load};
@@ -304,13 +302,13 @@ mod tests {
 
     #[test]
     fn a_recording_and_its_predictor_keep_to_one_probe() {
-        let prior = blank_prior(5).unwrap();
+        let prior = unit_factor(5);
         let mut session = Session::untrained();
         assert_eq!(session.record(Some(&prior), 100).unwrap_err().kind(), ErrorKind::InvalidArgument);
         assert_eq!(session.recorded(), None);
         let mut session = Session::untrained().with_probe(5, None).unwrap();
         session.record(Some(&prior), 100).unwrap();
-        let other = load(&blank_prior(11).unwrap().to_model().unwrap()).unwrap();
+        let other = load(&unit_factor(11).to_model().unwrap()).unwrap();
         let refused = session.set_predictor(other, HybridOptions::default()).unwrap_err();
         assert!(refused.to_string().contains("11"), "{refused}");
         let same = load(&prior.to_model().unwrap()).unwrap();

@@ -1,5 +1,6 @@
 //! Packets of rays against single rays, and lazy classification against the whole one.
 
+use crate::features::frame::CACHED_VOXELS;
 use crate::features::tests::{noise, summary, table};
 use crate::features::*;
 use crate::kernels::Level;
@@ -126,12 +127,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
         features.measure(&s, &mut transfer, &frame).unwrap();
         let half = 0.5 * edges[2] / f64::from(shape.reference_step);
         let setting = Setting::from(&frame);
-        let chord = features.quantity(
-            SceneQuantity::MeanChord,
-            &setting,
-            &features.work(&setting),
-            Changes::default(),
-        );
+        let chord = features.quantity(SceneQuantity::MeanChord, &setting, &features.work(&setting));
         assert!((chord / half - 1.0).abs() < 3e-3, "{chord}, not {half}");
         // And one behind the box shows nothing.
         let behind = glam::Mat4::from_translation(glam::Vec3::new(0.0, 0.0, 2.0));
@@ -172,26 +168,19 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
                     (Setting::from(&frame), features)
                 });
                 for &q in SceneQuantity::ALL {
-                    // What tells the distance and the angle apart.
-                    if matches!(q, SceneQuantity::Distance | SceneQuantity::FieldOfView) {
-                        continue;
-                    }
-                    let [a, b] = [&one, &other].map(|(setting, features)| {
-                        features.quantity(q, setting, &features.work(setting), Changes::default())
-                    });
+                    let [a, b] = [&one, &other]
+                        .map(|(setting, features)| features.quantity(q, setting, &features.work(setting)));
                     let shadows = matches!(
                         q,
                         SceneQuantity::ShadowSamples
                             | SceneQuantity::ShadowPerPixel
                             | SceneQuantity::LaneShadowSamples
-                            | SceneQuantity::SpreadShadowSamples
+                            | SceneQuantity::FarShadowSamples
                             | SceneQuantity::EstimatedSeconds
                     );
                     let segments = matches!(
                         q,
-                        SceneQuantity::Segments
-                            | SceneQuantity::SpreadSegments
-                            | SceneQuantity::SegmentsPerRay
+                        SceneQuantity::Segments | SceneQuantity::FarSegments | SceneQuantity::SegmentsPerRay
                     );
                     let tolerance = if segments && shading == Shading::Scatter {
                         SEGMENTS_LIMIT_TOLERANCE
@@ -213,6 +202,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];
+    let uncached = 64f64.powi(3) / (64f64.powi(3) + CACHED_VOXELS);
     for (least, apart) in [(0usize, false), (192, true), (240, true)] {
         let s = summary(&noise(64 * 64 * 64, 7), dims, 4);
         let mut transfer =
@@ -232,11 +222,11 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
             let setting = Setting { width: size, height: size, ..Setting::from(&frame) };
             let work = features.work(&setting);
             let square = work.ray_spacing * work.ray_spacing;
-            let value = |q| features.quantity(q, &setting, &work, Changes::default());
+            let value = |q| features.quantity(q, &setting, &work);
             let [lanes, spread] =
-                [SceneQuantity::LaneShadowSamples, SceneQuantity::SpreadShadowSamples].map(value);
-            let far = spread / work.shadow_samples / (square / (square + 64.0));
-            assert_eq!(value(SceneQuantity::SpreadLocalSamples), 0.0);
+                [SceneQuantity::LaneShadowSamples, SceneQuantity::FarShadowSamples].map(value);
+            let far = spread / work.shadow_samples / (square / (square + 64.0)) / uncached;
+            assert_eq!(value(SceneQuantity::FarLocalSamples), 0.0);
             (lanes / work.shadow_samples, far)
         };
         let waiting = f64::from(busy / shown);
@@ -248,7 +238,7 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
         let local = Setting { shading: Shading::Local, ..Setting::from(&frame) };
         let work = features.work(&local);
         let square = work.ray_spacing * work.ray_spacing;
-        let spread = features.quantity(SceneQuantity::SpreadLocalSamples, &local, &work, Changes::default());
-        assert!((spread / work.shaded - square / (square + 64.0)).abs() < 1e-6, "{spread}");
+        let spread = features.quantity(SceneQuantity::FarLocalSamples, &local, &work);
+        assert!((spread / work.shaded - uncached * square / (square + 64.0)).abs() < 1e-6, "{spread}");
     }
 }

@@ -1,4 +1,4 @@
-//! Small dense linear algebra in `f64`, and medians.
+//! Numerics that several rooms share: small dense linear algebra in `f64`, medians, errors.
 
 use alloc::vec::Vec;
 
@@ -44,6 +44,19 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     Some(if values.len() % 2 == 1 { values[mid] } else { 0.5 * (values[mid - 1] + values[mid]) })
 }
 
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+/// Sum of products.
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+/// Root of the mean squared error over the standard deviation of the measured seconds; `None` without pairs.
+pub fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
+    if pairs.is_empty() {
+        return None;
+    }
+    let n = pairs.len() as f64;
+    let mean = pairs.iter().map(|p| p.1).sum::<f64>() / n;
+    let variance = pairs.iter().map(|(_, t)| (t - mean) * (t - mean)).sum::<f64>() / n;
+    let square = pairs.iter().map(|(p, t)| (p - t) * (p - t)).sum::<f64>() / n;
+    Some(libm::sqrt(square / variance))
 }

@@ -1,0 +1,128 @@
+//! Unit costs, and the weights of a factor's last layer, fitted to timed frames.
+//!
+//! ln t = ln Σ c_i e^θ_i w_i + ψ·v + b, with w the counts of estimated work, c the expected unit costs, ψ the
+//! activations before the factor's last layer and v that layer's weights. θ_i ~ N(0, s_i²), v ~ N(v₀, s²), b free,
+//! errors of ln t Gaussian with [`NOISE`] and beyond twice their robust deviation linear (Huber). Three frames thus
+//! set the speed, ten the kinds of work that differ most, and hundreds every cost. Costs stay positive, so that no
+//! prediction is negative and none falls with a finer step or more pixels.
+
+use super::COSTS;
+use crate::numeric::{dot, median, solve};
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// Standard deviation of the logarithm of a unit cost about the expected one, once the speed is known.
+pub(crate) const COST_SD: f64 = 0.4;
+
+/// Standard deviation of ln t about the model.
+const NOISE: f64 = 0.06;
+
+/// Exponent of a frame's time in its weight: long frames decide the RMSE.
+const IMPORTANCE: f64 = 0.25;
+
+/// Gauss-Newton iterations.
+const ROUNDS: usize = 10;
+
+/// A timed frame.
+pub(crate) struct FitRow {
+    /// Activations before the factor's last layer; empty without one.
+    pub(crate) psi: Vec<f64>,
+    /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
+    pub(crate) work: [f64; COSTS],
+    /// Logarithm of the measured seconds.
+    pub(crate) log: f64,
+}
+
+/// The prior of a fit.
+pub(crate) struct Expected<'a> {
+    /// Unit costs; those at 0 stay 0.
+    pub(crate) costs: &'a [f64; COSTS],
+    /// Standard deviations of their logarithms.
+    pub(crate) cost_sd: [f64; COSTS],
+    /// Weights of the factor's last layer.
+    pub(crate) weights: &'a [f64],
+    /// Their standard deviation.
+    pub(crate) weight_sd: f64,
+}
+
+/// Fitted parameters.
+pub(crate) struct CostFit {
+    pub(crate) costs: [f64; COSTS],
+    pub(crate) weights: Vec<f64>,
+    pub(crate) bias: f64,
+}
+
+impl CostFit {
+    /// Fits the rows.
+    pub(crate) fn new(expected: &Expected<'_>, rows: &[&FitRow]) -> Self {
+        let prior = expected.costs;
+        let active: Vec<usize> =
+            (0..COSTS).filter(|&i| prior[i] > 0.0 && rows.iter().any(|f| f.work[i] > 0.0)).collect();
+        let (k, width) = (active.len(), expected.weights.len());
+        let m = k + width + 1;
+        let mut fitted = Self { costs: *prior, weights: expected.weights.to_vec(), bias: 0.0 };
+        let mut rest: Vec<f64> = rows.iter().map(|f| f.log - fitted.log_seconds(f)).collect();
+        fitted.bias = median(&mut rest).unwrap_or(0.0);
+        let importance: Vec<f64> = rows.iter().map(|f| libm::exp(IMPORTANCE * f.log)).collect();
+        let mean = importance.iter().sum::<f64>() / rows.len() as f64;
+        let mut theta = vec![0.0; k];
+        let mut jacobian = vec![0.0; m];
+        for round in 0..ROUNDS {
+            let residuals: Vec<f64> = rows.iter().map(|f| f.log - fitted.log_seconds(f)).collect();
+            let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+            let limit = (2.0 * 1.4826 * median(&mut sizes).unwrap_or(0.0)).max(0.5 * NOISE);
+            let (mut gram, mut rhs) = (vec![0.0; m * m], vec![0.0; m]);
+            for ((f, r), w) in rows.iter().zip(&residuals).zip(&importance) {
+                let estimate = dot(&fitted.costs, &f.work);
+                for (slot, &i) in jacobian.iter_mut().zip(&active) {
+                    *slot = fitted.costs[i] * f.work[i] / estimate;
+                }
+                jacobian[k..k + width].copy_from_slice(&f.psi);
+                jacobian[m - 1] = 1.0;
+                let robust = if r.abs() <= limit { 1.0 } else { limit / r.abs() };
+                let weight = robust * w / mean / (NOISE * NOISE);
+                for i in 0..m {
+                    let scaled = weight * jacobian[i];
+                    rhs[i] += scaled * r;
+                    for (g, j) in gram[i * m..i * m + i + 1].iter_mut().zip(&jacobian) {
+                        *g += scaled * j;
+                    }
+                }
+            }
+            for (i, t) in theta.iter().enumerate() {
+                let precision = 1.0 / (expected.cost_sd[active[i]] * expected.cost_sd[active[i]]);
+                gram[i * m + i] += precision;
+                rhs[i] -= precision * t;
+            }
+            let precision = 1.0 / (expected.weight_sd * expected.weight_sd);
+            for (i, (w, mean)) in fitted.weights.iter().zip(expected.weights).enumerate() {
+                gram[(k + i) * m + k + i] += precision;
+                rhs[k + i] -= precision * (w - mean);
+            }
+            gram[m * m - 1] += 1e-6;
+            let Some(step) = solve(&mut gram, rhs) else { break };
+            for ((t, s), &i) in theta.iter_mut().zip(&step).zip(&active) {
+                *t = (*t + s.clamp(-1.0, 1.0)).clamp(-6.0, 6.0);
+                fitted.costs[i] = prior[i] * libm::exp(*t);
+            }
+            for (w, s) in fitted.weights.iter_mut().zip(&step[k..k + width]) {
+                *w += s;
+            }
+            fitted.bias += step[m - 1];
+            if round > 1 && step.iter().all(|s| s.abs() < 1e-4) {
+                break;
+            }
+        }
+        fitted
+    }
+
+    /// Logarithm of the predicted seconds.
+    pub(crate) fn log_seconds(&self, row: &FitRow) -> f64 {
+        libm::log(dot(&self.costs, &row.work).max(1e-12)) + dot(&self.weights, &row.psi) + self.bias
+    }
+
+    /// Unit costs in seconds, the speed of the machine among them.
+    pub(crate) fn unit_costs(&self) -> [f64; COSTS] {
+        self.costs.map(|c| c * libm::exp(self.bias))
+    }
+}

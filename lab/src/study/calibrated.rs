@@ -1,0 +1,104 @@
+//! Error of a predictor that is calibrated to a hundred frames of other data, on other volumes of that data.
+
+use super::findings::CalibratedResult;
+use super::runner::OnSet;
+use super::{CALIBRATION_FRAMES, Findings};
+use anyhow::Result;
+use entire_cli::calibrate::calibrate_to_frames;
+use entire_cli::fit::predict;
+use entire_cli::metrics::Metrics;
+use entire_cli::split::TimedFrames;
+use entire_core::calibrate::PriorModel;
+use entire_core::model::ModelFile;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use std::collections::BTreeSet;
+
+/// The seed by which volumes of other data are parted: to calibrate to, and to judge by.
+const HALVES_SEED: u64 = 11;
+/// The seed by which frames to calibrate to are taken.
+const FRAMES_SEED: u64 = 13;
+
+/// Calibrates a predictor to [`CALIBRATION_FRAMES`] of one half of the set's calibration split, judges it on the other
+/// half, and the other way round. Nothing for sets without such a split and for models that no calibration starts from.
+///
+/// # Errors
+/// When the model cannot be calibrated or predict.
+pub(super) fn calibrated(
+    on: &OnSet<'_>,
+    predictor: &str,
+    file: &ModelFile,
+    out: &mut Findings,
+) -> Result<()> {
+    let OnSet { set, data, context, .. } = *on;
+    let Some(at) = set.splits.iter().position(|s| set.calibration_split.as_ref() == Some(&s.name)) else {
+        return Ok(());
+    };
+    if PriorModel::new(std::slice::from_ref(file)).is_err() {
+        return Ok(());
+    }
+    let Some(halves) = halves(&data.splits[at]) else { return Ok(()) };
+    let (mut predicted, mut measured) = (Vec::new(), Vec::new());
+    for (half, judged) in halves.iter().zip(halves.iter().rev()) {
+        let (few, _) = half.sample(CALIBRATION_FRAMES.min(half.frames.len()), FRAMES_SEED);
+        let here = calibrate_to_frames(file, context, few.timed())?;
+        predicted.extend(predict(&here.to_model()?, context, &judged.frames)?);
+        measured.extend_from_slice(&judged.seconds);
+    }
+    out.calibrated.extend(Metrics::new(&predicted, &measured).map(|metrics| CalibratedResult {
+        set: set.name.clone(),
+        split: set.splits[at].name.clone(),
+        predictor: predictor.to_owned(),
+        metrics,
+    }));
+    Ok(())
+}
+
+/// Frames of other data in two parts that share no ensemble member, or no volume where there are no two
+/// members: what is adapted to one is judged on the other, so that nothing is judged on data that it was
+/// adapted to. `None` where there are fewer than two volumes.
+fn halves<'a>(all: &TimedFrames<'a>) -> Option<[TimedFrames<'a>; 2]> {
+    let by = all.groups_at_least(2);
+    let groups: BTreeSet<String> = all.frames.iter().map(|f| by.group(&f.scene)).collect();
+    let mut groups: Vec<String> = groups.into_iter().collect();
+    groups.shuffle(&mut ChaCha8Rng::seed_from_u64(HALVES_SEED));
+    groups.truncate(groups.len() / 2);
+    let (first, second) = all.parted(|f| groups.contains(&by.group(&f.scene)));
+    (!first.frames.is_empty()).then_some([first, second])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::table;
+    use super::*;
+    use entire_cli::dataset::Clock;
+
+    #[test]
+    fn no_volume_is_adapted_to_and_judged_by() {
+        let volumes = |part: &TimedFrames<'_>| -> BTreeSet<String> {
+            part.frames.iter().map(|f| f.scene.volume.clone()).collect()
+        };
+        let scans: Vec<String> = (0..70).map(|i| format!("scans/v{}.nrrd", i % 7)).collect();
+        let scans: Vec<(&str, &str)> = scans.iter().map(|v| (v.as_str(), "")).collect();
+        let t = table(&scans);
+        let [first, second] = halves(&TimedFrames::of(&t.frames, Clock::Cpu)).unwrap();
+        assert_eq!((first.frames.len(), second.frames.len()), (30, 40));
+        assert!(volumes(&first).is_disjoint(&volumes(&second)));
+
+        // Time steps of one member are on one side.
+        let steps: Vec<(String, String)> =
+            (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
+        let steps: Vec<(&str, &str)> = steps.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
+        let t = table(&steps);
+        let [first, second] = halves(&TimedFrames::of(&t.frames, Clock::Cpu)).unwrap();
+        let members = |part: &TimedFrames<'_>| -> BTreeSet<String> {
+            part.frames.iter().map(|f| f.scene.member.clone()).collect()
+        };
+        assert_eq!((first.frames.len(), second.frames.len()), (20, 20));
+        assert!(members(&first).is_disjoint(&members(&second)));
+
+        let one = table(&[("a.nrrd", ""), ("a.nrrd", "")]);
+        assert!(halves(&TimedFrames::of(&one.frames, Clock::Cpu)).is_none());
+    }
+}
