@@ -18,5 +18,5 @@ test-paraview: ## Build the ParaView plugin, load and check it (skipped where Pa
 	@CARGO="$(CARGO)" plugins/paraview/run.sh test
 
 .PHONY: study-renderers
-study-renderers: ## Accuracy and fine-tuning curves for VTK's mappers, ParaView and yt: out/renderers/report.html
+study-renderers: ## Accuracy for VTK's mappers, ParaView and yt: out/renderers/report.html
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study data/timings/renderers-study.json --out out/renderers --bars

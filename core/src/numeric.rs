@@ -2,10 +2,9 @@
 
 use alloc::vec::Vec;
 
-/// Solves A·x = b for a symmetric positive matrix A given by its lower half, row by row, by Cholesky's
-/// factorization, which is left in place; `None` where it is not positive.
-pub fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
-    let n = b.len();
+/// Replaces a symmetric positive matrix of n rows, given by its lower half, row by row, by its Cholesky factor. Returns
+/// false, and leaves the matrix unfit for use, where it is not positive.
+pub fn cholesky(a: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         for k in 0..j {
             let f = a[j * n + k];
@@ -15,22 +14,40 @@ pub fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
         }
         let d = a[j * n + j];
         if !(d.is_finite() && d > 0.0) {
-            return None;
+            return false;
         }
         let root = libm::sqrt(d);
         for i in j..n {
             a[i * n + j] /= root;
         }
     }
+    true
+}
+
+/// Solves L·x = b for a Cholesky factor L.
+pub fn forward(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
+    let n = b.len();
     for i in 0..n {
-        let sum: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
-        b[i] = (b[i] - sum) / a[i * n + i];
+        let sum: f64 = (0..i).map(|k| l[i * n + k] * b[k]).sum();
+        b[i] = (b[i] - sum) / l[i * n + i];
     }
+    b
+}
+
+/// Solves Lᵀ·x = b for a Cholesky factor L.
+pub fn back(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
+    let n = b.len();
     for i in (0..n).rev() {
-        let sum: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
-        b[i] = (b[i] - sum) / a[i * n + i];
+        let sum: f64 = (i + 1..n).map(|k| l[k * n + i] * b[k]).sum();
+        b[i] = (b[i] - sum) / l[i * n + i];
     }
-    Some(b)
+    b
+}
+
+/// Solves A·x = b for a symmetric positive matrix A given by its lower half, row by row; its Cholesky factor is left in
+/// place. `None` where it is not positive.
+pub fn solve(a: &mut [f64], b: Vec<f64>) -> Option<Vec<f64>> {
+    cholesky(a, b.len()).then(|| back(a, forward(a, b)))
 }
 
 /// Median of some numbers, the mean of the middle two where their number is even; reorders them. `None` when

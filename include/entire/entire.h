@@ -1552,8 +1552,8 @@ void entire_session_free(struct entire_session *session);
  * the place of earlier ones, so that those kept are a fair sample), for entire_session_calibrate. What was
  * kept before is forgotten. Planning and observing go on without allocating.
  *
- * `prior` is the model to start from, fitted on another machine or renderer: one of kind residual, as
- * `entire train` makes them and models/ holds them, with the session's probe. NULL starts from the unit
+ * `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
+ * a learned factor with the session's probe, as models/ holds them. NULL starts from the unit
  * costs of a software renderer. Observations that are unusual or cancelled do not count, nor does the first
  * frame of all, nor the first of a volume.
  *

@@ -208,7 +208,7 @@ def invalid(machine, test):
             return None
         cargo = os.environ.get("CARGO", "cargo")
         # By the test's name; where none has it, nothing is counted.
-        test = ["--test", "*", "every_prediction_is_a_positive_number_of_seconds", "--", "--nocapture"]
+        test = ["--test", "*", "no_more_predictions_than_are_known_had_to_be_made_positive", "--", "--nocapture"]
         done = subprocess.run([cargo, "test", "--quiet", "--package", "entire-cli", *test], cwd=ROOT, stdout=subprocess.PIPE,
                               text=True)
         counts = [int(line.split()[-1]) for line in done.stdout.splitlines() if "predictions not positive:" in line]

@@ -201,7 +201,7 @@ fn card(
     let _ = writeln!(
         md,
         "## Use\n\nSeconds belong to a machine and a renderer. `entire calibrate --shade {shading}` makes a model of \
-         yours from the selected one in a minute and a half. From frames that were measured elsewhere:\n\n\
+         yours in a minute and a half. From frames that were measured elsewhere:\n\n\
          ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
          {}\n\
          entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\

@@ -1,4 +1,4 @@
-//! The normal distribution and triangular systems: the arithmetic of the model of times.
+//! The normal distribution.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::Rng;
@@ -22,44 +22,4 @@ pub(super) fn normal_below(x: f64) -> f64 {
         sum += term;
     }
     0.5 + density * sum
-}
-
-/// Replaces a symmetric positive definite matrix by its lower triangular factor.
-pub(super) fn cholesky(a: &mut [f64], d: usize) {
-    for j in 0..d {
-        for k in 0..j {
-            let l = a[j * d + k];
-            for i in j..d {
-                a[i * d + j] -= a[i * d + k] * l;
-            }
-        }
-        let root = a[j * d + j].max(1e-300).sqrt();
-        for i in j..d {
-            a[i * d + j] /= root;
-        }
-    }
-}
-
-/// Solves L·x = b.
-pub(super) fn forward(l: &[f64], b: &[f64], d: usize) -> Vec<f64> {
-    let mut x = b.to_vec();
-    for i in 0..d {
-        for k in 0..i {
-            x[i] -= l[i * d + k] * x[k];
-        }
-        x[i] /= l[i * d + i];
-    }
-    x
-}
-
-/// Solves Lᵀ·x = b.
-pub(super) fn back(l: &[f64], b: &[f64], d: usize) -> Vec<f64> {
-    let mut x = b.to_vec();
-    for i in (0..d).rev() {
-        for k in i + 1..d {
-            x[i] -= l[k * d + i] * x[k];
-        }
-        x[i] /= l[i * d + i];
-    }
-    x
 }

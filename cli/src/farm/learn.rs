@@ -10,8 +10,9 @@
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
 pub(crate) use super::gauss::normal;
-use super::gauss::{back, cholesky, forward, normal_below};
+use super::gauss::normal_below;
 use super::job::Job;
+use entire_core::numeric::{back, cholesky, forward};
 use entire_core::scene::Camera;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -405,8 +406,10 @@ impl Learner {
                     }
                 }
             }
-            cholesky(&mut a, d);
-            self.beta = back(&a, &forward(&a, &b, d), d);
+            if !cholesky(&mut a, d) {
+                return;
+            }
+            self.beta = back(&a, forward(&a, b));
             self.factor = a;
             let dot = |x: &[f64]| x.iter().zip(&self.beta).map(|(a, b)| a * b).sum::<f64>();
             for v in 0..counts.len() {
@@ -418,7 +421,7 @@ impl Learner {
                 for k in 0..d {
                     let mut unit = vec![0.0; d];
                     unit[k] = 1.0;
-                    let column = back(&self.factor, &forward(&self.factor, &unit, d), d);
+                    let column = back(&self.factor, forward(&self.factor, unit));
                     used += 1.0 - (prior(k) * column[k]).min(1.0);
                 }
                 let mut used_volumes = 0.0;
@@ -516,7 +519,7 @@ impl Learner {
     pub fn draw(&self, rng: &mut ChaCha8Rng) -> Draw {
         let d = self.beta.len();
         let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();
-        let shift = back(&self.factor, &noise, d);
+        let shift = back(&self.factor, noise);
         let beta: Vec<f64> = self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect();
         let effects = (0..self.shape.volumes)
             .map(|v| {
@@ -588,7 +591,7 @@ impl Learner {
     fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
         let d = self.beta.len();
         let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();
-        let shift = back(&self.factor, &noise, d);
+        let shift = back(&self.factor, noise);
         let beta: Vec<f64> = self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect();
         let mut effects = self.effects.clone();
         let mut volumes: Vec<usize> =

@@ -10,7 +10,7 @@
 //! 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
-use super::several::{Several, append};
+use super::several::Several;
 use super::stream::{Companions, Remaining, Stream};
 use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
@@ -58,15 +58,8 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     let dims = checked_dims([x, y, z])?;
     let mut notes = Vec::new();
     let data = match &header.several {
-        Some(several) => {
-            let each = [several.voxels_each(&sizes)?, 1, 1];
-            let mut all = None;
-            companions.announce(&several.names);
-            for name in &several.names {
-                append(&mut all, voxels(companions.open(name)?, &header, 0, element, each, &mut notes)?)?;
-            }
-            all.context("the header names no file of voxels")?
-        }
+        Some(several) => several
+            .read(&sizes, companions, |stream, each| voxels(stream, &header, 0, element, each, &mut notes))?,
         None => {
             let (stream, begin) = match header.data_file.as_str() {
                 "LOCAL" | "Local" | "local" => (stream, header.length),

@@ -10,7 +10,7 @@
 //! asks for, and has no 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
-use super::several::{Several, append};
+use super::several::Several;
 use super::stream::{Companions, Stream};
 use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
@@ -100,16 +100,9 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
         ),
     };
     let data = match &header.several {
-        Some(several) => {
-            let each = [several.voxels_each(&file_sizes)?, 1, 1];
-            let mut all = None;
-            companions.announce(&several.names);
-            for name in &several.names {
-                let stream = companions.open(name)?;
-                append(&mut all, voxels(stream, &header, element, endian, each, &mut notes)?)?;
-            }
-            all.context("the header names no file of voxels")?
-        }
+        Some(several) => several.read(&file_sizes, companions, |stream, each| {
+            voxels(stream, &header, element, endian, each, &mut notes)
+        })?,
         None => {
             let stream = match &header.data_file {
                 None => stream,

@@ -1,7 +1,7 @@
 //! Voxels that are spread over several files: their names, and how much each of them holds.
 
 use super::VolumeData;
-use super::stream::Stream;
+use super::stream::{Companions, Stream};
 use anyhow::{Context, Result, bail, ensure};
 
 /// Most files of one volume.
@@ -127,8 +127,26 @@ fn numbered(pattern: &str, number: i64) -> Result<String> {
     Ok(name)
 }
 
+impl Several {
+    /// The voxels of all files, each read by `read`.
+    pub(super) fn read(
+        &self,
+        sizes: &[u64],
+        companions: &dyn Companions,
+        mut read: impl FnMut(Stream<'_>, [usize; 3]) -> Result<VolumeData>,
+    ) -> Result<VolumeData> {
+        let each = [self.voxels_each(sizes)?, 1, 1];
+        let mut all = None;
+        companions.announce(&self.names);
+        for name in &self.names {
+            append(&mut all, read(companions.open(name)?, each)?)?;
+        }
+        all.context("the header names no file of voxels")
+    }
+}
+
 /// Puts voxels behind others of the same type.
-pub(super) fn append(all: &mut Option<VolumeData>, part: VolumeData) -> Result<()> {
+fn append(all: &mut Option<VolumeData>, part: VolumeData) -> Result<()> {
     fn push<T>(all: &mut Vec<T>, mut part: Vec<T>) -> Result<()> {
         if all.try_reserve(part.len()).is_err() {
             bail!("the voxels of all files together do not fit into this machine's memory");

@@ -3,7 +3,8 @@
 use super::description::{SELECTED, main_panel};
 use super::{Findings, Named, Study};
 use entire_core::model::Model;
-use entire_core::predict::{InputLayout, UnitCosts};
+use entire_core::predict::{AnalyticModel, InputLayout, UnitCosts};
+use entire_core::scene::Shading;
 
 /// Ratio of two errors of cross-validation from which on the larger predictor is worth its size.
 const WORTH: f64 = 0.95;
@@ -71,13 +72,25 @@ pub fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &'a str)
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }
 
-/// Numbers in a model that were fitted: weights and biases of its network, and positive unit costs.
-pub(super) fn numbers(model: &Model) -> usize {
+/// Numbers in a model that frames of a shading mode were fitted by: weights and biases of its network, and unit costs of
+/// work that such frames hold.
+pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
+    let held = |quantity: &str| match quantity {
+        "local_samples" | "far_local_samples" => shading == Shading::Local,
+        "scatter_samples" | "shadow_samples" | "lane_shadow_samples" | "far_shadow_samples" => {
+            shading == Shading::Scatter
+        }
+        _ => true,
+    };
+    let of_costs = |costs: &UnitCosts| costs.named().filter(|(name, c)| *c > 0.0 && held(name)).count();
+    if let Ok(Some(analytic)) = AnalyticModel::from_model(model) {
+        return of_costs(&analytic.costs());
+    }
     let layers = model.prednet().map_or(&[][..], |p| &p.layers);
     let counted = |values: &[f32]| values.iter().filter(|v| **v != 0.0).count();
     let weights: usize = layers.iter().map(|l| counted(&l.weight) + counted(&l.bias)).sum();
     let costs = InputLayout::of_model(model).ok().and_then(|l| l.unit_costs);
-    weights + costs.map_or(0, |UnitCosts(costs)| costs.iter().filter(|c| **c > 0.0).count())
+    weights + costs.map_or(0, |costs| of_costs(&costs))
 }
 
 #[cfg(test)]

@@ -325,7 +325,7 @@ impl Runner<'_> {
                 .as_ref()
                 .and_then(|c| Intervals::by(&c.predicted, &c.measured, &c.volumes)),
             folds: crossed.as_ref().map_or(0, |c| c.folds),
-            numbers: made.model().map_or(0, numbers),
+            numbers: made.model().map_or(0, |m| numbers(m, data.one_step.all.frames[0].scene.shading)),
             probe_side: made.probe_side(),
         });
         let upper = match (&made, &crossed) {

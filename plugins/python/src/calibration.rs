@@ -21,7 +21,7 @@ use pyo3::types::{PyBytes, PyDict};
 /// Parameters
 /// ----------
 /// model : Model, str, os.PathLike or bytes, optional
-///     The model to start from, fitted on another machine or renderer: of kind residual, such as
+///     The model to start from, fitted on another machine or renderer, such as
 ///     ``"unshaded-selected"``. Without one, the unit costs of a software renderer.
 /// frames : int, optional
 ///     How many frames are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.

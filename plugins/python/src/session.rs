@@ -544,7 +544,7 @@ impl Session {
     /// frames : int, optional
     ///     How many are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
     /// model : Model, optional
-    ///     The model to start from, fitted on another machine or renderer: of kind residual, with the
+    ///     The model to start from, fitted on another machine or renderer; a learned factor must have the
     ///     session's probe. Without one, the unit costs of a software renderer.
     ///
     /// Raises

@@ -222,7 +222,7 @@ class Session(_native.Session):
         frames : int, optional
             How many are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
         model : Model, str, os.PathLike or bytes, optional
-            The model to start from, fitted on another machine or renderer: of kind residual, with the session's probe.
+            The model to start from, fitted on another machine or renderer; a learned factor must have the session's probe.
             Without one, the unit costs of a software renderer.
 
         Raises
