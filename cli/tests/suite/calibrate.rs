@@ -145,7 +145,8 @@ fn a_model_states_what_coarser_pictures_cost() {
         assert_eq!((&pictures["error"], &pictures["settings"]), (&error.into(), &20.into()));
         let of = |name: &str| pictures[name].as_f64();
         let (chosen, least) = (of("over_best").unwrap(), of("step_least_time").unwrap());
-        assert!(chosen >= 1.0 && least > 0.0 && least < 1.0, "{pictures}");
+        // A coarse picture may come out better than the law says.
+        assert!(chosen > 0.95 && least > 0.0 && least < 1.0, "{pictures}");
         // The step alone is judged unless it never reaches the longest time that counts.
         match of("step_over_best") {
             Some(alone) => assert!(chosen <= alone + 1e-9, "{pictures}"),

@@ -21,7 +21,10 @@ const NOISE: f64 = 0.06;
 const IMPORTANCE: f64 = 0.25;
 
 /// Gauss-Newton iterations.
-const ROUNDS: usize = 10;
+const ROUNDS: usize = 20;
+
+/// Share of a Gauss-Newton step below which it is not halved again.
+const LEAST_SHARE: f64 = 0.02;
 
 /// A timed frame.
 pub(crate) struct FitRow {
@@ -101,15 +104,49 @@ impl CostFit {
             }
             gram[m * m - 1] += 1e-6;
             let Some(step) = solve(&mut gram, rhs) else { break };
-            for ((t, s), &i) in theta.iter_mut().zip(&step).zip(&active) {
-                *t = (*t + s.clamp(-1.0, 1.0)).clamp(-6.0, 6.0);
-                fitted.costs[i] = prior[i] * libm::exp(*t);
+            // Half the step for as long as it makes the fit worse.
+            let loss = |fit: &Self, theta: &[f64]| -> f64 {
+                let of_rows: f64 = rows
+                    .iter()
+                    .zip(&importance)
+                    .map(|(f, w)| {
+                        let size = (f.log - fit.log_seconds(f)).abs();
+                        let huber = if size <= limit { size * size } else { limit * (2.0 * size - limit) };
+                        huber * w / mean / (NOISE * NOISE)
+                    })
+                    .sum();
+                let of_costs = theta
+                    .iter()
+                    .zip(&active)
+                    .map(|(t, &i)| (t / expected.cost_sd[i]) * (t / expected.cost_sd[i]));
+                let of_weights = fit.weights.iter().zip(expected.weights).map(|(w, mean)| {
+                    let off = (w - mean) / expected.weight_sd;
+                    off * off
+                });
+                of_rows + of_costs.sum::<f64>() + of_weights.sum::<f64>()
+            };
+            let before = loss(&fitted, &theta);
+            let mut share = 1.0;
+            let largest = step.iter().fold(0.0, |a: f64, s| a.max(s.abs()));
+            loop {
+                let mut next =
+                    Self { costs: fitted.costs, weights: fitted.weights.clone(), bias: fitted.bias };
+                let mut moved = theta.clone();
+                for ((t, s), &i) in moved.iter_mut().zip(&step).zip(&active) {
+                    *t = (*t + share * s.clamp(-1.0, 1.0)).clamp(-6.0, 6.0);
+                    next.costs[i] = prior[i] * libm::exp(*t);
+                }
+                for (w, s) in next.weights.iter_mut().zip(&step[k..k + width]) {
+                    *w += share * s;
+                }
+                next.bias += share * step[m - 1];
+                if loss(&next, &moved) <= before || share < LEAST_SHARE {
+                    (fitted, theta) = (next, moved);
+                    break;
+                }
+                share *= 0.5;
             }
-            for (w, s) in fitted.weights.iter_mut().zip(&step[k..k + width]) {
-                *w += s;
-            }
-            fitted.bias += step[m - 1];
-            if round > 1 && step.iter().all(|s| s.abs() < 1e-4) {
+            if round > 1 && share * largest < 1e-4 {
                 break;
             }
         }
