@@ -248,8 +248,10 @@ pub fn calibrate_to_tables(
 ) -> Result<(ModelFile, Report)> {
     ensure_fixed(clock)?;
     let start = Instant::now();
-    let (frames, seconds): (Vec<&TimedFrame>, Vec<f64>) =
-        timed(tables, clock, Some(shading))?.into_iter().unzip();
+    let (frames, seconds): (Vec<&TimedFrame>, Vec<f64>) = timed(tables, clock, Some(shading))?
+        .into_iter()
+        .map(|(frame, seconds)| (frame, frame.undisturbed(clock).unwrap_or(seconds)))
+        .unzip();
     ensure!(
         frames.len() >= FEWEST_FRAMES,
         "{} frames with shading {}; at least {FEWEST_FRAMES} are needed",

@@ -104,7 +104,7 @@ impl CostFit {
             }
             gram[m * m - 1] += 1e-6;
             let Some(step) = solve(&mut gram, rhs) else { break };
-            // Half the step for as long as it makes the fit worse.
+            // No longer than a factor of e for any cost, and halved for as long as it makes the fit worse.
             let loss = |fit: &Self, theta: &[f64]| -> f64 {
                 let of_rows: f64 = rows
                     .iter()
@@ -126,14 +126,14 @@ impl CostFit {
                 of_rows + of_costs.sum::<f64>() + of_weights.sum::<f64>()
             };
             let before = loss(&fitted, &theta);
-            let mut share = 1.0;
             let largest = step.iter().fold(0.0, |a: f64, s| a.max(s.abs()));
+            let mut share = (1.0 / largest).min(1.0);
             loop {
                 let mut next =
                     Self { costs: fitted.costs, weights: fitted.weights.clone(), bias: fitted.bias };
                 let mut moved = theta.clone();
                 for ((t, s), &i) in moved.iter_mut().zip(&step).zip(&active) {
-                    *t = (*t + share * s.clamp(-1.0, 1.0)).clamp(-6.0, 6.0);
+                    *t = (*t + share * s).clamp(-6.0, 6.0);
                     next.costs[i] = prior[i] * libm::exp(*t);
                 }
                 for (w, s) in next.weights.iter_mut().zip(&step[k..k + width]) {
