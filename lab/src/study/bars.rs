@@ -8,7 +8,7 @@ use crate::bars::Bar;
 pub(super) const PAPER: &str = "paper";
 
 /// The paper's network where it is distilled from another predictor.
-const DISTILLED: &str = "distilled";
+pub(super) const DISTILLED: &str = "distilled";
 
 /// The networks whose error with eight-bit weights is a bar: the paper's, and those that ship by name.
 pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> {

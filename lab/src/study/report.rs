@@ -1,6 +1,6 @@
 //! The report of a study: accuracy against latency first, then tables.
 
-use super::bars::{bars, models};
+use super::bars::{DISTILLED, PAPER, bars, models};
 use super::rule::{SENTENCE, by_rule};
 use super::{CALIBRATION_FRAMES, CONSTANT, Findings, Intervals, PROXY, SplitResult, Study};
 use anyhow::Result;
@@ -124,6 +124,11 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             front.push(p);
         }
     }
+    // Others lie too close to be named.
+    let named = |p: &(f64, f64, f64, String)| {
+        let name = front.iter().any(|f| f.3 == p.3) || [PAPER, DISTILLED].contains(&p.3.as_str());
+        (p.0, p.2, if name { p.3.clone() } else { String::new() })
+    };
     let mut chart = Chart::new(
         format!("{set}, split by {split}"),
         Axis::log("cold latency, features included, µs"),
@@ -131,10 +136,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
     )
     .size(860.0, 380.0)
     .series(Series::new("frontier", Mark::Steps(front.iter().map(|p| (p.0, p.2)).collect())).color(0))
-    .series(
-        Series::new("predictors", Mark::Points(points.iter().map(|p| (p.0, p.2, p.3.clone())).collect()))
-            .color(1),
-    );
+    .series(Series::new("predictors", Mark::Points(points.iter().map(named).collect())).color(1));
     for (i, name) in [CONSTANT, PROXY].into_iter().enumerate() {
         if let Some(r) = found.of(set, split, name) {
             let short = if i == 0 { "constant" } else { "LVRP" };
