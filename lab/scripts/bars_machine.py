@@ -138,7 +138,7 @@ class Machine:
         into = self.out / f"evaluated-{model}-{split}-{mode}-{clock}"
         found = into / "evaluation.json"
         if not found.exists() or found.stat().st_mtime < max(f.stat().st_mtime for f in files):
-            more = ["--observed", OBSERVED] if model.startswith("busy") else []
+            more = ["--observed", OBSERVED] if model == "busy-cpu" else []
             self.run("evaluate", "--clock", clock, "--model", files[0], "--data", files[1], "--out", into, "--quiet",
                      *more, cwd=self.data)
         return json.loads(found.read_text())
