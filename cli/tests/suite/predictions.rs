@@ -46,7 +46,7 @@ const KNOWN: [(&str, usize, usize); 5] = [
     ("local-distilled", 57, 63_000),
     ("local-selected", 0, 6_000),
     ("scatter-distilled", 0, 32_000),
-    ("scatter-selected", 0, 6_000),
+    ("scatter-selected", 0, 8_000),
     ("unshaded-distilled", 489, 71_000),
 ];
 

@@ -20,7 +20,7 @@ use alloc::vec::Vec;
 const NOT_A_PRIOR: &str = "a calibration starts from analytic models, or from one analytic model times a learned factor \
      (entire train --model-kind analytic and residual make them); give another, or none";
 
-/// The same of a cost that the prior does not know.
+/// Standard deviation of the logarithm of a unit cost that the prior does not know.
 const UNKNOWN_SD: f64 = 1.5;
 
 /// Standard deviation of a weight of the factor's last layer, over their root mean square.
