@@ -36,6 +36,16 @@ NOISE_SECONDS = 20
 RENAMED = {
     "every_prediction_is_a_positive_number_of_seconds": "no_more_predictions_than_are_known_had_to_be_made_positive",
     "rules_can_fail": "every_scene_but_one_fails_for_a_rival",
+    "a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest": "a_calibration_finds_another_machines_unit_costs",
+    "ten_frames_set_the_speed_and_no_model_but_a_residual_one_is_a_prior": "three_frames_set_the_speed_alone",
+    "the_model_of_the_nearest_machine_is_started_from": "all_makes_of_machine_are_started_from",
+    "a_draw_judges_by_other_members_than_it_calibrates_to": "a_draw_takes_one_member_of_each_ensemble_and_its_volumes_in_turn",
+    "the_rule_takes_the_quickest_of_the_good_ones_and_looks_at_no_test_frame":
+        "the_rule_takes_the_smallest_of_the_good_ones_and_looks_at_no_test_frame",
+    "the_quickest_of_the_good_ones_is_chosen_and_a_latency_that_is_too_long_never":
+        "the_smallest_is_chosen_that_none_beats_on_every_machine",
+    "bars_are_about_the_selected_predictor_where_the_study_has_one":
+        "bars_are_about_the_selected_predictor_where_the_rule_selects_one",
 }
 # Names of tests: Rust's, libtest-mimic's, Python's, CMake's.
 NAMES = {
