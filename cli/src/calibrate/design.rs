@@ -1,8 +1,8 @@
 //! Which frames tell most: greedy D-optimal design over what is known of the candidates.
 //!
 //! A frame's vector holds the shares of its expected time that each kind of work has, and the inputs of the
-//! prior's factor, if it has one, in standard deviations. The next frame is the one that adds most to ln det of the information matrix for what it
-//! costs; none of them has been drawn.
+//! prior's factor, if it has one, in standard deviations. The next frame is the one that adds most to ln det of the
+//! information matrix for what it costs; none of them has been drawn.
 
 use super::pool::Pool;
 use entire_core::numeric::dot;

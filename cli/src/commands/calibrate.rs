@@ -25,8 +25,9 @@ use std::path::{Path, PathBuf};
 /// Renders the frames that tell most (chosen by design of experiment, none of the candidates drawn), discards
 /// warm-up renderings, repeats in passes until its own spread is small, and fits unit costs to what was measured,
 /// near those of the shipped models of the shading mode: three frames set the speed of this machine, hundreds every
-/// cost. Prints the error to expect on volumes that are not in it, and says if something else used the machine. Ctrl-C fits what was measured so far. `demo`, `steer`, `predict` and
-/// libentire (entire_model_open_machine) find the machine's model by themselves.
+/// cost. Prints the error to expect on volumes that are not in it, and says if something else used the machine.
+/// Ctrl-C fits what was measured so far. `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the
+/// machine's model by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate

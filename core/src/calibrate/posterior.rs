@@ -220,6 +220,7 @@ impl PriorModel {
         }
     }
 
+    /// Fits unit costs, the weights of the factor and the speed to `frames`, near `prior` in seconds per unit of work.
     fn fit(&self, prior: &[f64; COSTS], frames: &[&FitRow]) -> CostFit {
         let (weights, weight_sd): (&[f64], f64) = match &self.factor {
             Some(f) => (&f.weights, FACTOR_SD * f.root_mean_square),
@@ -287,9 +288,8 @@ impl PriorModel {
         let file = match &self.factor {
             Some(factor) => factor.with(&fits[0])?,
             None => {
-                let costs = fits[0].costs.map(|c| c * libm::exp(fits[0].bias));
                 let works = frames.iter().map(|f| &f.work);
-                AnalyticModel::from_costs(costs)?.ranging_over(works).to_model_file()?
+                AnalyticModel::from_costs(fits[0].unit_costs())?.ranging_over(works).to_model_file()?
             }
         };
         Ok(Chosen { file, crossed, folds: count })

@@ -126,8 +126,8 @@ impl Work {
 
 /// Voxels of a volume of which a cache holds half.
 ///
-/// What waits for memory (the far share) is what no neighboring ray reads times the share of the volume outside of a
-/// cache. This spacing and these voxels are those with the least cross-validated error over the tables of four
+/// The far share, the part of the reads that wait for memory, is the share that no neighboring ray reads times the
+/// share of the volume outside of a cache. This spacing and these voxels are those with the least cross-validated error over the tables of four
 /// machines; see the book's page on the cost of a frame.
 pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
 

@@ -136,7 +136,7 @@ pub struct Named {
 }
 
 impl Named {
-    /// Whether it is made for a set.
+    /// True for a set that it is made for.
     pub fn is_of(&self, set: &str) -> bool {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }

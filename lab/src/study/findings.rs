@@ -104,7 +104,7 @@ pub struct SplitResult {
     pub log_errors: [f64; 7],
 }
 
-/// How a predictor did on other data that it was calibrated to a hundred frames of.
+/// Error of a predictor on other data that it was calibrated to a hundred frames of.
 #[derive(Clone, Debug, Serialize)]
 pub struct CalibratedResult {
     /// Set and split.

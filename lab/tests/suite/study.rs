@@ -117,7 +117,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     assert_eq!(output.status.code(), Some(0));
     assert_eq!(models(at), before);
 
-    // What the rule selects is what ships.
+    // The models that the rule selects ship.
     let (output, text) = study(at, &["--ship", "models"]);
     assert_eq!(output.status.code(), Some(0), "{text}");
     let card = std::fs::read_to_string(at.join("models/small-selected.md")).unwrap();
