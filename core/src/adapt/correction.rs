@@ -35,6 +35,21 @@ pub(crate) enum Standing {
     Past,
 }
 
+/// A prediction as it was corrected.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Corrected {
+    /// Seconds.
+    pub(crate) seconds: f64,
+    /// Standard deviation of ln(time).
+    pub(crate) sd: f64,
+    /// The same among frames that nobody disturbs.
+    pub(crate) calm_sd: f64,
+}
+
+fn standard_deviation(variance: f64) -> f64 {
+    libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE))
+}
+
 /// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b learned together from observed times by a Kalman filter on
 /// ln t.
 ///
@@ -43,25 +58,32 @@ pub(crate) enum Standing {
 /// noise allows, and a new scene begins with b = 0 and the spread that scenes have been found to have among
 /// each other. So what an expensive scene taught does not weigh on the cheap one after it.
 ///
-/// Costs stay positive because only their logarithms move. How fast b follows is found from the errors
-/// themselves: when successive errors have the same sign it follows faster, when they alternate slower.
-/// Errors beyond three standard deviations are clipped; two in a row on the same side mean that the machine
-/// has changed, and the filter opens up and takes the second one whole. The state is bounded for ever.
+/// Costs stay positive because only their logarithms move.
+///
+/// Times have a heavy tail on the slow side: whoever else runs on the machine slows frames down, mostly several in a
+/// row, and says nothing about the scene. One frame that is off by over three standard deviations is a stall and
+/// counts as three. Two in a row on one side are a change of the machine's pace: its *load*, a factor of its own on
+/// every scene. It ends with the first frame that is better explained without it, and while it lasts nothing is
+/// learned of the scene beyond its first frame. One that stays is the machine's own pace, and θ takes it over.
+/// A scene that was seen for a few frames alone may have begun under a load that nobody knew: where its frames become
+/// faster, b takes that. The state is bounded for ever.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// θ, then b.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
-    /// Variance of the errors in calm frames, in ln t.
+    /// Variance of the errors in calm frames, in ln t, stalls left out; and of all of them.
     spread: f64,
-    /// Share of a calm frame's error that b takes up.
-    gain: f64,
+    spread_of_all: f64,
     /// Variance of b among scenes.
     change: f64,
-    /// The calm error before, in standard deviations; 0 where there is none.
-    before: f64,
-    run: i32,
-    /// Whether the observation before was taken whole, as another machine's.
+    /// ln of the factor on the times of all scenes at present; 0 where the machine runs at its own pace.
+    load: f64,
+    /// Frames of this load.
+    loaded: u64,
+    /// Frames in a row that were off by more than [`CLIP`]: too slow where positive, too fast where negative.
+    off: i64,
+    /// Whether the observation before began or ended a load, or was taken whole.
     jumped: bool,
     observations: u64,
     /// Frames since the scene was new.
@@ -76,8 +98,15 @@ const LOCAL: usize = TERMS;
 const STATE_LIMIT: f64 = 10.0;
 /// Guards: errors in calm frames of 0.3 % (below any clock's noise) to 50 %.
 const SPREAD: (f64, f64) = (1.0e-5, 0.25);
-/// Guards: at 0 or 1 the share could not be learned any more, and 1 leaves no noise to be sure of.
+/// Guards: at 0 nothing is followed, and 1 leaves no noise to be sure of.
 const GAIN: (f64, f64) = (0.1, 0.8);
+/// Slowest paces at which the spread of calm errors and of scenes' errors are followed: over some ten of them. Half as fast,
+/// the training paths cost the same.
+const SPREAD_PACE: f64 = 0.1;
+const SCENE_PACE: f64 = 0.1;
+/// Variance of a fitted model's single unit costs, as a share of the variance of its errors: the rest is of scenes. With
+/// none, the training paths cost the same.
+const FITTED_SHARE: f64 = 0.1;
 /// Guards: errors among scenes of 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
 /// Variance of an unknown common factor, by definition: a standard deviation of 3, a factor of 20, so the first observed time
@@ -91,19 +120,25 @@ const FITTED_SD: f64 = 0.3;
 const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// Frames in which a scene's own factor halves the first error three times (`gain_start`): an eighth of it is left.
 const SETTLED: u64 = 3;
-/// Observations in a row beyond [`CLIP`], on the same side, that only another machine explains: of normal errors two come once
-/// in a quarter of a million frames.
-const JUMPS: i32 = 2;
-/// A guard: another machine is taken for e² times faster or slower by one observation at most; the next one goes on from there.
-const JUMP_LIMIT: f64 = 2.0;
-/// Part of such a jump that each unit cost may have of its own: as of a fitted model's errors (`fitted_share`).
-const JUMP_SINGLE: f64 = 0.1;
+/// Frames in a row beyond [`CLIP`], on one side, that are no accident: of normal errors two come once in a quarter of a
+/// million frames, and one slow frame is a stall.
+const SURE: i64 = 2;
+/// Variance that the unit costs' common factor gains per frame, in ln, and that each of them gains beside it: a machine
+/// that drifts by a tenth in an hour is followed. Without them the training paths cost the same.
+const DRIFT: f64 = 1.0e-5;
+const DRIFT_SINGLE: f64 = 2.0e-6;
+/// Frames of a load whose mean it is, at most: a guard, so that a load may change.
+const LOAD_FRAMES: f64 = 8.0;
+/// Frames after which a scene or a load is established: half a second at 60 frames per second, the longest burst that the
+/// recordings hold.
+const ESTABLISHED: u64 = 32;
+/// Share of the variance among scenes that the machine's own pace is uncertain by when it was just learned from one of
+/// them: a guess; the next scenes decide.
+const LEARNED_SHARE: f64 = 0.25;
 /// A guard: a squared error counts six times what was expected at most, which of normal ones 1.4 % exceed.
 const SQUARE_LIMIT: f64 = 6.0;
 /// A guard: one of the first errors weighs a quarter at most, so that none decides.
 const FASTEST_PACE: f64 = 0.25;
-/// Two standard deviations, as `clip_below`: what the share that is taken up learns of one frame.
-const BOUND: f64 = 2.0;
 /// A guard: an observation weakens to a thousandth at most.
 const LEAST_TRUST: f64 = 1.0e-3;
 /// Three standard deviations: of normal errors 0.3 % lie beyond, so what does is another work or another machine.
@@ -116,10 +151,11 @@ impl Correction {
             state: [0.0; STATES],
             covariance: [[0.0; STATES]; STATES],
             spread: 0.0,
-            gain: 0.0,
+            spread_of_all: 0.0,
             change: 0.0,
-            before: 0.0,
-            run: 0,
+            load: 0.0,
+            loaded: 0,
+            off: 0,
             jumped: false,
             observations: 0,
             age: 0,
@@ -142,7 +178,7 @@ impl Correction {
                     FITTED_SD
                 };
                 // A model that was fitted here is right on the whole; it is wrong about single scenes.
-                let single = c.fitted_share * sd * sd;
+                let single = FITTED_SHARE * sd * sd;
                 let common = if matches!(self.prior, Prior::Converted { .. }) { OPEN } else { single };
                 (common, single, sd * sd)
             }
@@ -155,11 +191,12 @@ impl Correction {
             }
         }
         self.spread = (c.spread_start * c.spread_start).clamp(SPREAD.0, SPREAD.1);
-        self.gain = c.gain_start.clamp(GAIN.0, GAIN.1);
+        self.spread_of_all = self.spread;
         self.change = change.clamp(CHANGE.0, CHANGE.1);
         self.covariance[LOCAL][LOCAL] = self.change;
-        self.before = 0.0;
-        self.run = 0;
+        self.load = 0.0;
+        self.loaded = 0;
+        self.off = 0;
         self.jumped = false;
         self.observations = 0;
         self.age = 0;
@@ -176,14 +213,30 @@ impl Correction {
         self.age > SETTLED + 1
     }
 
-    /// Whether the observation before was the second in a row that only another machine explains.
-    pub(crate) fn machine_changed(&self) -> bool {
+    /// Whether the observation before began or ended a load, or was so fast that it was taken whole: what the
+    /// frames before it say of the next one no longer holds.
+    pub(crate) fn jumped(&self) -> bool {
         self.jumped
     }
 
-    /// Variance of ln t between equal frames.
+    /// Whether others have slowed down the frames before, as far as times tell.
+    pub(crate) fn loaded(&self) -> bool {
+        self.load != 0.0
+    }
+
+    /// Share of a calm frame's error that the scene's own factor takes up.
+    fn gain(&self) -> f64 {
+        self.constants.gain.clamp(GAIN.0, GAIN.1)
+    }
+
+    /// Variance of ln t between equal frames, stalls left out.
     pub(crate) fn noise(&self) -> f64 {
-        self.spread * (1.0 - self.gain)
+        self.spread * (1.0 - self.gain())
+    }
+
+    /// Variance of ln t between equal frames, stalls included.
+    fn noise_of_all(&self) -> f64 {
+        self.spread_of_all * (1.0 - self.gain())
     }
 
     /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says
@@ -196,23 +249,27 @@ impl Correction {
             self.covariance[i][LOCAL] *= keep;
             self.covariance[LOCAL][i] *= keep;
         }
-        self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change
-            + keep * self.noise() * self.gain * self.gain / (1.0 - self.gain);
-        self.widen(self.constants.common_drift, self.constants.single_drift);
+        // b wanders only while it is followed.
+        let wander = if self.loaded() { 0.0 } else { keep * self.spread * self.gain() * self.gain() };
+        self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
+        self.widen(DRIFT, DRIFT_SINGLE);
         self.tidy();
         if novelty >= 0.5 {
             self.age = 0;
-            self.before = 0.0;
         }
         self.age = self.age.saturating_add(1);
         self.recover();
     }
 
-    /// The corrected time of a prediction in parts: seconds, and the standard deviation of ln(time).
-    pub(crate) fn apply(&self, terms: &CostTerms) -> (f64, f64) {
+    /// The corrected time of a prediction in parts.
+    pub(crate) fn apply(&self, terms: &CostTerms) -> Corrected {
         let (seconds, shares) = self.shares(terms, true);
-        let variance = self.model_variance(&shares) + self.noise();
-        (seconds, libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE)))
+        let model = self.model_variance(&shares);
+        Corrected {
+            seconds: seconds * libm::exp(self.load),
+            sd: standard_deviation(model + self.noise_of_all()),
+            calm_sd: standard_deviation(model + self.noise()),
+        }
     }
 
     /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called
@@ -225,31 +282,32 @@ impl Correction {
         if !(seconds.is_finite() && seconds > 0.0 && predicted.is_finite() && predicted > 0.0) {
             return f64::NAN;
         }
-        let error = libm::log(seconds / predicted);
-        let noise = self.noise() / trust.clamp(LEAST_TRUST, 1.0) + if this_scene { 0.0 } else { self.change };
+        let free = libm::log(seconds / predicted);
+        let others = if this_scene { 0.0 } else { self.change };
+        let weakened = |noise: f64| noise / trust.clamp(LEAST_TRUST, 1.0) + others;
+        let noise = weakened(self.noise());
         let mut model = self.model_variance(&shares);
         let sd = libm::sqrt(model + noise);
-        let normalized = error / sd;
-        // A frame that was faster than expected is more often luck than one that was slower is misfortune.
-        let mut taken = error.clamp(-c.clip_below * sd, CLIP * sd);
-        if libm::fabs(normalized) > CLIP && trust >= 1.0 {
-            self.run = if (normalized > 0.0) == (self.run > 0) { self.run } else { 0 };
-            self.run += if normalized > 0.0 { 1 } else { -1 };
-        } else {
-            self.run = 0;
+        let normalized = (free - self.load) / libm::sqrt(model + weakened(self.noise_of_all()));
+        if standing == Standing::Same && trust >= 1.0 && self.age > SETTLED {
+            let surprise = free - self.load;
+            self.spread_of_all = self.follow(self.spread_of_all, surprise * surprise);
         }
-        let machine_changed = self.run.abs() >= JUMPS;
-        self.jumped = machine_changed;
-        if machine_changed {
-            // Not an outlier but another machine: move by what is seen.
-            let jump = (error * error).min(JUMP_LIMIT * JUMP_LIMIT);
-            self.covariance[LOCAL][LOCAL] += jump;
-            self.widen(jump, JUMP_SINGLE * jump);
+        let loaded = self.loaded();
+        self.jumped = false;
+        let whole = this_scene && trust >= 1.0 && self.judge(free, sd);
+        if whole {
+            self.covariance[LOCAL][LOCAL] += free * free;
             self.tidy();
             model = self.model_variance(&shares);
-            taken = error;
-            self.run = 0;
         }
+        if (loaded || self.loaded()) && standing == Standing::Same {
+            self.observations = self.observations.saturating_add(1);
+            return normalized;
+        }
+        let error = free - self.load;
+        // A frame that was faster than expected is more often luck than one that was slower is misfortune.
+        let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
         // What is left after the model's own uncertainty is noise (calm) or the effect of a change.
         let squared = (error * error).min(CLIP * CLIP * sd * sd);
         if standing == Standing::First {
@@ -257,15 +315,15 @@ impl Correction {
                 let local = self.covariance[LOCAL][LOCAL].min(model);
                 let others = (model - local).max(0.0) + noise;
                 let seen = (squared - others).clamp(0.0, SQUARE_LIMIT * self.change);
-                self.change = (self.change + c.scene_pace * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
+                self.change = (self.change + SCENE_PACE * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
             }
-        } else if standing == Standing::Same && trust >= 1.0 && self.age > SETTLED && !machine_changed {
-            let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).max(c.spread_pace).min(FASTEST_PACE);
-            let seen = squared.min(SQUARE_LIMIT * self.spread);
-            self.spread = (self.spread + pace * (seen - self.spread)).clamp(SPREAD.0, SPREAD.1);
-            let bounded = normalized.clamp(-BOUND, BOUND);
-            self.gain = (self.gain + c.gain_pace * self.before * bounded).clamp(GAIN.0, GAIN.1);
-            self.before = if libm::fabs(normalized) > CLIP { 0.0 } else { bounded };
+        } else if standing == Standing::Same
+            && trust >= 1.0
+            && self.age > SETTLED
+            && self.off == 0
+            && !self.jumped
+        {
+            self.spread = self.follow(self.spread, squared);
         }
         // Kalman step.
         let variance = model + noise;
@@ -284,6 +342,57 @@ impl Correction {
         self.observations = self.observations.saturating_add(1);
         self.recover();
         normalized
+    }
+
+    /// A mean square error that has seen one more.
+    fn follow(&self, spread: f64, squared: f64) -> f64 {
+        let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(SPREAD_PACE, FASTEST_PACE);
+        (spread + pace * (squared.min(SQUARE_LIMIT * spread) - spread)).clamp(SPREAD.0, SPREAD.1)
+    }
+
+    /// Begins, moves or ends the load by ln(observed / expected without one) and that expectation's standard
+    /// deviation. Whether the scene alone has become faster.
+    fn judge(&mut self, free: f64, sd: f64) -> bool {
+        let with = free - self.load;
+        // Of a load that has lasted n frames, the odds that it goes on are n to 1 (Laplace's rule of succession).
+        if self.loaded() && with * with - free * free > 2.0 * sd * sd * libm::log(self.loaded as f64) {
+            self.pace(0.0);
+            return false;
+        }
+        if libm::fabs(with) > CLIP * sd {
+            let side = if with > 0.0 { 1 } else { -1 };
+            self.off = if self.off.signum() == side { self.off + side } else { side };
+            if self.off.abs() < SURE {
+                return false;
+            }
+            if side < 0 && !self.loaded() && self.age <= ESTABLISHED {
+                (self.off, self.jumped) = (0, true);
+                return true;
+            }
+            self.pace(free.clamp(-STATE_LIMIT, STATE_LIMIT));
+            return false;
+        }
+        self.off = 0;
+        if self.loaded() {
+            self.loaded = self.loaded.saturating_add(1);
+            self.load += with / (self.loaded as f64).min(LOAD_FRAMES);
+            // Not at the first frame of a scene, of which that scene learns as well.
+            if self.loaded > ESTABLISHED && self.age > 1 {
+                for i in 0..TERMS {
+                    self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);
+                }
+                self.widen(LEARNED_SHARE * self.change, 0.0);
+                (self.load, self.loaded) = (0.0, 0);
+            }
+        }
+        false
+    }
+
+    /// Another load, from the frame observed last on.
+    fn pace(&mut self, load: f64) {
+        self.load = load;
+        self.loaded = u64::from(load != 0.0);
+        (self.off, self.jumped) = (0, true);
     }
 
     /// The corrected time, and its derivative in ln t by each state.
@@ -354,7 +463,7 @@ impl Correction {
 
     /// Forgets everything where a number is not finite: no observation brings such a filter back.
     fn recover(&mut self) {
-        let rest = [self.spread, self.gain, self.change, self.before];
+        let rest = [self.spread, self.spread_of_all, self.change, self.load];
         let mut numbers = self.state.iter().chain(self.covariance.iter().flatten()).chain(&rest);
         if !numbers.all(|v| v.is_finite()) {
             self.reset();
@@ -386,10 +495,11 @@ impl Correction {
             w.f64s(row);
         }
         w.f64(self.spread);
-        w.f64(self.gain);
+        w.f64(self.spread_of_all);
         w.f64(self.change);
-        w.f64(self.before);
-        w.u64(self.run.rem_euclid(4) as u64);
+        w.f64(self.load);
+        w.u64(self.loaded);
+        w.f64(self.off as f64);
         w.u64(self.observations);
         w.u64(self.age);
     }
@@ -400,14 +510,11 @@ impl Correction {
             r.f64s(row, -2.0 * MAX_VARIANCE, 2.0 * MAX_VARIANCE)?;
         }
         self.spread = r.f64(SPREAD.0, SPREAD.1)?;
-        self.gain = r.f64(GAIN.0, GAIN.1)?;
+        self.spread_of_all = r.f64(SPREAD.0, SPREAD.1)?;
         self.change = r.f64(CHANGE.0, CHANGE.1)?;
-        self.before = r.f64(-BOUND, BOUND)?;
-        self.run = match r.u64()? {
-            1 => 1,
-            3 => -1,
-            _ => 0,
-        };
+        self.load = r.f64(-STATE_LIMIT, STATE_LIMIT)?;
+        self.loaded = r.u64()?;
+        self.off = r.f64(-SURE as f64, SURE as f64)? as i64;
         self.observations = r.u64()?;
         self.age = r.u64()?;
         self.tidy();
@@ -467,7 +574,7 @@ mod tests {
                 |c, v| (c.covariance[1][3], c.covariance[3][1]) = (v, v),
                 |c, v| c.covariance[LOCAL][LOCAL] = v,
                 |c, v| c.spread = v,
-                |c, v| c.gain = v,
+                |c, v| c.load = v,
             ];
             for (i, poison) in poisons.into_iter().enumerate() {
                 for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
@@ -477,7 +584,7 @@ mod tests {
                         correction.advance(0.0);
                         correction.observe(&terms(frame), 0.02, Standing::Same, 1.0);
                     }
-                    let (seconds, sd) = correction.apply(&terms(7));
+                    let Corrected { seconds, sd, .. } = correction.apply(&terms(7));
                     assert!(seconds > 0.0 && seconds.is_finite() && sd.is_finite(), "{prior:?} {i} {value}");
                     assert!(correction.observations > 50, "{prior:?} {i} {value}: it learns again");
                 }

@@ -1,3 +1,4 @@
+use super::correction::Corrected;
 use super::*;
 use crate::ErrorKind;
 use crate::predict::{CostTerms, Source, TERMS};
@@ -38,7 +39,7 @@ fn sixty_frames_bring_an_unknown_machine_within_ten_percent() {
             let parts = scene(&mut noise);
             let clean: f64 = parts.iter().zip(factors).map(|(p, f)| p * f).sum();
             correction.advance(1.0);
-            let predicted = correction.apply(&terms(&parts)).0;
+            let predicted = correction.apply(&terms(&parts)).seconds;
             if i >= 60 {
                 errors.push((predicted / clean - 1.0).abs());
             }
@@ -60,7 +61,7 @@ fn a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways() {
             let parts = scene(&mut noise);
             let clean = speed * parts.iter().sum::<f64>();
             correction.advance(0.0);
-            let error = (correction.apply(&terms(&parts)).0 / clean).ln();
+            let error = (correction.apply(&terms(&parts)).seconds / clean).ln();
             if i >= 20 {
                 assert!(error.abs() < 0.15, "block {block} frame {i}: {error}");
             }
@@ -82,7 +83,7 @@ fn single_spikes_barely_move_it() {
         let parts = scene(&mut noise);
         let clean: f64 = parts.iter().sum();
         correction.advance(0.0);
-        let error = (correction.apply(&terms(&parts)).0 / clean).ln();
+        let error = (correction.apply(&terms(&parts)).seconds / clean).ln();
         assert!(i < 20 || error.abs() < 0.12, "frame {i}: {error}");
         let spike = if i % 25 == 24 { 50.0 } else { 1.0 };
         correction.observe(
@@ -129,7 +130,7 @@ fn extreme_times_keep_the_state_in_bounds() {
             [Standing::First, Standing::Same, Standing::Past][i % 3],
             if i % 5 == 0 { 0.01 } else { 1.0 },
         );
-        let (t, sd) = correction.apply(&terms(&parts));
+        let Corrected { seconds: t, sd, .. } = correction.apply(&terms(&parts));
         assert!(t.is_finite() && t > 0.0 && sd.is_finite() && sd > 0.0, "{i}: {t} {sd}");
     }
 }

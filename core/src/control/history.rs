@@ -1,6 +1,5 @@
 //! What the last frames alone foretell.
 
-use super::HybridConstants;
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
 
@@ -16,6 +15,17 @@ const SD_OF_MEAN: f64 = 1.25;
 
 /// Frames that are compared before recent ones may lead: fewer say little about a mean error.
 const COMPARED: u32 = 10;
+
+/// Mean error of the prediction, in ln(time), from which recent frames may lead, and how many times theirs it must be:
+/// guards against predictions that are of no use. On the training paths they never lead.
+const LEAST_ERROR: f64 = 0.15;
+const LEAD: f64 = 1.5;
+
+/// Slowest pace at which both errors are followed: over some twelve frames.
+const PACE: f64 = 0.08;
+
+/// Share of a frame's time that does not fall with the step: a guess that is between all renderers.
+const FIXED_SHARE: f64 = 0.1;
 
 /// Recent frames lead until the prediction's error is within this factor of theirs: nearer to 1 than what lets them
 /// begin, so that the two do not alternate.
@@ -34,14 +44,10 @@ pub(super) struct History {
     own_error: f64,
     leads: bool,
     compared: u32,
-    fixed_share: f64,
-    pace: f64,
-    least_error: f64,
-    lead: f64,
 }
 
 impl History {
-    pub(super) const fn new(constants: &HybridConstants) -> Self {
+    pub(super) const fn new() -> Self {
         Self {
             frames: [(1.0, 1.0); 3],
             len: 0,
@@ -51,10 +57,6 @@ impl History {
             own_error: 0.0,
             leads: false,
             compared: 0,
-            fixed_share: constants.fixed_share,
-            pace: constants.history_pace,
-            least_error: constants.history_error,
-            lead: constants.history_lead,
         }
     }
 
@@ -73,7 +75,7 @@ impl History {
         let step = f64::from(step);
         let mut sum = 0.0;
         for &(s, t) in &self.frames[..self.len] {
-            sum += t * (self.fixed_share + (1.0 - self.fixed_share) * s / step);
+            sum += t * (FIXED_SHARE + (1.0 - FIXED_SHARE) * s / step);
         }
         let seconds = sum / self.len.max(1) as f64;
         (seconds, seconds * libm::exp(margin * self.spread))
@@ -87,7 +89,7 @@ impl History {
         let history = libm::fabs(libm::log(seconds / forecast)).min(LARGEST_ERROR);
         let own = if own.is_finite() { own.min(LARGEST_ERROR) } else { LARGEST_ERROR };
         self.compared = self.compared.saturating_add(1);
-        let pace = (1.0 / f64::from(self.compared)).max(self.pace);
+        let pace = (1.0 / f64::from(self.compared)).max(PACE);
         self.history_error += pace * (history - self.history_error);
         self.own_error += pace * (own - self.own_error);
         self.spread = (SD_OF_MEAN * self.history_error).clamp(0.01, 1.0);
@@ -95,7 +97,7 @@ impl History {
             self.leads = if self.leads {
                 self.own_error > RETURN * self.history_error
             } else {
-                self.own_error > self.least_error && self.own_error > self.lead * self.history_error
+                self.own_error > LEAST_ERROR && self.own_error > LEAD * self.history_error
             };
         }
     }

@@ -2,7 +2,6 @@
 
 use super::constants::HybridConstants;
 use super::history::History;
-use super::smoothing::Smoothing;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
@@ -31,7 +30,7 @@ pub struct HybridOptions {
     pub miss_rate: f32,
     /// How far over the target a frame's upper bound may reach, as a share of the target; 0.1
     /// by default. Full quality that is expected to meet the target is drawn from a step on that would be
-    /// near it, although its bound reaches further (`full` and `full_settled` of the constants).
+    /// near it, although its bound reaches further (`full` of the constants).
     pub tolerance: f32,
     /// What is known of the prediction before the first frame.
     pub prior: Prior,
@@ -84,18 +83,21 @@ impl HybridOptions {
 }
 
 /// Feed-forward prediction × online correction × adaptive-conformal margin → the finest step that is expected
-/// to meet the target and whose upper bound stays within the tolerance.
+/// to meet the target and whose bound stays within the tolerance.
 ///
 /// * Novelty: how much of the predicted cost of the step drawn last changed since that frame, in amount and
 ///   make-up, says how little the frames before are worth for this one. A change that the caller announces
-///   after calm frames counts as half new at least; one in a row of announced changes (a drag) counts by what
+///   after calm frames begins a scene; one in a row of announced changes (a drag) counts by what
 ///   it does.
 /// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to
-///   frame and the target is met on average. Of what the prediction says to differ from the frame before, as
-///   much is taken as has proved true (smoothing). The step is kept while it is close to the best; finer
-///   moves that no prediction calls for are bounded per frame.
+///   frame and the target is met on average. The step is kept while it is close to the best; other moves
+///   that no prediction calls for are bounded per frame.
+/// * Other programs on the machine: a load, once it is known, is a factor on every expectation, and gone with
+///   the first frame without it. The bound that the step is chosen by is that of undisturbed frames; the one
+///   that the plan states covers all.
 /// * A new scene: nothing is damped, what was learned about the scene before is put away, and the margin is
-///   the one that new scenes have been found to need.
+///   the one that new scenes have been found to need. Where a step is expected to fit and no bound does, the step
+///   lies halfway between that one and the coarsest.
 /// * Limits: there is no integral, so nothing winds up; the plan says which limit was met.
 /// * Fallback: a second forecast from the last three frames alone (brought to a common step by a plain rule)
 ///   runs in its shadow and takes over when the prediction is out of range or has lately been clearly worse.
@@ -111,7 +113,6 @@ pub struct Hybrid {
     /// Whether the frame before was announced as changed.
     announced: bool,
     scene: SceneMark,
-    smoothing: Smoothing,
 }
 
 /// The frame planned last.
@@ -120,21 +121,34 @@ struct Last {
     step: f32,
     target: f32,
     terms: CostTerms,
-    /// How long it took, where that is known and no other scene has begun.
-    seconds: Option<f64>,
-    /// Late frames before it, in a row.
-    late: u32,
 }
 
 /// Most evaluations of the cost in a step search, beside those at the limits: a guard, four or five do.
 const EVALUATIONS: usize = 12;
-/// Time over the target from which a frame is late: by definition, beyond the tolerance that is promised.
-const LATE: f64 = 1.0 + DEFAULT_TOLERANCE as f64;
+/// Standard deviations of undisturbed frames that a coarser step is chosen for, at most: nineteen of twenty frames. What
+/// lies beyond is somebody else's doing, and a step that is coarse enough for it would cost every frame.
+const WORTH: f64 = 2.0;
+/// Novelty from which a frame is the first of a scene: by definition, it has more of a new scene than of the one before.
+const NOVEL: f64 = 0.5;
+/// Relative changes of the step, or distances of the expected time from the target, below which the step is kept: a guard,
+/// less than anybody sees.
+const DEAD_BAND: f64 = 0.01;
 /// Targets this near to each other, in ln, are one.
 const SAME_TARGET: f64 = 0.02;
 /// Trust in the first frame of all, which may hold a compile or an upload: its noise counts as a hundred times
 /// that of others, so it sets the order of magnitude where nothing else does.
 const FIRST_TRUST: f64 = 0.01;
+
+/// What is expected of a frame, seconds.
+#[derive(Clone, Copy, Debug)]
+struct Expected {
+    seconds: f64,
+    /// What all but the share of frames that may be missed stay below.
+    upper: f64,
+    /// What undisturbed frames stay below: a step that is coarse enough for a frame that somebody else slows down
+    /// would be too coarse for all others.
+    calm_upper: f64,
+}
 
 impl Hybrid {
     /// A controller that has seen nothing.
@@ -145,11 +159,10 @@ impl Hybrid {
             correction: Correction::new(options.prior, options.correction),
             calm,
             changed,
-            history: History::new(&options.constants),
+            history: History::new(),
             last: None,
             announced: false,
             scene: SceneMark::default(),
-            smoothing: Smoothing::new(&options.constants),
         }
     }
 
@@ -159,25 +172,29 @@ impl Hybrid {
         &self.correction
     }
 
-    /// Corrected time and upper bound of a prediction for the frame at hand, at the step drawn last.
-    fn judge(&self, terms: &CostTerms) -> (f64, f64) {
+    /// What is expected of a prediction for the frame at hand, at the step drawn last.
+    fn judge(&self, terms: &CostTerms) -> Expected {
         self.judge_at(terms, f64::NAN)
     }
 
-    /// Corrected time and upper bound of a prediction for the frame at hand, at `step`. Within a scene the
-    /// bound is wider the further the step is from the one drawn last: the predicted step curve has an error
+    /// What is expected of a prediction for the frame at hand, at `step`. Within a scene the
+    /// bounds are wider the further the step is from the one drawn last: the predicted step curve has an error
     /// of its own.
-    fn judge_at(&self, terms: &CostTerms, step: f64) -> (f64, f64) {
-        let (seconds, sd) = self.correction.apply(terms);
-        let seconds = seconds * libm::exp(self.scene.offset);
+    fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
+        let corrected = self.correction.apply(terms);
         let far = match self.last {
             Some(last) if !self.scene.first && step > 0.0 => libm::log(step / f64::from(last.step)),
             _ => 0.0,
         };
         let slope = self.options.constants.slope_sd * far;
-        let sd = libm::sqrt(sd * sd + slope * slope);
+        let wider = |sd: f64| libm::sqrt(sd * sd + slope * slope);
         let z = if self.scene.first { self.changed.multiple() } else { self.calm.multiple() };
-        (seconds, seconds * libm::exp(z * sd))
+        let (all, calm) = (z * wider(corrected.sd), WORTH * wider(corrected.calm_sd));
+        Expected {
+            seconds: corrected.seconds,
+            upper: corrected.seconds * libm::exp(all),
+            calm_upper: corrected.seconds * libm::exp(all.min(calm)),
+        }
     }
 
     /// How little the frame before says about this one, 0 to 1.
@@ -188,26 +205,17 @@ impl Hybrid {
             return if changes.any() { 1.0 } else { 0.0 };
         }
         // Small differences are of one scene: they count by their square.
-        let c = &self.options.constants;
-        let share = |d: f64| (d / c.far).clamp(0.0, 1.0);
-        if changes.any() {
-            let novelty = share(d) * share(d);
-            if self.announced { novelty } else { novelty.max(c.announced) }
-        } else {
-            share(d - c.near) * share(d - c.near)
-        }
+        let share = (d / self.options.constants.far).clamp(0.0, 1.0);
+        let announced = changes.any() && !self.announced;
+        (share * share).max(if announced { NOVEL } else { 0.0 })
     }
 
     /// Places the frame at hand: whether it goes on with the scene or begins one.
     fn enter(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let novelty = self.novelty(changes, cost);
-        let first = novelty >= self.options.constants.novel;
+        let first = novelty >= NOVEL;
         self.correction.advance(novelty);
-        let moved = self.last.map_or(f64::NAN, |last| {
-            libm::log(f64::from(cost(last.step).seconds()) / f64::from(last.terms.seconds()))
-        });
-        let offset = self.smoothing.advance(moved, if first { 1.0 } else { novelty });
-        self.scene = SceneMark { number: self.scene.number + u64::from(first), first, offset };
+        self.scene = SceneMark { number: self.scene.number + u64::from(first), first };
         self.announced = changes.any();
     }
 
@@ -275,13 +283,7 @@ impl Controller for Hybrid {
         // Frames before a change of scene say nothing about the frame after it.
         let by_history = distrusted && !self.history.is_empty() && !(changes.any() && self.scene.first);
         if !known && !by_history {
-            self.last = Some(Last {
-                step: limits.coarsest,
-                target: request.target,
-                terms: first,
-                seconds: None,
-                late: 0,
-            });
+            self.last = Some(Last { step: limits.coarsest, target: request.target, terms: first });
             return Decision {
                 step: limits.coarsest,
                 seconds: f32::NAN,
@@ -290,50 +292,37 @@ impl Controller for Hybrid {
                 reason: Reason::NoInformation,
             };
         }
-        let moved = self.last.map_or(f64::NAN, |last| {
-            libm::log(f64::from((request.cost)(last.step).seconds()) / f64::from(last.terms.seconds()))
-        });
         let history = self.history;
         let margin = self.calm.multiple();
         let this = &*self;
-        let mut judge = |step: f32| -> (f64, f64) {
+        let mut judge = |step: f32| -> Expected {
             if by_history {
-                history.forecast(step, margin)
+                let (seconds, upper) = history.forecast(step, margin);
+                Expected { seconds, upper, calm_upper: upper }
             } else {
                 this.judge_at(&(request.cost)(step), f64::from(step))
             }
         };
         let excess = |step: f32| {
-            let (seconds, upper) = judge(step);
-            let f = libm::log(f64::max(seconds / target, upper / ceiling));
+            let Expected { seconds, calm_upper, .. } = judge(step);
+            let f = libm::log(f64::max(seconds / target, calm_upper / ceiling));
             if f.is_nan() { 1.0 } else { f.clamp(-50.0, 50.0) }
         };
-        let best = Self::finest(limits, excess);
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
-        // Where the coarsest step should fit and only its bound does not, recent frames of the scene know
-        // better.
-        let best = best.or_else(|| {
-            let lost = by_history || self.scene.first || history.is_empty();
-            if lost || judge(limits.coarsest).0 > target {
-                return None;
-            }
-            reason = Reason::History;
-            Self::finest(limits, |step| {
-                let (seconds, upper) = history.forecast(step, margin);
-                libm::log(f64::max(seconds / target, upper / ceiling))
-            })
-        });
-        let mut step = match best {
+        let mut step = match Self::finest(limits, excess) {
             Some(step) => step,
-            None => {
-                reason = Reason::TargetUnreachable;
-                limits.coarsest
-            }
+            // No step has a bound that fits. Where one is expected to fit, halfway from it to the coarsest.
+            None => match Self::finest(limits, |step| libm::log(judge(step).seconds / target)) {
+                Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
+                None => {
+                    reason = Reason::TargetUnreachable;
+                    limits.coarsest
+                }
+            },
         };
-        // A scene that is known corrects a wrong expectation at once: there the bound is asked for less.
-        let full = if self.correction.settled() { c.full_settled } else { c.full };
-        let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= full;
-        if reason == Reason::Fits && (step <= limits.finest || (nearly() && judge(limits.finest).0 <= target))
+        let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
+        if reason == Reason::Fits
+            && (step <= limits.finest || (nearly() && judge(limits.finest).seconds <= target))
         {
             step = limits.finest;
             reason = Reason::FinestAllowed;
@@ -341,57 +330,38 @@ impl Controller for Hybrid {
         let steady = |last: &Last| {
             self.options.damping
                 && !self.scene.first
+                && !self.correction.jumped()
                 && limits.clamp(last.step) == last.step
                 && libm::fabs(libm::log(target / f64::from(last.target))) < SAME_TARGET
         };
         if let Some(last) = self.last.filter(steady) {
             let delta = libm::log(f64::from(step) / f64::from(last.step));
-            let (seconds, upper) = judge(last.step);
+            let Expected { seconds, calm_upper, .. } = judge(last.step);
             let off = libm::log(seconds / target);
-            let near = libm::fabs(delta) < c.dead_band
-                || (off > -c.dead_band && upper <= ceiling * (1.0 + c.dead_band));
-            if near && off <= c.dead_band && reason != Reason::FinestAllowed {
+            let near = libm::fabs(delta) < DEAD_BAND
+                || (off > -DEAD_BAND && calm_upper <= ceiling * (1.0 + DEAD_BAND));
+            if near && off <= DEAD_BAND && reason != Reason::FinestAllowed {
                 step = last.step;
                 if reason == Reason::Fits {
                     reason = Reason::Held;
                 }
-            } else if delta > c.coarser
+            } else if delta > c.damping
                 && this.correction.settled()
-                && judge(limits.clamp(last.step * libm::exp(c.coarser) as f32)).0 <= target
+                && judge(limits.clamp(last.step * libm::exp(c.damping) as f32)).seconds <= target
             {
-                step = limits.clamp(last.step * libm::exp(c.coarser) as f32);
+                step = limits.clamp(last.step * libm::exp(c.damping) as f32);
                 if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
-            } else if delta < -c.finer
-                && reason != Reason::FinestAllowed
-                && this.correction.settled()
-                && last.seconds.is_none_or(|t| t > c.early * target)
-            {
-                step = limits.clamp(last.step * libm::exp(-c.finer) as f32);
+            } else if delta < -c.damping && reason != Reason::FinestAllowed && this.correction.settled() {
+                step = limits.clamp(last.step * libm::exp(-c.damping) as f32);
                 if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
             }
         }
-        let mut late = 0;
-        if let Some((last, took)) = self.last.filter(steady).and_then(|l| Some((l, l.seconds?))) {
-            // Whatever is predicted: after a late frame none is finer, and after two half of the excess is
-            // taken back.
-            let now = took / target * libm::exp(if moved.is_finite() { moved.clamp(-0.5, 0.0) } else { 0.0 });
-            if now > LATE {
-                late = last.late + 1;
-                let back = if late > 1 { libm::pow(now, c.take_back) } else { 1.0 };
-                let least = limits.clamp((f64::from(last.step) * back) as f32);
-                if step < least {
-                    step = least;
-                    reason = Reason::History;
-                }
-            }
-        }
-        let (seconds, upper) = judge(step);
-        self.last =
-            Some(Last { step, target: request.target, terms: (request.cost)(step), seconds: None, late });
+        let Expected { seconds, upper, .. } = judge(step);
+        self.last = Some(Last { step, target: request.target, terms: (request.cost)(step) });
         Decision { step, seconds: seconds as f32, upper: upper as f32, out_of_range, reason }
     }
 
@@ -406,15 +376,8 @@ impl Controller for Hybrid {
             _ => Standing::Same,
         };
         let trust = if observed.changes.first { FIRST_TRUST } else { 1.0 };
-        let factor = libm::exp(observed.scene.offset);
-        let corrected = self.correction.apply(&observed.terms).0 * factor;
-        let error = self.correction.observe(&observed.terms, seconds / factor, standing, trust);
-        if standing == Standing::Same
-            && observed.scene.offset == self.scene.offset
-            && libm::fabs(error) <= CLIP
-        {
-            self.smoothing.observe(libm::log(seconds / corrected));
-        }
+        let corrected = self.correction.apply(&observed.terms).seconds;
+        let error = self.correction.observe(&observed.terms, seconds, standing, trust);
         let changed = observed.changes.any() && observed.scene.first;
         if !observed.changes.first && standing != Standing::Past {
             let own = libm::fabs(libm::log(seconds / corrected));
@@ -424,14 +387,9 @@ impl Controller for Hybrid {
                 _ => self.calm.observe(error),
             }
         }
-        if self.correction.machine_changed() {
-            // What prediction and history made of the machine before says nothing about this one.
+        if self.correction.jumped() {
+            // How well prediction and history did before says nothing about what is now.
             self.history.forget_errors();
-        }
-        if let Some(last) =
-            self.last.as_mut().filter(|l| standing != Standing::Past && l.step == observed.step)
-        {
-            last.seconds = Some(seconds);
         }
         if standing != Standing::Past {
             self.history.push(observed.step, seconds, changed);
@@ -442,11 +400,10 @@ impl Controller for Hybrid {
     fn reset(&mut self) {
         self.correction.reset();
         (self.calm, self.changed) = margins(&self.options);
-        self.history = History::new(&self.options.constants);
+        self.history = History::new();
         self.last = None;
         self.announced = false;
         self.scene = SceneMark { number: self.scene.number + 1, ..SceneMark::default() };
-        self.smoothing = Smoothing::new(&self.options.constants);
     }
 
     fn convert(&mut self, converted: bool) {
@@ -462,7 +419,7 @@ impl Controller for Hybrid {
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
         self.enter(changes, cost);
         // Without a target no frame is held or damped against this one.
-        self.last = Some(Last { step, target: f32::NAN, terms: cost(step), seconds: None, late: 0 });
+        self.last = Some(Last { step, target: f32::NAN, terms: cost(step) });
     }
 
     fn withdraw(&mut self) {
@@ -483,10 +440,10 @@ impl Controller for Hybrid {
     }
 
     fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
-        let (seconds, upper) = if changes.any() {
+        let Expected { seconds, upper, .. } = if changes.any() {
             let mut next = self.clone();
             next.correction.advance(1.0);
-            next.scene = SceneMark { first: true, offset: 0.0, ..self.scene };
+            next.scene = SceneMark { first: true, ..self.scene };
             next.judge(terms)
         } else {
             self.judge(terms)
@@ -501,23 +458,21 @@ impl Controller for Hybrid {
 
     fn save(&self, out: &mut Vec<u8>) {
         let mut w = Writer(out);
-        w.tag(*b"ENH3");
+        w.tag(*b"ENH4");
         self.correction.save(&mut w);
         self.calm.save(&mut w);
         self.changed.save(&mut w);
         self.history.save(&mut w);
-        self.smoothing.save(&mut w);
     }
 
     fn load(&mut self, bytes: &[u8]) -> Result<()> {
         let mut r = Reader(bytes);
         let mut next = Self::new(self.options);
-        r.tag(*b"ENH3")?;
+        r.tag(*b"ENH4")?;
         next.correction.load(&mut r)?;
         next.calm.load(&mut r)?;
         next.changed.load(&mut r)?;
         next.history.load(&mut r)?;
-        next.smoothing.load(&mut r)?;
         r.end()?;
         *self = next;
         Ok(())
@@ -529,8 +484,8 @@ fn margins(options: &HybridOptions) -> (Margin, Margin) {
     let c = &options.constants;
     let rate = options.miss_rate.max(NEW_SCENE_MISS_RATE);
     (
-        Margin::starting_at(c.calm_start, options.miss_rate, c.calm_pace as f32),
-        Margin::starting_at(c.changed_start, rate, c.changed_pace as f32),
+        Margin::starting_at(c.margin_start, options.miss_rate, c.margin_pace as f32),
+        Margin::starting_at(c.margin_start, rate, c.margin_pace as f32),
     )
 }
 

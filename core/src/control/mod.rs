@@ -12,7 +12,6 @@ mod constants;
 mod history;
 mod hybrid;
 mod session;
-mod smoothing;
 #[cfg(test)]
 mod tests;
 
@@ -158,9 +157,6 @@ pub struct SceneMark {
     pub number: u64,
     /// Whether the frame is the scene's first.
     pub first: bool,
-    /// What the controller adds to ln of this frame's prediction because of the frames before it in the
-    /// scene.
-    pub offset: f64,
 }
 
 /// Chooses ray steps frame by frame.
