@@ -26,6 +26,8 @@ enum Command {
     Frames(commands::frames::Options),
     /// Record what every frame of a path costs at a grid of ray steps.
     Record(commands::record::Options),
+    /// Record how much somebody else on the machine slows frames down.
+    Disturb(commands::disturb::Options),
     /// Replay recorded cost curves under every controller and target, beside an oracle.
     Replay(commands::replay::Options),
     /// Choose the controller's constants on recorded paths.
@@ -61,6 +63,7 @@ pub fn main() -> ExitCode {
             Command::Paper(options) => commands::paper::run(options),
             Command::Frames(options) => commands::frames::run(options),
             Command::Record(options) => commands::record::run(options),
+            Command::Disturb(options) => commands::disturb::run(options),
             Command::Replay(options) => commands::replay::run(options),
             Command::Tune(options) => commands::tune::run(options),
             Command::Stress(options) => commands::stress::run(options),

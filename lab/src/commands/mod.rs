@@ -1,5 +1,6 @@
 //! One module per subcommand: its options and what it does.
 
+pub mod disturb;
 pub mod farm;
 pub mod farm_bars;
 pub mod farm_sort_last;

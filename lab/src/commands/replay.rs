@@ -6,7 +6,7 @@ use crate::calibration::samples_of;
 use crate::fitted::{Calibrated, Candidate};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
-use crate::replay::{self, Player, Replayable, Score, Tally, frontier, play, trials_of_all};
+use crate::replay::{self, Disturbance, Player, Replayable, Score, Tally, frontier, play, trials_of_all};
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
 use entire_cli::files::{make_folder, note, open_model};
@@ -18,7 +18,8 @@ use entire_cli::steering::model::SteeringModel;
 use entire_core::control::StepLimits;
 use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Recorded paths, and what they are played against.
 #[derive(Clone, Debug, clap::Args)]
@@ -39,6 +40,9 @@ pub struct Paths {
         allow_hyphen_values = true
     )]
     pub targets: Vec<String>,
+    /// Replay under what `entire-lab disturb` recorded of somebody else on the machine.
+    #[arg(long, value_name = "FILE.csv")]
+    pub disturbance: Option<PathBuf>,
     /// Finest and coarsest step that may be chosen, reference steps. Rules that act on image resolution have
     /// ranges of their own.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
@@ -54,6 +58,19 @@ impl Paths {
         let limits = StepLimits { finest: self.limits.0, coarsest: self.limits.1 };
         limits.check()?;
         Ok(limits)
+    }
+
+    /// Opens one of the paths, under the neighbor that it is to be replayed with.
+    ///
+    /// # Errors
+    /// For files that cannot be read or are no recordings.
+    pub fn open(&self, file: &Path) -> Result<Replayable> {
+        let mut replayable =
+            Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display()))?;
+        if let Some(disturbance) = &self.disturbance {
+            replayable.disturbance = Some(Arc::new(Disturbance::open(disturbance)?));
+        }
+        Ok(replayable)
     }
 
     /// Every target in seconds with its name, the longest first.
@@ -122,12 +139,8 @@ pub fn run(options: &Options) -> Result<()> {
         calibrated.candidates.iter_mut().for_each(|c| c.chosen = false);
         calibrated.candidates.push(Candidate { chosen: true, ..given });
     }
-    let traces = options
-        .paths
-        .traces
-        .iter()
-        .map(|file| Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display())))
-        .collect::<Result<Vec<_>>>()?;
+    let traces =
+        options.paths.traces.iter().map(|file| options.paths.open(file)).collect::<Result<Vec<_>>>()?;
     let players = Player::all(&options.controllers, &traces);
     let (trials, unplayed) = trials_of_all(&traces, &targets, limits);
     for name in &unplayed {

@@ -3,9 +3,8 @@
 use super::replay::Paths;
 use crate::calibration::samples_by_volume;
 use crate::fitted::Calibrated;
-use crate::replay::tune::{Constants, Cost, Course, Law, TRIED, costs, search};
-use crate::replay::{Replayable, Three};
-use crate::trace::Trace;
+use crate::replay::tune::{Constants, Cost, Course, Law, Removed, TRIED, costs, removed, search};
+use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};
 use entire_cli::files::{make_folder_of, write_json};
 use entire_cli::progress::templated_bar;
@@ -15,6 +14,7 @@ use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
 use serde_json::json;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// A path by every renderer, and what was fitted to other volumes.
 type Played = ([Replayable; 3], Calibrated);
@@ -34,6 +34,9 @@ pub struct Options {
     /// The paths that are played.
     #[command(flatten)]
     pub paths: Paths,
+    /// Play every path once more under each of these recordings of somebody else on the machine (`entire-lab disturb`).
+    #[arg(long, value_delimiter = ',', value_name = "FILE.csv,…")]
+    pub disturbances: Vec<PathBuf>,
     /// Most rounds over all constants; 0 says what the present ones cost.
     #[arg(long, default_value_t = 3, value_name = "N")]
     pub rounds: usize,
@@ -46,6 +49,38 @@ pub struct Options {
     /// File for all that was tried and found, as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub out: Option<PathBuf>,
+}
+
+/// What every constant is worth.
+fn worth_table(worth: &[Removed]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("constant"),
+        Column::number("value"),
+        Column::number("without"),
+        Column::number("cost more"),
+        Column::number("standard error"),
+    ]);
+    for r in worth {
+        let numbers = [r.value, r.without].map(|v| format!("{v:.3}"));
+        let [value, without] = numbers;
+        table.row(vec![
+            r.name.into(),
+            value.into(),
+            without.into(),
+            format!("{:+.3}", r.more).into(),
+            format!("{:.3}", r.standard_error).into(),
+        ]);
+    }
+    table
+}
+
+/// The same path under somebody else on the machine.
+fn disturbed(recorded: &[Replayable; 3], disturbance: &Arc<Disturbance>) -> [Replayable; 3] {
+    recorded.clone().map(|mut r| {
+        r.trace.name = format!("{}/{}", r.trace.name, disturbance.name);
+        r.disturbance = Some(Arc::clone(disturbance));
+        r
+    })
 }
 
 /// Runs the command.
@@ -63,20 +98,31 @@ pub fn run(options: &Options) -> Result<()> {
     let samples = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
     let nothing = [0u8];
     let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
-    let played = options
+    let mut played = options
         .paths
         .traces
         .iter()
         .map(|file| {
-            let trace = Trace::open(file)?;
-            let shown = |volume: &str| trace.volumes.iter().any(|v| v.file.as_os_str() == volume);
+            let recorded = options.paths.open(file)?;
+            let shown = |volume: &str| recorded.trace.volumes.iter().any(|v| v.file.as_os_str() == volume);
             let others: Vec<Sample> =
                 samples.iter().filter(|(v, _)| !shown(v)).map(|(_, s)| s.clone()).collect();
             let calibrated = Calibrated::fit(&others, &no_volume, 1)?;
-            let recorded = Replayable::new(trace)?;
             Ok((Law::ALL.map(|law| law.of(&recorded)), calibrated))
         })
         .collect::<Result<Vec<Played>>>()?;
+    let disturbances = options
+        .disturbances
+        .iter()
+        .map(|file| Ok(Arc::new(Disturbance::open(file)?)))
+        .collect::<Result<Vec<_>>>()?;
+    let disturbed: Vec<Played> = disturbances
+        .iter()
+        .flat_map(|d| {
+            played.iter().map(move |(recorded, calibrated)| (disturbed(recorded, d), calibrated.clone()))
+        })
+        .collect();
+    played.extend(disturbed);
     let courses: Vec<Course<'_>> =
         played.iter().map(|(recorded, c)| Course::new(recorded, c, &targets, limits)).collect();
     ensure!(courses.len() >= 2, "one path has no standard error; name several");
@@ -96,6 +142,8 @@ pub fn run(options: &Options) -> Result<()> {
     println!("{}", table(&played, &before, &after).to_text());
     let mean = |costs: &[Cost]| costs.iter().map(Cost::value).sum::<f64>() / costs.len() as f64;
     println!("mean cost {:.4} -> {:.4}", mean(&before), mean(&after));
+    let worth = removed(&courses, found, &after)?;
+    println!("\n{}", worth_table(&worth).to_text());
     for t in &taken {
         println!(
             "{}: {:.4} -> {:.4}, mean cost {:.4} -> {:.4} (standard error of the difference {:.4})",
@@ -113,7 +161,7 @@ pub fn run(options: &Options) -> Result<()> {
             .map(|(name, value)| (name.to_owned(), json!(*value)))
             .collect();
         let all = json!({
-            "paths": names, "constants": constants, "taken": taken, "before": before, "after": after
+            "paths": names, "constants": constants, "taken": taken, "without": worth, "before": before, "after": after
         });
         write_json(out, &all).with_context(|| format!("cannot write {}", out.display()))?;
     }

@@ -2,6 +2,7 @@
 
 mod bars;
 pub mod cold;
+mod disturbance;
 mod frontier;
 mod player;
 pub mod report;
@@ -10,6 +11,7 @@ mod trials;
 pub mod tune;
 
 pub use bars::{bars, played};
+pub use disturbance::{Disturbance, Slowdown};
 pub use frontier::{Frontier, frontier};
 pub use player::Player;
 pub use score::{Score, Tally, Three};
@@ -25,6 +27,7 @@ use entire_core::control::{Reason, StepLimits};
 use entire_core::features::{Changes, VolumeSummary};
 use serde::Serialize;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Frames from a change of anything but the camera on that are not calm, and frames at the start of a path.
 pub const SETTLING: usize = 3;
@@ -45,6 +48,8 @@ pub struct Replayable {
     pub summaries: Vec<VolumeSummary>,
     /// Frames at which something changes abruptly: a switch of the path, another volume, another image size.
     pub switches: Vec<bool>,
+    /// Who else is on the machine while it is replayed; nobody where `None`.
+    pub disturbance: Option<Arc<Disturbance>>,
 }
 
 impl Replayable {
@@ -65,7 +70,7 @@ impl Replayable {
                         || trace.scales.iter().any(|(from, _)| *from as usize == i))
             })
             .collect();
-        Ok(Self { trace, path, curves, images, summaries, switches })
+        Ok(Self { trace, path, curves, images, summaries, switches, disturbance: None })
     }
 
     /// What answers a controller's decisions, and what it may choose: its own range, as far as it was recorded.
@@ -183,6 +188,9 @@ pub fn replay(
     let mut out: Vec<Replayed> = Vec::with_capacity(frames.len());
     let mut shown = usize::MAX;
     let mut since_switch = 0;
+    // Frames follow each other without a pause; every round begins elsewhere in the recording of the neighbor.
+    let disturbance = recorded.disturbance.as_deref();
+    let mut now = disturbance.map_or(0.0, |d| d.length() * (mix(seed, n as u64) % 1000) as f64 / 1000.0);
     for (index, at) in recorded.path.frames.iter().enumerate().take(frames.end).skip(start) {
         let place = || format!("frame {index} of trace {}", recorded.trace.name);
         let volume = recorded.trace.volume_at(index);
@@ -204,7 +212,9 @@ pub fn replay(
         let (curve, answer) = (&recorded.curves[index], &answers[index]);
         let step = f64::from(plan.step);
         let noise = curve.noise(mix(seed, index as u64)).exp();
-        let seconds = answer.seconds(step) * noise;
+        let undisturbed = answer.seconds(step) * noise;
+        let seconds = disturbance.map_or(undisturbed, |d| d.wall(now, undisturbed));
+        now += seconds;
         session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         let oracle_step = curve.oracle(target, finest, coarsest);
         let retargeted = index > start && (targets[index - 1] / target).ln().abs() > 0.05;

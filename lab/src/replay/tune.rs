@@ -62,6 +62,56 @@ impl Constants {
     }
 }
 
+/// Values with which a constant does nothing, or as little as its guards allow.
+const WITHOUT: [(&str, f64); 11] = [
+    ("full", 0.0),
+    ("damping", 10.0),
+    ("slope_sd", 0.0),
+    ("far", 1e-3),
+    ("margin_start", 1.0),
+    ("margin_pace", 0.0),
+    ("unit_cost_sd", 0.0),
+    ("scene_sd", 0.0),
+    ("spread_start", 0.0),
+    ("gain", 0.0),
+    ("clip_below", 3.0),
+];
+
+/// What a constant is worth.
+#[derive(Clone, Debug, Serialize)]
+pub struct Removed {
+    /// Which.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// The value with which it does nothing, or as little as its guards allow.
+    pub without: f64,
+    /// Mean cost of the paths more, without it.
+    pub more: f64,
+    /// Standard error of that, among paths.
+    pub standard_error: f64,
+}
+
+/// What each constant is worth: the paths' cost without it, the others as they are.
+///
+/// # Errors
+/// As [`Course::cost`].
+pub fn removed(courses: &[Course<'_>], mut constants: Constants, now: &[Cost]) -> Result<Vec<Removed>> {
+    let values: Vec<f64> = constants.values().map(|v| *v).collect();
+    Constants::names()
+        .zip(values)
+        .enumerate()
+        .filter_map(|(i, (name, value))| {
+            WITHOUT.iter().find(|(n, _)| *n == name).map(|&(_, without)| (i, name, value, without))
+        })
+        .map(|(i, name, value, without)| {
+            let costs = costs(courses, constants.changed(i, without))?;
+            let (more, standard_error) = difference(now, &costs);
+            Ok(Removed { name, value, without, more, standard_error })
+        })
+        .collect()
+}
+
 /// Another renderer than the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Law {

@@ -1,0 +1,142 @@
+//! `entire-lab disturb`: how much somebody else on the machine slows frames down, over time.
+
+use crate::replay::Slowdown;
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use entire_cli::device;
+use entire_cli::files::{make_folder_of, open_volume};
+use entire_cli::interrupt;
+use entire_cli::metrics::median;
+use entire_cli::options::{RenderArgs, parse_size};
+use entire_cli::volume::Reading;
+use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Who else is on the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Neighbor {
+    /// Nobody.
+    None,
+    /// One core for 50 to 500 ms, a fifth of the time.
+    Bursts,
+    /// One core all the time.
+    Steady,
+}
+
+/// Record how much somebody else on the machine slows frames down, over time.
+///
+/// Draws one frame over and over by the wall clock, first without a neighbor, then with it, and writes for every frame of
+/// the second part when it began and how many times as long it took as the median of the first part. `entire-lab
+/// replay --disturbance` plays recorded paths under it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab disturb data/nyx_cosmology/m04/t0010.nrrd --neighbor bursts --out bursts.csv")]
+pub struct Options {
+    /// The volume file.
+    #[arg(value_name = "VOLUME")]
+    pub volume: PathBuf,
+    /// Who else is on the machine.
+    #[arg(long, value_enum)]
+    pub neighbor: Neighbor,
+    /// Seconds of the recording.
+    #[arg(long, default_value_t = 20.0, value_name = "SECONDS")]
+    pub seconds: f64,
+    /// Image size, pixels: of a frame of a few milliseconds.
+    #[arg(long, default_value = "160x160", value_name = "WxH", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
+    /// Seed of the neighbor's bursts.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// The table to write.
+    #[arg(long, value_name = "FILE.csv")]
+    pub out: PathBuf,
+}
+
+/// Seconds without a neighbor that slowdowns are relative to.
+const QUIET_SECONDS: f64 = 5.0;
+
+/// Keeps a core busy until `stop`.
+fn disturb(neighbor: Neighbor, seed: u64, stop: &AtomicBool) {
+    let mut state = seed;
+    while !stop.load(Ordering::Relaxed) {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let share = (state >> 11) as f64 / (1u64 << 53) as f64;
+        let burst = Duration::from_secs_f64(0.05 + 0.45 * share);
+        let begin = Instant::now();
+        while begin.elapsed() < burst {
+            std::hint::spin_loop();
+        }
+        if neighbor == Neighbor::Bursts {
+            std::thread::sleep(4 * burst);
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A volume that cannot be read, a device that fails, interruption.
+pub fn run(options: &Options) -> Result<()> {
+    ensure!(options.seconds >= 1.0, "--seconds is {}; at least 1 is needed", options.seconds);
+    let volume = open_volume(&options.volume, &Reading::default())?;
+    let stop = interrupt::flag()?;
+    let mut renderer = device::open(options.render.device)?;
+    renderer.set_volume(&volume.view())?;
+    let lobe = GaussianLobe { center: 0.5, width: 0.2, height: 0.05 };
+    renderer.set_transfer(&TransferFunction::Gaussian(vec![lobe]).to_table()?)?;
+    let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.2 })?;
+    let frame = Frame {
+        shading: options.render.shade.into(),
+        skipping: options.render.skip.into(),
+        termination: options.render.termination,
+        ..Frame::new(camera, options.size.0, options.size.1)?
+    }
+    .checked()?;
+    // When each frame began and what it took, seconds.
+    let mut draw = |seconds: f64| -> Result<Vec<(f64, f64)>> {
+        let begin = Instant::now();
+        let mut out = Vec::new();
+        while begin.elapsed().as_secs_f64() < seconds {
+            ensure!(!interrupt::requested(&stop), "interrupted; nothing was written");
+            let start = begin.elapsed().as_secs_f64();
+            let wall = renderer.render(&frame)?.time.wall;
+            out.push((start, wall));
+        }
+        Ok(out)
+    };
+    draw(1.0)?;
+    let mut quiet: Vec<f64> = draw(QUIET_SECONDS)?.into_iter().map(|(_, wall)| wall).collect();
+    let usual = median(&mut quiet).context("no frame was drawn")?;
+    let over = AtomicBool::new(false);
+    let drawn = std::thread::scope(|scope| {
+        if options.neighbor != Neighbor::None {
+            scope.spawn(|| disturb(options.neighbor, options.seed, &over));
+        }
+        let drawn = draw(options.seconds);
+        over.store(true, Ordering::Relaxed);
+        drawn
+    })?;
+    make_folder_of(&options.out)?;
+    let mut table = csv::Writer::from_path(&options.out)
+        .with_context(|| format!("cannot write {}", options.out.display()))?;
+    let first = drawn.first().map_or(0.0, |d| d.0);
+    let round = |v: f64, places: f64| (v * places).round() / places;
+    for &(start, wall) in &drawn {
+        table
+            .serialize(Slowdown { start_s: round(start - first, 1e5), slowdown: round(wall / usual, 1e3) })?;
+    }
+    table.flush()?;
+    println!(
+        "{}: {} frames of {:.1} ms where nobody disturbs them, on {}",
+        options.out.display(),
+        drawn.len(),
+        1e3 * usual,
+        renderer.device()
+    );
+    Ok(())
+}

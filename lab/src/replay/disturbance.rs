@@ -1,0 +1,129 @@
+//! How much others on a machine slow frames down, over time: recorded once, replayed under any controller.
+
+use anyhow::{Context, Result, ensure};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// One frame of a recording: from when on frames were how much slower.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Slowdown {
+    /// Seconds since the recording began.
+    pub start_s: f64,
+    /// Wall time over that of an undisturbed frame.
+    pub slowdown: f64,
+}
+
+/// A recording of slowdowns, which begins anew when it ends.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Disturbance {
+    /// Its name in tables.
+    pub name: String,
+    frames: Vec<Slowdown>,
+    /// Seconds from its beginning to its end.
+    length: f64,
+}
+
+impl Disturbance {
+    /// Reads a table of `start_s` and `slowdown` (`entire-lab disturb`).
+    ///
+    /// # Errors
+    /// For a file that is not one, and for fewer than two frames, times that do not ascend from 0, and slowdowns
+    /// that are not positive.
+    pub fn open(file: &Path) -> Result<Self> {
+        let place = || format!("{}", file.display());
+        let mut reader = csv::Reader::from_path(file).with_context(place)?;
+        let frames = reader.deserialize().collect::<Result<Vec<Slowdown>, _>>().with_context(place)?;
+        let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Self::new(name, frames).with_context(place)
+    }
+
+    /// From the frames of a recording.
+    ///
+    /// # Errors
+    /// As [`Disturbance::open`].
+    pub fn new(name: String, frames: Vec<Slowdown>) -> Result<Self> {
+        ensure!(
+            frames.len() >= 2,
+            "{} frames are no recording of slowdowns; at least 2 are needed",
+            frames.len()
+        );
+        ensure!(
+            frames[0].start_s == 0.0 && frames.windows(2).all(|w| w[0].start_s < w[1].start_s),
+            "the column start_s must ascend from 0"
+        );
+        ensure!(
+            frames.iter().all(|f| f.slowdown.is_finite() && f.slowdown > 0.0),
+            "the column slowdown must be positive in every row"
+        );
+        let last = frames.len() - 1;
+        // The last frame lasts as long as the one before.
+        let length = 2.0 * frames[last].start_s - frames[last - 1].start_s;
+        Ok(Self { name, frames, length })
+    }
+
+    /// Seconds from the beginning to the end.
+    pub fn length(&self) -> f64 {
+        self.length
+    }
+
+    /// Wall seconds of a frame that begins at `start` and takes `seconds` where nobody disturbs it.
+    pub fn wall(&self, start: f64, seconds: f64) -> f64 {
+        let begin = start.rem_euclid(self.length);
+        let mut i = self.frames.partition_point(|f| f.start_s <= begin).saturating_sub(1);
+        let (mut at, mut left, mut wall) = (begin, seconds, 0.0);
+        loop {
+            let end = self.frames.get(i + 1).map_or(self.length, |f| f.start_s);
+            let slowdown = self.frames[i].slowdown;
+            let done = (end - at) / slowdown;
+            if done >= left {
+                return wall + left * slowdown;
+            }
+            (wall, left) = (wall + end - at, left - done);
+            i = (i + 1) % self.frames.len();
+            at = self.frames[i].start_s;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(start_s: f64, slowdown: f64) -> Slowdown {
+        Slowdown { start_s, slowdown }
+    }
+
+    #[test]
+    fn a_frame_takes_as_long_as_its_parts_are_slowed_down() {
+        let d =
+            Disturbance::new("d".into(), vec![frame(0.0, 1.0), frame(1.0, 2.0), frame(3.0, 1.0)]).unwrap();
+        assert_eq!(d.length(), 5.0);
+        let near = |start: f64, seconds: f64, wall: f64| {
+            assert!(
+                (d.wall(start, seconds) - wall).abs() < 1e-12,
+                "{start} {seconds}: {}",
+                d.wall(start, seconds)
+            );
+        };
+        near(0.2, 0.5, 0.5);
+        near(1.0, 0.5, 1.0);
+        // Half before the slow part, half within; and out of it again.
+        near(0.5, 1.0, 1.5);
+        near(2.5, 1.0, 0.5 + 0.75);
+        // Over the end, more than once.
+        near(4.0, 4.0 * 3.0 + 1.0, 5.0 * 3.0 + 1.0);
+    }
+
+    #[test]
+    fn what_is_no_recording_is_refused() {
+        for (frames, says) in [
+            (vec![frame(0.0, 1.0)], "at least 2"),
+            (vec![frame(1.0, 1.0), frame(2.0, 1.0)], "ascend from 0"),
+            (vec![frame(0.0, 1.0), frame(0.0, 1.0)], "ascend from 0"),
+            (vec![frame(0.0, 1.0), frame(1.0, 0.0)], "positive"),
+        ] {
+            let error = Disturbance::new("d".into(), frames).unwrap_err();
+            assert!(error.to_string().contains(says), "{error}");
+        }
+    }
+}
