@@ -357,6 +357,9 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
         ),
         26 => Some(paging(method)),
         27 => Some(long_run(method, soak)),
+        29 => Some(bursts(method)),
+        30 => Some(stalls(method)),
+        31 => Some(halved(method)),
         _ => None,
     }
 }
@@ -524,4 +527,67 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
         broken.push("the state is out of its own bounds".into());
     }
     judge(27, method, &seen, Limits { missed: 0.05, run: 3, quality: 0.8, inside: 0.0 }, broken)
+}
+
+/// Scene 29.
+fn bursts(method: ControllerKind) -> Verdict {
+    // Frames of each burst, and of the pause after it: four times as many.
+    let mut noise = Noise::new(29);
+    let mut slow = vec![false; 30];
+    while slow.len() < 600 {
+        let burst = 2 + (19.0 * noise.uniform()) as usize;
+        slow.extend(std::iter::repeat_n(true, burst));
+        slow.extend(std::iter::repeat_n(false, 4 * burst));
+    }
+    let mut shot = |i: usize, _: &mut Noise| Shot { speed: if slow[i] { 2.0 } else { 1.0 }, ..Shot::PLAIN };
+    let mut script = Script { shot: &mut shot, frames: slow.len(), sigma: 0.03, spikes: 0.0 };
+    let seen = seen_of(method, &mut script, 29);
+    let ends: Vec<usize> = (1..seen.len() - 2).filter(|&i| slow[i - 1] && !slow[i]).collect();
+    let begun = |end: usize| (0..end).rev().take_while(|&i| slow[i]).last().unwrap_or(end);
+    // The first frame after a burst cannot know of its end.
+    let back = |&&end: &&usize| seen[end + 2].step <= 1.1 * seen[begun(end).saturating_sub(1)].step;
+    let share = ends.iter().filter(back).count() as f64 / ends.len() as f64;
+    let mut broken = Vec::new();
+    if share < 0.9 {
+        broken.push(format!("back at the step before two frames after {:.0} % of bursts", 100.0 * share));
+    }
+    judge(29, method, &seen, Limits { quality: 0.85, ..Limits::missed(0.08) }, broken)
+}
+
+/// Scene 30.
+fn stalls(method: ControllerKind) -> Verdict {
+    let mut shot = |_: usize, _: &mut Noise| Shot::PLAIN;
+    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.03, spikes: 0.01 };
+    let seen = seen_of(method, &mut script, 30);
+    let coarser = (30..seen.len() - 5)
+        .filter(|&i| seen[i].seconds > 2.0 * seen[i].clean)
+        .filter(|&i| seen[i + 1..=i + 5].iter().any(|s| s.step > 1.1 * seen[i].step))
+        .count();
+    let mut broken = Vec::new();
+    if coarser > 0 {
+        broken.push(format!("coarser after {coarser} stalls"));
+    }
+    judge(30, method, &seen, Limits { quality: 0.85, ..Limits::missed(1.0) }, broken)
+}
+
+/// Scene 31.
+fn halved(method: ControllerKind) -> Verdict {
+    let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
+    let mut shot = |i: usize, n: &mut Noise| {
+        let new = i > 200 && i % 40 == 0;
+        Shot {
+            speed: if i >= 100 { 2.0 } else { 1.0 },
+            wrong: wrong.next(i == 0 || new, n),
+            changes: if new { TRANSFER } else { Changes::default() },
+            ..Shot::PLAIN
+        }
+    };
+    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.02, spikes: 0.0 };
+    let seen = seen_of(method, &mut script, 31);
+    let late = seen[103..130].iter().filter(|s| s.seconds > 1.1 * s.target).count();
+    let mut broken = Vec::new();
+    if late > 0 {
+        broken.push(format!("{late} frames over 1.1 T from the 4th on"));
+    }
+    judge(31, method, &seen, Limits { inside: 0.9, ..Limits::missed(0.03) }, broken)
 }

@@ -27,7 +27,7 @@ pub struct Scene {
 }
 
 /// The scenes. The rules hold for every method alike, but for what only a method with a bound can keep.
-pub const SCENES: [Scene; 28] = [
+pub const SCENES: [Scene; 31] = [
     Scene {
         number: 1,
         title: "abrupt transfer-function switches, then one in every frame",
@@ -169,6 +169,22 @@ pub const SCENES: [Scene; 28] = [
         number: 28,
         title: "damaged and foreign model files and states",
         rule: "refused by name, or predictions that are finite",
+    },
+    Scene {
+        number: 29,
+        title: "a neighbor takes half of the machine in bursts of 2 to 20 frames, a fifth of the time",
+        rule: "at most 8 % over 1.1 T; after 90 % of bursts the step is within 10 % of the one before at the 2nd \
+            frame; quality 0.85",
+    },
+    Scene {
+        number: 30,
+        title: "single frames of 3 times the time",
+        rule: "none of the 5 frames after has a step over 1.1 times the one before; quality 0.85",
+    },
+    Scene {
+        number: 31,
+        title: "the clock speed is halved for good, and the transfer function switched later",
+        rule: "held from the 4th frame on; at most 3 % over 1.1 T; 90 % of first frames inside the bound",
     },
 ];
 
@@ -399,7 +415,7 @@ mod tests {
     #[test]
     fn ours_passes_every_scene() {
         let all: Vec<usize> = SCENES.iter().map(|s| s.number).collect();
-        assert_eq!(all, (1..=28).collect::<Vec<_>>());
+        assert_eq!(all, (1..=31).collect::<Vec<_>>());
         let bar = indicatif::ProgressBar::hidden();
         let verdicts = run(&all, &[ControllerKind::Hybrid], 50_000, &bar).unwrap();
         let failed: Vec<&Verdict> = verdicts.iter().filter(|v| !v.passed()).collect();
@@ -458,6 +474,9 @@ mod tests {
             (25, Pid),
             (26, VtkJs),
             (27, Algorithm1),
+            (29, Olp),
+            (30, Olp),
+            (31, Algorithm1),
         ];
         let verdicts: Vec<Verdict> = rivals
             .iter()
@@ -469,7 +488,7 @@ mod tests {
         assert_eq!(
             lines,
             [
-                "bar stress-scenes-passed - 28.0000 short",
+                "bar stress-scenes-passed - 31.0000 short",
                 "bar stress-scenes-that-no-rival-fails 1.0000 0.0000 short"
             ]
         );
@@ -493,8 +512,8 @@ mod tests {
         assert_eq!(
             lines(&bars(&part)),
             [
-                "bar stress-scenes-passed 1.0000 28.0000 short",
-                "bar stress-scenes-that-no-rival-fails 28.0000 0.0000 short"
+                "bar stress-scenes-passed 1.0000 31.0000 short",
+                "bar stress-scenes-that-no-rival-fails 31.0000 0.0000 short"
             ]
         );
         assert_eq!(
@@ -502,10 +521,10 @@ mod tests {
             ["bar stress-scenes-passed-on-device 1.0000 12.0000 short"]
         );
         let mut whole: Vec<Verdict> =
-            (1..=28).flat_map(|n| [ours(n), verdict(n, ControllerKind::Pid, &["late"])]).collect();
+            (1..=31).flat_map(|n| [ours(n), verdict(n, ControllerKind::Pid, &["late"])]).collect();
         assert!(bars(&whole).iter().all(|b| b.ok));
         whole[0].failures = vec!["late".into()];
-        assert_eq!(lines(&bars(&whole))[0], "bar stress-scenes-passed 27.0000 28.0000 short");
+        assert_eq!(lines(&bars(&whole))[0], "bar stress-scenes-passed 30.0000 31.0000 short");
         assert!(bars_on_device(&whole[..24]).iter().all(|b| !b.ok));
     }
 
