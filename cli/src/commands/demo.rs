@@ -92,7 +92,7 @@ pub struct Options {
     pub enlarge: Option<usize>,
     /// Pixels between rays along each image side, at most, that ours may choose together with the step,
     /// whichever shows less; 1 leaves the image alone.
-    #[arg(long, default_value_t = 1.0, value_name = "PIXELS", value_parser = parse_distance)]
+    #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
     /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]

@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
   out/skull
   entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget \
   30:60fps,60:15fps --out out/series
-  entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 2 --table observed.csv \
+  entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 1 --table observed.csv \
   --out out/skull")]
 pub struct Options {
     /// The volume file; several are the volumes of a series (see --hold).
@@ -67,7 +67,7 @@ pub struct Options {
     /// Pixels between rays along each image side, at most, that the hybrid may choose together with the step,
     /// whichever shows less; smaller images are brought back to full size before pictures are compared. 1 leaves
     /// the image alone.
-    #[arg(long, default_value_t = 1.0, value_name = "PIXELS", value_parser = parse_distance)]
+    #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
