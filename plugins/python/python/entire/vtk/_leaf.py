@@ -62,7 +62,7 @@ class Leaf:
     __slots__ = (
         "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
         "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
-        "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_pixels", "_plain", "_plan", "_ready",
+        "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_passes", "_passes_now", "_pixels", "_plain", "_plan", "_ready",
         "_reason", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered",
         "_steering", "_step", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_weight",
         "_wrote",
@@ -87,6 +87,8 @@ class Leaf:
         self._forget()
         self.volume_time = _NAN
         self._weight = 0.0
+        # How often the last frame of the window drew it: two eyes, several viewports.
+        self._passes, self._passes_now = 1, 0
         self._reset_readouts()
         self._observe(volume)
         self._volume_tag = volume.AddObserver("ModifiedEvent", self._on_modified)
@@ -308,7 +310,13 @@ class Leaf:
             self._weight = whole if self._weight == 0 else 0.7 * self._weight + 0.3 * whole
         steering._mapper_seconds += seconds
         steering._drawn += 1
+        self._passes_now += 1
         steering._last = self
+
+    def _count_passes(self) -> None:
+        """A frame of the window is over."""
+        if self._passes_now:
+            self._passes, self._passes_now = self._passes_now, 0
 
     def _restore(self) -> None:
         mapper, own = self._frame_mapper, self._own
@@ -450,8 +458,7 @@ class Leaf:
         steering._camera = camera, matrix
         due, self._due = self._due, None
         before, seconds, cancelled = _NONE_DUE if due is None else due
-        n = len(steering.leaves)
-        target = steering._left if n == 1 else steering._share(self)
+        target = steering._left if steering._alone else steering._share(self)
         plan, coarse, image_distance = self._session.steer(
             self._held,
             _scene.elements(matrix),

@@ -42,6 +42,8 @@ _TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": tim
 # Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
 # else does.
 _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
+# The steerings of each window, by its address: they share its frame.
+_in_windows: dict[str, weakref.WeakSet[Steering]] = {}
 
 
 def timer(clock: str) -> Callable[[], float]:
@@ -153,6 +155,10 @@ class Steering:
         self.on_frame: Callable[[Steering], None] | None = None
         self._renderer = weak(renderer)
         self._window = weak()
+        self._window_address = ""
+        # The steerings of the window, and whether one pass of one volume is all that they draw.
+        self._together: tuple[Steering, ...] = (self,)
+        self._alone = True
         self._window_tags: list[int] = []
         self._renderer_tags: list[int] = []
         self._overlay = Overlay(renderer) if overlay else None
@@ -400,7 +406,14 @@ class Steering:
         self._window_tags = []
         self._in_frame = False
         self._window = weak(window)
+        there = _in_windows.get(self._window_address)
+        if there is not None:
+            there.discard(self)
+            if not there:
+                del _in_windows[self._window_address]
+        self._window_address = "" if window is None else window.__this__
         if window is not None:
+            _in_windows.setdefault(self._window_address, weakref.WeakSet()).add(self)
             self._window_tags = [
                 window.AddObserver("StartEvent", self._on_window_start, 1.0),
                 window.AddObserver("EndEvent", self._on_window_end),
@@ -416,6 +429,8 @@ class Steering:
         self._clean = True
         self._mapper_seconds = self._overhead = 0.0
         self._drawn = 0
+        self._together = tuple(_in_windows[self._window_address])
+        self._alone = len(self._together) == 1 and len(self.leaves) == 1 and self.leaves[0]._passes == 1
         self._frame_start = self._now()
 
     def _on_window_end(self, _window: Any, _event: str) -> None:
@@ -427,10 +442,12 @@ class Steering:
         self._in_frame = False
         if self._drawn == 0:
             return
+        for leaf in self.leaves:
+            leaf._count_passes()
         # The first frame holds what is done once.
         if self.frames > 0 and self._clean:
             _, a, b = self._rests
-            c = seconds - self._mapper_seconds
+            c = seconds - math.fsum(other._mapper_seconds for other in self._together)
             self._rests = a, b, c
             # The median of three, without the sort's cold instructions.
             middle = b if a <= b <= c or c <= b <= a else a if b <= a <= c or c <= a <= b else c
@@ -510,10 +527,14 @@ class Steering:
         return not always and window.GetDesiredUpdateRate() < self.still_rate
 
     def _share(self, leaf: Leaf) -> float:
-        """Seconds for one of several volumes."""
-        total = sum(other._weight for other in self.leaves)
-        # Shares by what each would take at full quality, so that all are coarsened alike.
-        return self._left * (leaf._weight / total if leaf._weight and total else 1.0 / len(self.leaves))
+        """Seconds for one pass of one volume: the frame is the window's, whoever draws in it.
+
+        Shares go by what each pass would take at full quality, so that all are coarsened alike.
+        """
+        leaves = [other for steering in self._together for other in steering.leaves]
+        if all(other._weight for other in leaves):
+            return self._left * leaf._weight / sum(other._weight * other._passes for other in leaves)
+        return self._left / sum(other._passes for other in leaves)
 
 
 def _volumes(renderer: Any) -> list[Any]:
