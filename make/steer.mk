@@ -35,3 +35,10 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 .PHONY: stress
 stress: steer-build ## Play the 28 scenes in which methods break, with a run of a million frames: out/stress/report.html
 	@target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
+
+# By the wall clock, live: about half an hour. Nothing else should run meanwhile. Interrupted, it goes on with the same command.
+WALL_OUT ?= out/bars-wall
+
+.PHONY: bars-wall
+bars-wall: build ## Hold frame times by the wall clock, quiet and beside a neighbor: make bars-wall DATA=FOLDER-WITH-scans
+	@python3 lab/scripts/bars_wall.py --data "$(DATA)" --out "$(WALL_OUT)" --bin "$(or $(CARGO_TARGET_DIR),target)/release/entire"

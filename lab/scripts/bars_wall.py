@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Holds a frame time by the wall clock, with and without a neighbor on the machine, and prints every bar.
+
+Each volume is explored by `entire demo` (a fifth run decides nothing alone: medians count), once on a quiet machine and once
+while a neighbor takes a core in bursts of 50 to 500 ms, a fifth of the time. Rivals are the demo's other controllers. Runs
+that are there stay, so that an interrupted command goes on where it was.
+"""
+
+import argparse
+import csv
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+from bars_machine import NEIGHBOR
+
+ROOT = Path(__file__).resolve().parents[2]
+# Volumes that no model saw. Scans lie in the folder that --data names.
+VOLUMES = {
+    "nyx": "data/nyx_cosmology/m04/t0010.nrrd",
+    "castro": "data/castro_blast/m04/t0012.nrrd",
+    "engine": "scans/ct_engine.nrrd",
+    "head": "scans/mr_t1_head.nrrd",
+}
+BONSAI = "scans/ct_bonsai.nrrd"
+OURS, OLP = "hybrid", "olp"
+RIVALS = ("olp", "pid", "algorithm1")
+SWITCH_FRAMES = 3
+LATE = 0.1
+# Name, what of the figures, and the limits of ours over the best rival: quiet, with a neighbor.
+SHARES = (("late", 0.5, 0.6), ("mean-error", 0.8, 0.9), ("error-at-switches", 0.4, 0.6))
+PSNR_BELOW = {"quiet": 0.3, "neighbor": 0.5}
+PSNR_BELOW_QUIET = 2.0
+BONSAI_LATE = 0.03
+
+
+def figures(folder):
+    """Late frames, mean error, mean error at switches, PSNR, by controller."""
+    with open(folder / "frames.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    switches = {int(r["frame"]) for r in rows if r["switch"] == "1"}
+    near = {s + k for s in switches for k in range(SWITCH_FRAMES)}
+    out = {}
+    for name in dict.fromkeys(r["controller"] for r in rows):
+        own = [r for r in rows if r["controller"] == name]
+        off = [float(r["seconds"]) / float(r["target_s"]) - 1 for r in own]
+        at = [abs(e) for e, r in zip(off, own) if int(r["frame"]) in near]
+        out[name] = {
+            "late": sum(e > LATE for e in off) / len(off),
+            "mean-error": statistics.mean(map(abs, off)),
+            "error-at-switches": statistics.mean(at) if at else float("nan"),
+            "psnr": statistics.mean(float(r["psnr_db"]) for r in own),
+        }
+    return out
+
+
+class Machine:
+    def __init__(self, options):
+        self.entire, self.out, self.runs = Path(options.bin).resolve(), Path(options.out).resolve(), options.runs
+        self.data = Path(options.data).resolve() if options.data else None
+
+    def volume(self, path):
+        folder = self.data if path.startswith("scans/") else ROOT
+        return folder / path if folder and (folder / path).is_file() else None
+
+    def played(self, name, arguments, busy):
+        """The figures of every run of a command that writes frames.csv."""
+        out = []
+        for run in range(self.runs):
+            folder = self.out / f"{name}-{'neighbor' if busy else 'quiet'}-{run}"
+            if not (folder / "frames.csv").exists():
+                neighbor = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(run)])] if busy else []
+                command = [str(self.entire), *map(str, arguments), "--clock", "wall", "--quiet", "--out", str(folder)]
+                print("$ " + " ".join(["entire", *command[1:]]), file=sys.stderr, flush=True)
+                try:
+                    subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+                finally:
+                    for each in neighbor:
+                        each.kill()
+                        each.wait()
+            out.append(figures(folder))
+        return out
+
+
+def medians(runs):
+    return {
+        name: {key: statistics.median(run[name][key] for run in runs) for key in runs[0][name]} for name in runs[0]
+    }
+
+
+def bar(name, value, limit):
+    ok = value is not None and value <= limit
+    print(f"bar {name} {'-' if value is None else f'{value:.4f}'} {limit:.4f} {'ok' if ok else 'short'}")
+    return ok
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", default=os.environ.get("DATA", ""), help="the folder that holds scans/")
+    parser.add_argument("--out", default="out/bars-wall", help="folder for the runs")
+    parser.add_argument("--bin", default="target/release/entire", help="the program")
+    parser.add_argument("--runs", type=int, default=5, help="runs of each volume, quiet and with a neighbor")
+    machine = Machine(parser.parse_args())
+    missing = [path for path in (*VOLUMES.values(), BONSAI) if machine.volume(path) is None]
+    if missing:
+        print(f"bars-wall: {', '.join(missing)} missing: make bars-wall DATA=FOLDER-WITH-scans", file=sys.stderr)
+    there = {name: machine.volume(path) for name, path in VOLUMES.items() if machine.volume(path)}
+    print(f"{'volume':8} {'load':9} {'controller':11} {'> 1.1 T':>8} {'|t-T|/T':>8} {'switches':>8} {'PSNR':>6}")
+    found = {}
+    for busy, load in ((False, "quiet"), (True, "neighbor")):
+        for name, file in there.items():
+            runs = machine.played(name, ["demo", file], busy)
+            found[name, load] = medians(runs)
+            for controller, f in found[name, load].items():
+                shares = " ".join(f"{100 * f[k]:6.1f} %" for k, _, _ in SHARES)
+                print(f"{name:8} {load:9} {controller:11} {shares} {f['psnr']:6.1f}")
+    whole = len(there) == len(VOLUMES)
+
+    def mean(load, controller, key):
+        return statistics.mean(found[name, load][controller][key] for name in there)
+
+    ok = True
+    for load in ("quiet", "neighbor"):
+        for key, *limits in SHARES:
+            best = min(mean(load, rival, key) for rival in RIVALS)
+            value = mean(load, OURS, key) / max(best, 1e-9)
+            ok &= bar(f"wall/{load}/{key}-of-best-rival", value if whole else None, limits[load == "neighbor"])
+        often = 2 * mean(load, OURS, "late")
+        rivals = [OLP] if load == "neighbor" else [r for r in RIVALS if mean(load, r, "late") < often]
+        below = max((mean(load, r, "psnr") for r in rivals), default=0.0) - mean(load, OURS, "psnr")
+        ok &= bar(f"wall/{load}/psnr-below-rival", below if whole else None, PSNR_BELOW[load])
+    below = mean("quiet", OURS, "psnr") - mean("neighbor", OURS, "psnr")
+    ok &= bar("wall/neighbor/psnr-below-quiet", below if whole else None, PSNR_BELOW_QUIET)
+    late = None
+    if bonsai := machine.volume(BONSAI):
+        arguments = ["steer", bonsai, "--generate", "switches", "--target", "10ms", "--controllers", f"{OLP},{OURS}"]
+        late = medians(machine.played("bonsai", arguments, False))[OURS]["late"]
+    ok &= bar("wall/bonsai-10ms/late", late, BONSAI_LATE)
+    sys.exit(0 if ok else "bars-wall: a bar is short")
+
+
+if __name__ == "__main__":
+    main()
