@@ -43,6 +43,6 @@ constants! {
         /// Share of a calm frame's error that the scene's own factor takes up.
         gain = 0.4,
         /// Standard deviations beyond which an error that is too fast is clipped.
-        clip_below = 2.0,
+        clip_below = 1.42,
     }
 }

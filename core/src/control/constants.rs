@@ -6,7 +6,7 @@ crate::adapt::constants! {
     HybridConstants {
         /// A step this near to the finest one, in ln(step), is the finest one where that is expected to meet the
         /// target: it would save little, and the picture would no longer be that of full quality.
-        full = 0.2,
+        full = 0.4,
         /// Largest move of the step in a calm frame, in ln(step): to a finer one, and to a coarser one where the
         /// expected time stays within the target.
         damping = 0.16,

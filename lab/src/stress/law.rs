@@ -574,7 +574,7 @@ fn stalls(method: ControllerKind) -> Verdict {
 fn halved(method: ControllerKind) -> Verdict {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let mut shot = |i: usize, n: &mut Noise| {
-        let new = i > 200 && i % 40 == 0;
+        let new = i > 200 && i.is_multiple_of(40);
         Shot {
             speed: if i >= 100 { 2.0 } else { 1.0 },
             wrong: wrong.next(i == 0 || new, n),
