@@ -30,6 +30,7 @@ bars-steer: steer-build ## Hold every controller against an oracle, the farm aga
 tune: steer-build ## Search for better constants of the controller, on recorded paths of training volumes
 	@target/release/entire-lab tune "$(STEER_IN)"/training/*.json.gz \
 		--calibration "$(or $(wildcard $(STEER_IN)/training/calibration.csv.gz),$(STEER_IN)/calibration.csv.gz)" \
+		--disturbances data/steer/disturbances/none.csv,data/steer/disturbances/bursts.csv,data/steer/disturbances/steady.csv \
 		--out "$(STEER_OUT)/tune.json"
 
 .PHONY: stress

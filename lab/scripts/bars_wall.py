@@ -61,6 +61,17 @@ class Machine:
         self.entire, self.out, self.runs = Path(options.bin).resolve(), Path(options.out).resolve(), options.runs
         self.data = Path(options.data).resolve() if options.data else None
 
+        # A model of this machine, made of other volumes than those that are played, and kept here alone.
+        self.environment = {**os.environ, "XDG_DATA_HOME": str(self.out / "home")}
+
+    def calibrate(self):
+        done = self.out / "calibrated"
+        if not done.exists():
+            self.out.mkdir(parents=True, exist_ok=True)
+            command = [str(self.entire), "calibrate", "--clock", "wall", "--quiet"]
+            subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, env=self.environment)
+            done.touch()
+
     def volume(self, path):
         folder = self.data if path.startswith("scans/") else ROOT
         return folder / path if folder and (folder / path).is_file() else None
@@ -75,7 +86,7 @@ class Machine:
                 command = [str(self.entire), *map(str, arguments), "--clock", "wall", "--quiet", "--out", str(folder)]
                 print("$ " + " ".join(["entire", *command[1:]]), file=sys.stderr, flush=True)
                 try:
-                    subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+                    subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, env=self.environment)
                 finally:
                     for each in neighbor:
                         each.kill()
@@ -109,6 +120,7 @@ def main():
     there = {name: machine.volume(path) for name, path in VOLUMES.items() if machine.volume(path)}
     print(f"{'volume':8} {'load':9} {'controller':11} {'> 1.1 T':>8} {'|t-T|/T':>8} {'switches':>8} {'PSNR':>6}")
     found = {}
+    machine.calibrate()
     for busy, load in ((False, "quiet"), (True, "neighbor")):
         for name, file in there.items():
             runs = machine.played(name, ["demo", file], busy)

@@ -16,7 +16,5 @@ crate::adapt::constants! {
         far = 0.35,
         /// Margin before any frame was seen, in standard deviations.
         margin_start = 2.0,
-        /// How fast it moves.
-        margin_pace = 0.05,
     }
 }

@@ -63,13 +63,12 @@ impl Constants {
 }
 
 /// Values with which a constant does nothing, or as little as its guards allow.
-const WITHOUT: [(&str, f64); 11] = [
+const WITHOUT: [(&str, f64); 10] = [
     ("full", 0.0),
     ("damping", 10.0),
     ("slope_sd", 0.0),
     ("far", 1e-3),
     ("margin_start", 1.0),
-    ("margin_pace", 0.0),
     ("unit_cost_sd", 0.0),
     ("scene_sd", 0.0),
     ("spread_start", 0.0),
