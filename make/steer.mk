@@ -34,7 +34,7 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 		--out "$(STEER_OUT)/tune.json"
 
 .PHONY: stress
-stress: steer-build ## Play the 28 scenes in which methods break, with a run of a million frames: out/stress/report.html
+stress: steer-build ## Play the scenes in which methods break, with a run of a million frames: out/stress/report.html
 	@target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
 
 # By the wall clock, live: about half an hour. Nothing else should run meanwhile. Interrupted, it goes on with the same command.

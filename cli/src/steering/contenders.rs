@@ -55,6 +55,10 @@ pub enum ControllerKind {
     Fixed,
     /// Mean of the three frames before, brought to the reference step by G.
     Olp,
+    /// The last frame, brought to the reference step by G.
+    Last,
+    /// The larger of the two frames before, brought to the reference step by G.
+    LargerOfTwo,
     /// Proportional, integral and differential feedback on the step, gains 0.3, 0.05, 0.1.
     Pid,
     /// The paper's: prediction at the reference step through G.
@@ -79,6 +83,8 @@ impl ControllerKind {
         match self {
             Self::Fixed => "fixed",
             Self::Olp => "olp",
+            Self::Last => "last",
+            Self::LargerOfTwo => "larger-of-two",
             Self::Pid => "pid",
             Self::Algorithm1 => "algorithm1",
             Self::Hybrid => "hybrid",
@@ -95,6 +101,8 @@ impl ControllerKind {
         match self {
             Self::Fixed => "fixed step",
             Self::Olp => "OLP (mean of 3)",
+            Self::Last => "last frame",
+            Self::LargerOfTwo => "larger of 2",
             Self::Pid => "PID",
             Self::Algorithm1 => "Algorithm 1",
             Self::Hybrid => "hybrid (ours)",
@@ -113,9 +121,14 @@ impl ControllerKind {
             Self::VtkFixedPoint => ActsOn::ImageResolution { coarsest: 100.0 },
             Self::VtkJs => ActsOn::ImageResolution { coarsest: 400.0 },
             Self::Unreal | Self::Filament => ActsOn::ImageResolution { coarsest: 4.0 },
-            Self::Fixed | Self::Olp | Self::Pid | Self::Algorithm1 | Self::Hybrid | Self::VtkGpu => {
-                ActsOn::RayStep
-            }
+            Self::Fixed
+            | Self::Olp
+            | Self::Last
+            | Self::LargerOfTwo
+            | Self::Pid
+            | Self::Algorithm1
+            | Self::Hybrid
+            | Self::VtkGpu => ActsOn::RayStep,
         }
     }
 
@@ -136,6 +149,8 @@ pub fn controller(
     match kind {
         ControllerKind::Fixed => Box::new(Fixed::new(fixed_step)),
         ControllerKind::Olp => Box::new(Olp::new(response.clone())),
+        ControllerKind::Last => Box::new(Olp::last(response.clone())),
+        ControllerKind::LargerOfTwo => Box::new(Olp::larger_of_two(response.clone())),
         ControllerKind::Pid => Box::new(Pid::new(Pid::PAPER_GAINS)),
         ControllerKind::Algorithm1 => Box::new(Algorithm1::new(response.clone())),
         ControllerKind::Hybrid => Box::new(Hybrid::new(HybridOptions { prior, ..HybridOptions::default() })),

@@ -72,8 +72,9 @@ pub(crate) struct Correction {
     /// θ, then b.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
-    /// Variance of the errors in calm frames, in ln t, stalls left out; and of all of them.
+    /// Variance of the errors in calm frames, in ln t, stalls left out.
     spread: f64,
+    /// The same with stalls and loads.
     spread_of_all: f64,
     /// Variance of b among scenes.
     change: f64,
@@ -118,7 +119,7 @@ const MAX_VARIANCE: f64 = 12.0;
 /// of e: guards.
 const FITTED_SD: f64 = 0.3;
 const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
-/// Frames in which a scene's own factor halves the first error three times (`gain_start`): an eighth of it is left.
+/// Frames in which a scene's own factor takes up `gain` of the first error three times: a fifth of it is left.
 const SETTLED: u64 = 3;
 /// Frames in a row beyond [`CLIP`], on one side, that are no accident: of normal errors two come once in a quarter of a
 /// million frames, and one slow frame is a stall.
@@ -375,8 +376,9 @@ impl Correction {
         self.off = 0;
         if self.loaded() {
             self.loaded = self.loaded.saturating_add(1);
-            self.load += with / (self.loaded as f64).min(LOAD_FRAMES);
-            // Not at the first frame of a scene, of which that scene learns as well.
+            let mean = self.load + with / (self.loaded as f64).min(LOAD_FRAMES);
+            self.load = mean.clamp(-STATE_LIMIT, STATE_LIMIT);
+            // Not at the first frame of a scene, from which that scene learns as well.
             if self.loaded > ESTABLISHED && self.age > 1 {
                 for i in 0..TERMS {
                     self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);

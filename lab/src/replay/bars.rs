@@ -7,8 +7,10 @@ use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
 
 /// Rules that see past times only.
-const REACTIVE: [ControllerKind; 7] = [
+const REACTIVE: [ControllerKind; 9] = [
     ControllerKind::Olp,
+    ControllerKind::Last,
+    ControllerKind::LargerOfTwo,
     ControllerKind::Pid,
     ControllerKind::VtkGpu,
     ControllerKind::VtkFixedPoint,

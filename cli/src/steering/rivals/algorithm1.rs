@@ -43,10 +43,20 @@ impl Controller for Algorithm1 {
     fn reset(&mut self) {}
 }
 
-/// OLP: the mean of the three preceding frames, each brought to the reference step by G, takes the
-/// prediction's place in Algorithm 1. The first frame is drawn at the reference step.
+/// What the last frames say of the next one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Recent {
+    MeanOfThree,
+    Last,
+    LargerOfTwo,
+}
+
+/// The time of recent frames, each brought to the reference step by G, sent through G to the step that takes the target:
+/// the mean of three (the paper's OLP), the last one, or the larger of the last two. The first frame is drawn at the
+/// reference step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Olp {
+    recent: Recent,
     response: StepResponse,
     window: [f32; 3],
     seen: usize,
@@ -55,13 +65,32 @@ pub struct Olp {
 impl Olp {
     /// With a measured response curve.
     pub fn new(response: StepResponse) -> Self {
-        Self { response, window: [0.0; 3], seen: 0 }
+        Self { recent: Recent::MeanOfThree, response, window: [0.0; 3], seen: 0 }
+    }
+
+    /// From the last frame alone.
+    pub fn last(response: StepResponse) -> Self {
+        Self { recent: Recent::Last, ..Self::new(response) }
+    }
+
+    /// From the larger of the last two frames.
+    pub fn larger_of_two(response: StepResponse) -> Self {
+        Self { recent: Recent::LargerOfTwo, ..Self::new(response) }
+    }
+
+    /// The time of the frame that was so many frames ago, at the reference step.
+    fn ago(&self, frames: usize) -> f32 {
+        self.window[(self.seen + 2 - frames) % 3]
     }
 }
 
 impl Controller for Olp {
     fn name(&self) -> &'static str {
-        "olp"
+        match self.recent {
+            Recent::MeanOfThree => "olp",
+            Recent::Last => "last",
+            Recent::LargerOfTwo => "larger-of-two",
+        }
     }
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
@@ -69,7 +98,11 @@ impl Controller for Olp {
         if n == 0 {
             return decision(request.limits.clamp(1.0), f32::NAN, f32::NAN, Reason::Reactive);
         }
-        let at_reference = self.window[..n].iter().sum::<f32>() / n as f32;
+        let at_reference = match self.recent {
+            Recent::MeanOfThree => self.window[..n].iter().sum::<f32>() / n as f32,
+            Recent::LargerOfTwo if n > 1 => self.ago(0).max(self.ago(1)),
+            _ => self.ago(0),
+        };
         let step = request.limits.clamp(self.response.step_ratio(request.target / at_reference));
         decision(step, at_reference * self.response.time_ratio(step), f32::NAN, Reason::Reactive)
     }

@@ -25,6 +25,8 @@ fn every_controller_survives_any_observation() {
     let controllers: Vec<Box<dyn Controller>> = vec![
         Box::new(Fixed::new(2.0)),
         Box::new(Olp::new(g.clone())),
+        Box::new(Olp::last(g.clone())),
+        Box::new(Olp::larger_of_two(g.clone())),
         Box::new(Pid::new(Pid::PAPER_GAINS)),
         Box::new(Algorithm1::new(g)),
         Box::new(VtkGpu::new()),
@@ -299,5 +301,42 @@ fn closed_loop_table() {
                 100.0 * o.above_bound
             );
         }
+    }
+}
+
+#[test]
+fn what_the_last_frames_say_is_their_mean_the_last_or_the_larger_of_two() {
+    let g = StepResponse::inverse_step(0.1);
+    // The step for a target of 10 ms after frames of these milliseconds at the reference step.
+    let after = |mut controller: Olp, times: &[f32]| {
+        let terms = CostTerms::whole(1.0, 0.0, Source::Analytic);
+        let limits = StepLimits { finest: 0.1, coarsest: 100.0 };
+        let mut cost = |_: f32| terms;
+        let changes = Changes::default();
+        let scene = controller.scene();
+        for &t in times {
+            let seconds = 1e-3 * t;
+            controller.observe(&Observed {
+                seconds,
+                step: 1.0,
+                target: 0.01,
+                changes,
+                terms,
+                scene,
+                unusual: false,
+            });
+        }
+        controller.plan(&mut PlanRequest { target: 0.01, limits, changes, cost: &mut cost }).step
+    };
+    let of = |t: f32| after(Olp::last(g.clone()), &[t]);
+    for n in 1..8 {
+        let times: Vec<f32> = (0..n).map(|i| [20.0, 50.0, 30.0, 80.0][i % 4]).collect();
+        let last = times[n - 1];
+        let larger = if n > 1 { last.max(times[n - 2]) } else { last };
+        let kept = &times[n.saturating_sub(3)..];
+        let mean = kept.iter().sum::<f32>() / kept.len() as f32;
+        assert_eq!(after(Olp::last(g.clone()), &times), of(last), "{n}");
+        assert_eq!(after(Olp::larger_of_two(g.clone()), &times), of(larger), "{n}");
+        assert!((after(Olp::new(g.clone()), &times) / of(mean) - 1.0).abs() < 1e-3, "{n}");
     }
 }

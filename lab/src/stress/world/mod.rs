@@ -148,7 +148,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
         return damaged(method, machine);
     }
     let Some(mut world) = scene(number) else {
-        bail!("there is no stress scene {number}; they are numbered 1 to 28")
+        bail!("there is no stress scene {number}; they are numbered 1 to {}", super::SCENES.len())
     };
     if machine.is_real() {
         let l = &mut world.limits;
