@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 
-README_LINES = 120
+README_LINES = 90
 FIRST_CODE_LINE = 40
 FILE_LINES = 700
 PUBLIC_ITEMS = 250
