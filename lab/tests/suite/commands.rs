@@ -98,15 +98,33 @@ fn tune_says_what_recorded_paths_cost() {
         assert!(said.contains(why), "{said}");
     }
     // From elsewhere, and one constant alone.
-    let more =
-        ["--set", "dead_band=0.4", "--only", "dead_band", "--rounds", "1", "--out", out.to_str().unwrap()];
+    let more = ["--set", "damping=0.4", "--only", "damping", "--rounds", "1", "--out", out.to_str().unwrap()];
     let output = tune(&both, "45fps,60fps", &more);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(found["constants"]["full"], HybridConstants::default().full);
-    assert!(found["constants"]["dead_band"].as_f64().unwrap() <= 0.4, "{found}");
+    assert!(found["constants"]["damping"].as_f64().unwrap() <= 0.4, "{found}");
+    assert_eq!(
+        found["without"].as_array().unwrap().len(),
+        HybridConstants::NAMES.len() + CorrectionConstants::NAMES.len()
+    );
+    // Beside a neighbor that takes a core all the time, the same path costs more.
+    let more = [
+        "--rounds",
+        "0",
+        "--disturbances",
+        "data/steer/disturbances/steady.csv",
+        "--out",
+        out.to_str().unwrap(),
+    ];
+    let output = tune(&both, "45fps", &more);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    assert_eq!(found["paths"][2], "train-orbit/steady");
+    let missed = |path: usize| found["before"][path]["fitted"]["missed"].as_f64().unwrap();
+    assert!(missed(2) > 1.5 * missed(0) && missed(3) > 1.5 * missed(1), "{found}");
     for (option, value, why) in [
-        ("--only", "dead-band", "no constant is named dead-band; there are dead_band, full"),
+        ("--only", "dead-band", "no constant is named dead-band; there are full, damping"),
         ("--set", "far", "far is no NAME=VALUE"),
         ("--set", "far=-1", "far is to be -1; it must be a finite number and not negative"),
     ] {

@@ -180,10 +180,10 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
         &std::fs::read(at.join("out/results/steering-castro_blast-none.json")).unwrap(),
     )
     .unwrap();
-    // Two paths show volumes of the data set. Ten controllers, and ours with its own predictor.
+    // Two paths show volumes of the data set. Twelve controllers, and ours with its own predictor.
     assert_eq!(steering["frames"]["paths"][2], 2);
     let facts = steering["facts"].as_array().unwrap();
-    assert_eq!(facts.len(), 11);
+    assert_eq!(facts.len(), 13);
     assert!(facts.iter().any(|f| f["name"] == "ours" && f["values"]["all deviation"].is_f64()));
     let curves = steering["curves"].as_array().unwrap();
     for (chart, lines) in [("frame time", 5), ("ray step", 5), ("quality", 5)] {
