@@ -429,7 +429,9 @@ class Steering:
         self._clean = True
         self._mapper_seconds = self._overhead = 0.0
         self._drawn = 0
-        self._together = tuple(_in_windows[self._window_address])
+        # An address may be that of an earlier window, too.
+        there = _in_windows[self._window_address]
+        self._together = (self,) if len(there) == 1 else tuple(s for s in there if s._window() is window)
         self._alone = len(self._together) == 1 and len(self.leaves) == 1 and self.leaves[0]._passes == 1
         self._frame_start = self._now()
 
