@@ -208,6 +208,27 @@ def test_a_stereo_frame_has_one_budget_for_both_eyes(voxels, kind):
     assert held.steered_frames == 2 * held.frames
 
 
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_no_viewport_is_empty_however_coarse(voxels, kind):
+    view = View((200, 100))
+    other = vtkRenderer()
+    view.window.AddRenderer(other)
+    view.renderer.SetViewport(0, 0, 0.5, 1)
+    other.SetViewport(0.5, 0, 1, 1)
+    add_volume(view.renderer, voxels, kind)
+    add_volume(other, voxels, kind)
+    other.SetActiveCamera(view.renderer.GetActiveCamera())
+    view.draw(1)
+    full = view.pixels()[:, 100:].mean()
+    assert full > 1
+    # A target that nothing meets: both are as coarse as they may be.
+    held = entire.vtk.hold(other, seconds=1e-5, clock="cpu")
+    view.draw(8)
+    assert held.sample_distance > 2
+    assert view.pixels()[:, 100:].mean() == pytest.approx(full, rel=0.3)
+    assert (held.image_sample_distance == 1) == (kind == "gpu")
+
+
 def test_renderers_of_one_window_share_its_frame(voxels):
     view = View((200, 100))
     other = vtkRenderer()

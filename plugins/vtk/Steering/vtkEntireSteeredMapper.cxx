@@ -384,7 +384,10 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     finest = std::max(1.0 / 64, owner->FinestSampleDistance);
   }
   const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
-  const double coarsestImage = std::max(ownImage, owner->CoarsestImageSampleDistance);
+  // The GPU mapper draws smaller images in viewports at the window's origin alone; elsewhere they stay empty.
+  const int* const origin = renderer->GetOrigin();
+  const bool whole = !this->Gpu || (origin[0] == 0 && origin[1] == 0);
+  const double coarsestImage = whole ? std::max(ownImage, owner->CoarsestImageSampleDistance) : ownImage;
   // Ray step and image are coarsened together, the one first that shows less for the time that it saves.
   frame.step = static_cast<float>(finest);
   failure = this->SetLimits(static_cast<float>(finest), static_cast<float>(coarsest),

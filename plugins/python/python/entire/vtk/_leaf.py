@@ -448,9 +448,13 @@ class Leaf:
         if steered:
             if steering.finest is not None:
                 step = max(1 / 64, steering.finest)
-            limits = (step, self._finest, steering.coarsest, steering.coarsest_image, pixels)
+            # VTK's GPU mapper draws smaller images in viewports at the window's origin alone; elsewhere they stay
+            # empty.
+            placed = self._gpu and renderer.GetOrigin() != (0, 0)
+            coarsest_image = pixels if placed else steering.coarsest_image
+            limits = (step, self._finest, steering.coarsest, coarsest_image, pixels)
             if limits != self._limits:
-                self._set_limits(self._finest if step is None else step)
+                self._set_limits(self._finest if step is None else step, coarsest_image)
                 self._limits = limits
         camera = renderer.GetActiveCamera()
         matrix = camera.GetViewTransformMatrix()
@@ -492,12 +496,11 @@ class Leaf:
         self._reason = self.status = ""
         self._explained = plan
 
-    def _set_limits(self, finest: float) -> None:
+    def _set_limits(self, finest: float, coarsest_image: float) -> None:
         self._settle()
         steering, session = self._steering, self._session
         session.set_limits(finest, max(finest, steering.coarsest))
-        coarsest_image = min(64.0, max(1.0, steering.coarsest_image / self._pixels))
-        session.set_max_image_sample_distance(coarsest_image)
+        session.set_max_image_sample_distance(min(64.0, max(1.0, coarsest_image / self._pixels)))
         # What the model states of this mapper's pictures, where it was calibrated with some.
         session.set_quality(None)
         if session.quality is None:
