@@ -11,6 +11,7 @@
 #include "vtkMatrix4x4.h"
 #include "vtkPointData.h"
 #include "vtkTestErrorObserver.h"
+#include "vtkUnsignedCharArray.h"
 
 #include <cstdio>
 #include <sstream>
@@ -338,6 +339,26 @@ void KnowsItsRenderer(Kind kind)
     scene.Draw();
   }
   CHECK(first->GetSampleDistance() > 7.9 && other->GetSampleDistance() <= 1.01);
+  // A view beside the window's origin is never empty, however coarse.
+  const auto shown = [&] {
+    const int* size = scene.Window->GetSize();
+    vtkNew<vtkUnsignedCharArray> rgb;
+    scene.Window->GetPixelData(size[0] / 2, 0, size[0] - 1, size[1] - 1, 1, rgb);
+    double sum = 0;
+    for (vtkIdType i = 0; i < rgb->GetNumberOfValues(); ++i)
+    {
+      sum += rgb->GetValue(i);
+    }
+    return sum;
+  };
+  const double fine = shown();
+  other->SetTargetFrameTime(1e-6);
+  for (int i = 0; i < 4; ++i)
+  {
+    scene.Draw();
+  }
+  CHECK(fine > 0 && shown() > 0.5 * fine);
+  CHECK(other->GetSampleDistance() > 7.9 && (other->GetImageSampleDistance() > 1) == (kind == FIXED || kind == SMART_FIXED));
 }
 
 // What was learned outlives the object; what is no state is refused.
