@@ -322,7 +322,7 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(bytes) = made {
         write_whole(&options.out.join("model.safetensors"), &bytes)?;
     }
-    println!("\n{}", table(&playback.names, &metrics).to_text());
+    println!("\n{}", table(&playback, &metrics).to_text());
     println!(
         "* best of the column. At switches: the {SWITCH_FRAMES} frames from each switch on. Calm: all others."
     );

@@ -256,7 +256,7 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(file) = &options.table {
         write_table(file, options, &volumes, &path, &draw, &playback)?;
     }
-    println!("{}", table(&playback.names, &metrics).to_text());
+    println!("{}", table(&playback, &metrics).to_text());
     println!("steered by {}", prepared.predictor.sentence());
     println!("frame times by the clock {}", draw.clock.name());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());

@@ -1,7 +1,7 @@
 //! What is written of a playback: tables, CSV, JSON, and the page.
 
 use super::calibrate::{Sample, response_pairs};
-use super::contenders::ControllerKind;
+use super::contenders::{ActsOn, ControllerKind};
 use super::metrics::{Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback, Record};
 use super::race::Steers;
@@ -72,8 +72,13 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
-fn acts_on(name: &str) -> &'static str {
-    ControllerKind::from_name(name).map_or("", |k| k.acts_on().name())
+/// What a controller acted on.
+fn acts_on(playback: &Playback, controller: usize) -> &'static str {
+    let smaller = playback.records[controller].iter().any(|r| r.image_sample_distance > 1.0);
+    match playback.acts_on[controller] {
+        ActsOn::RayStep if smaller => "ray step and image",
+        other => other.name(),
+    }
 }
 
 /// One color per controller throughout, whichever of them play.
@@ -97,7 +102,7 @@ fn percent(v: f64) -> String {
 }
 
 /// The table of figures, best values marked.
-pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
+pub fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     let mut table = Table::new(vec![
         Column::text("controller"),
         Column::text("acts on"),
@@ -116,10 +121,10 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
         0 => f64::NAN,
         n => m.recovery_frames.iter().sum::<usize>() as f64 / n as f64,
     };
-    for (name, m) in names.iter().zip(metrics) {
+    for (controller, (name, m)) in playback.names.iter().zip(metrics).enumerate() {
         table.row(vec![
             title(name).into(),
-            acts_on(name).into(),
+            acts_on(playback, controller).into(),
             percent(m.missed_by_10_percent).into(),
             percent(m.missed_by_25_percent).into(),
             percent(m.mean_error).into(),
@@ -295,7 +300,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         (0..playback.records[c].len()).map(|i| (i as f64, f(i))).collect()
     };
     let mut page = Page::new(story.title.clone(), &story.lead);
-    page.table(&table(&playback.names, metrics), &table_caption());
+    page.table(&table(playback, metrics), &table_caption());
 
     let chart =
         Chart::new("Frame time", Axis::linear("frame"), Axis::log("frame time / ms")).size(900.0, 380.0);

@@ -11,6 +11,8 @@ mod coarsening;
 mod constants;
 mod history;
 mod hybrid;
+#[cfg(test)]
+mod load_tests;
 mod session;
 #[cfg(test)]
 mod tests;

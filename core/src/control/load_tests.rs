@@ -1,0 +1,66 @@
+//! Frames that somebody else on the machine slows down, and machines that change for good.
+
+use super::tests::Noise;
+use super::*;
+use crate::adapt::Prior;
+use crate::predict::Source;
+use std::vec::Vec;
+
+/// Frames of one scene that costs 60 ms at step 1, against 20 ms: what was planned for each, where frame i takes `slowed(i)`
+/// times as long as it would undisturbed.
+fn played(frames: usize, changes: impl Fn(usize) -> Changes, slowed: impl Fn(usize) -> f32) -> Vec<Decision> {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
+    let mut noise = Noise(17);
+    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
+    let mut cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
+    let play = |i: usize| {
+        let changes = Changes { first: i == 0, ..changes(i) };
+        let decision = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let terms = cost(decision.step);
+        let seconds = slowed(i) * terms.seconds() * (0.02 * noise.normal()).exp() as f32;
+        let scene = hybrid.scene();
+        let step = decision.step;
+        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
+        decision
+    };
+    (0..frames).map(play).collect()
+}
+
+#[test]
+fn one_slow_frame_changes_nothing_and_a_burst_is_followed_and_forgotten() {
+    let calm = |_| Changes::default();
+    let steps =
+        |slowed: fn(usize) -> f32| -> Vec<f32> { played(120, calm, slowed).iter().map(|d| d.step).collect() };
+    let stall = steps(|i| if i == 60 { 3.0 } else { 1.0 });
+    assert!(stall[61..].iter().all(|s| *s < 1.1 * stall[60]), "{:?}", &stall[60..66]);
+    let burst = steps(|i| if (60..80).contains(&i) { 2.0 } else { 1.0 });
+    // Two slow frames are one too many; the third is drawn for what is left of the machine.
+    assert!(burst[62..80].iter().all(|s| (1.6..2.6).contains(&(s / burst[59]))), "{:?}", &burst[58..80]);
+    // Gone with the first frame that shows it.
+    assert!(burst[81..].iter().all(|s| *s < 1.1 * burst[59]), "{:?}", &burst[80..90]);
+}
+
+#[test]
+fn a_load_belongs_to_the_machine_and_says_nothing_of_the_bound() {
+    let switched = |i: usize| Changes { transfer: i == 70, ..Changes::default() };
+    let quiet = played(75, switched, |_| 1.0);
+    let loaded = played(75, switched, |i| if i >= 60 { 2.0 } else { 1.0 });
+    let [calm, busy] = [quiet[70], loaded[70]];
+    // The new scene is drawn for the machine as it is, not at the coarsest step.
+    assert!((1.5..2.7).contains(&(busy.step / calm.step)), "{calm:?} {busy:?}");
+    let wide = |d: &Decision| d.upper / d.seconds;
+    assert!(wide(&busy) < 1.15 * wide(&calm), "{calm:?} {busy:?}");
+}
+
+#[test]
+fn a_machine_that_stays_slower_or_faster_is_learned_for_good() {
+    for speed in [0.5, 2.0f32] {
+        let calm = |_| Changes::default();
+        let plans = played(200, calm, |i| if i >= 60 { speed } else { 1.0 });
+        for (i, d) in plans.iter().enumerate().skip(62) {
+            let seconds = speed * 0.06 / d.step;
+            assert!((0.015..0.0215).contains(&seconds), "{speed} frame {i}: {seconds} {d:?}");
+        }
+    }
+}
