@@ -25,8 +25,8 @@ const DEFAULT_TOLERANCE: f32 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
     /// Share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by default.
-    /// Fewer exceed the target plus `tolerance`, since not every bound reaches so far. Of the first frames of
-    /// new scenes, at least 0.07 may.
+    /// Of undisturbed frames fewer exceed the target plus `tolerance`, since not every bound reaches so far. Of the
+    /// first frames of new scenes, at least 0.07 may.
     pub miss_rate: f32,
     /// How far over the target a frame's upper bound may reach, as a share of the target; 0.1
     /// by default. Full quality that is expected to meet the target is drawn from a step on that would be
@@ -113,6 +113,8 @@ pub struct Hybrid {
     /// Whether the frame before was announced as changed.
     announced: bool,
     scene: SceneMark,
+    /// Standard deviations of undisturbed frames that a coarser step is chosen for, at most.
+    worth: f64,
 }
 
 /// The frame planned last.
@@ -125,8 +127,9 @@ struct Last {
 
 /// Most evaluations of the cost in a step search, beside those at the limits: a guard, four or five do.
 const EVALUATIONS: usize = 12;
-/// Standard deviations of undisturbed frames that a coarser step is chosen for, at most: nineteen of twenty frames. What
-/// lies beyond is somebody else's doing, and a step that is coarse enough for it would cost every frame.
+/// Standard deviations of undisturbed frames that a coarser step is chosen for, at most, where no lower miss rate asks for
+/// more: 98 of 100 frames. What lies beyond is somebody else's doing, and a step that is coarse enough for it would cost
+/// every frame.
 const WORTH: f64 = 2.0;
 /// How fast margins move: over some twenty frames. A fixed margin costs the training paths the same, but keeps no miss rate.
 const MARGIN_PACE: f32 = 0.05;
@@ -165,6 +168,7 @@ impl Hybrid {
             last: None,
             announced: false,
             scene: SceneMark::default(),
+            worth: normal_quantile(f64::from(options.miss_rate)).max(WORTH),
         }
     }
 
@@ -191,7 +195,7 @@ impl Hybrid {
         let slope = self.options.constants.slope_sd * far;
         let wider = |sd: f64| libm::sqrt(sd * sd + slope * slope);
         let z = if self.scene.first { self.changed.multiple() } else { self.calm.multiple() };
-        let (all, calm) = (z * wider(corrected.sd), WORTH * wider(corrected.calm_sd));
+        let (all, calm) = (z * wider(corrected.sd), self.worth * wider(corrected.calm_sd));
         Expected {
             seconds: corrected.seconds,
             upper: corrected.seconds * libm::exp(all),
@@ -491,6 +495,17 @@ fn margins(options: &HybridOptions) -> (Margin, Margin) {
     )
 }
 
+/// Standard deviations that a normal error exceeds with this probability, between 0 and 8; 0 where it is none.
+fn normal_quantile(probability: f64) -> f64 {
+    let (mut low, mut high) = (0.0, 8.0);
+    for _ in 0..30 {
+        let middle = 0.5 * (low + high);
+        let exceeded = 0.5 * libm::erfc(middle * core::f64::consts::FRAC_1_SQRT_2);
+        if exceeded > probability { low = middle } else { high = middle }
+    }
+    if probability > 0.0 { low } else { 0.0 }
+}
+
 /// How far two predictions for one step lie apart: the difference of their logarithms, and half of what
 /// changed place among their parts. NaN where one is not known.
 fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
@@ -501,4 +516,20 @@ fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
     let moved: f64 =
         (0..TERMS).map(|i| libm::fabs(f64::from(a.parts[i]) / sum_a - f64::from(b.parts[i]) / sum_b)).sum();
     libm::fabs(libm::log(sum_b / sum_a)) + 0.5 * moved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lower_miss_rate_is_kept_by_the_step_too() {
+        for (rate, sd) in [(0.158_655_3, 1.0), (0.022_750_13, 2.0), (0.001_349_898, 3.0)] {
+            assert!((normal_quantile(rate) - sd).abs() < 1e-6, "{rate}: {}", normal_quantile(rate));
+        }
+        assert_eq!([f64::NAN, 0.0, -1.0].map(normal_quantile), [0.0; 3]);
+        let worth = |miss_rate| Hybrid::new(HybridOptions { miss_rate, ..HybridOptions::default() }).worth;
+        assert_eq!(worth(0.05), WORTH);
+        assert!(worth(0.001) > 3.0);
+    }
 }
