@@ -102,10 +102,6 @@ impl History {
         }
     }
 
-    pub(super) fn forget_errors(&mut self) {
-        (self.compared, self.leads) = (0, false);
-    }
-
     pub(super) fn push(&mut self, step: f32, seconds: f64, changed: bool) {
         if changed {
             self.len = 0;

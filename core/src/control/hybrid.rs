@@ -393,10 +393,6 @@ impl Controller for Hybrid {
                 _ => self.calm.observe(error),
             }
         }
-        if self.correction.jumped() {
-            // How well prediction and history did before says nothing about what is now.
-            self.history.forget_errors();
-        }
         if standing != Standing::Past {
             self.history.push(observed.step, seconds, changed);
         }

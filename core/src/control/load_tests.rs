@@ -64,3 +64,20 @@ fn a_machine_that_stays_slower_or_faster_is_learned_for_good() {
         }
     }
 }
+
+#[test]
+fn a_prediction_that_knows_nothing_of_the_step_is_not_taken_for_a_load() {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.3 }, ..HybridOptions::default() });
+    // A network that was trained on another renderer: its times hardly fall with the step.
+    let mut cost = |step: f32| CostTerms::whole(0.02 * step.powf(-0.05), 0.0, Source::Network);
+    for i in 0..60 {
+        let changes = Changes { first: i == 0, ..Changes::default() };
+        let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
+        let decision = hybrid.plan(&mut PlanRequest { target: 0.03, limits, changes, cost: &mut cost });
+        let (step, terms, scene) = (decision.step, cost(decision.step), hybrid.scene());
+        let seconds = 0.003 + 0.1 / step;
+        assert!(i < 30 || (0.02..0.033).contains(&seconds), "frame {i}: {seconds} {decision:?}");
+        hybrid.observe(&Observed { seconds, step, target: 0.03, changes, terms, scene, unusual: false });
+    }
+}
