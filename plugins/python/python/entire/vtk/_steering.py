@@ -156,8 +156,9 @@ class Steering:
         self._renderer = weak(renderer)
         self._window = weak()
         self._window_address = ""
-        # The steerings of the window, and whether one pass of one volume is all that they draw.
-        self._together: tuple[Steering, ...] = (self,)
+        # The other steerings of the window, held while a frame is drawn and no longer; and whether one pass of one
+        # volume is all that the window draws.
+        self._others: tuple[Steering, ...] = ()
         self._alone = True
         self._window_tags: list[int] = []
         self._renderer_tags: list[int] = []
@@ -405,6 +406,7 @@ class Steering:
                 before.RemoveObserver(tag)
         self._window_tags = []
         self._in_frame = False
+        self._others = ()
         self._window = weak(window)
         there = _in_windows.get(self._window_address)
         if there is not None:
@@ -431,8 +433,9 @@ class Steering:
         self._drawn = 0
         # An address may be that of an earlier window, too.
         there = _in_windows[self._window_address]
-        self._together = (self,) if len(there) == 1 else tuple(s for s in there if s._window() is window)
-        self._alone = len(self._together) == 1 and len(self.leaves) == 1 and self.leaves[0]._passes == 1
+        if len(there) > 1:
+            self._others = tuple(s for s in there if s is not self and s._window() is window)
+        self._alone = not self._others and len(self.leaves) == 1 and self.leaves[0]._passes == 1
         self._frame_start = self._now()
 
     def _on_window_end(self, _window: Any, _event: str) -> None:
@@ -443,13 +446,14 @@ class Steering:
         before = perf_counter()
         self._in_frame = False
         if self._drawn == 0:
+            self._others = ()
             return
         for leaf in self.leaves:
             leaf._count_passes()
         # The first frame holds what is done once.
         if self.frames > 0 and self._clean:
             _, a, b = self._rests
-            c = seconds - math.fsum(other._mapper_seconds for other in self._together)
+            c = seconds - self._mapper_seconds - math.fsum(other._mapper_seconds for other in self._others)
             self._rests = a, b, c
             # The median of three, without the sort's cold instructions.
             middle = b if a <= b <= c or c <= b <= a else a if b <= a <= c or c <= a <= b else c
@@ -459,6 +463,7 @@ class Steering:
         self.overhead = self._overhead + perf_counter() - before
         if self.on_frame is not None:
             self.on_frame(self)
+        self._others = ()
 
     def _on_renderer_start(self, renderer: Any, _event: str) -> None:
         if renderer.GetSelector() is not None:
@@ -533,7 +538,7 @@ class Steering:
 
         Shares go by what each pass would take at full quality, so that all are coarsened alike.
         """
-        leaves = [other for steering in self._together for other in steering.leaves]
+        leaves = [other for steering in (self, *self._others) for other in steering.leaves]
         if all(other._weight for other in leaves):
             return self._left * leaf._weight / sum(other._weight * other._passes for other in leaves)
         return self._left / sum(other._passes for other in leaves)
