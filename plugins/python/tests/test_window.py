@@ -50,30 +50,3 @@ def test_no_viewport_is_empty_however_coarse(voxels, kind):
     assert held.sample_distance > 2
     assert view.pixels()[:, 100:].mean() == pytest.approx(full, rel=0.3)
     assert (held.image_sample_distance == 1) == (kind == "gpu")
-
-
-def test_renderers_of_one_window_share_its_frame(voxels):
-    view = View((200, 100))
-    other = vtkRenderer()
-    view.window.AddRenderer(other)
-    view.renderer.SetViewport(0, 0, 0.5, 1)
-    other.SetViewport(0.5, 0, 1, 1)
-    add_volume(view.renderer, voxels)
-    add_volume(other, voxels)
-    other.SetActiveCamera(view.renderer.GetActiveCamera())
-    both = [entire.vtk.hold(renderer, seconds=1.0, clock="cpu") for renderer in (view.renderer, other)]
-    view.draw(6)
-    shares = [0.0, 0.0]
-    for i, held in enumerate(both):
-        # Who shares the window is known while it draws.
-        held.on_frame = lambda held, i=i: shares.__setitem__(i, held._share(held.leaves[0]))
-    view.draw(1)
-    weights = [held.leaves[0]._weight for held in both]
-    assert sum(shares) == pytest.approx(both[0]._left, rel=0.2)
-    assert shares[0] / shares[1] == pytest.approx(weights[0] / weights[1], rel=0.2)
-    # What the other one drew is not the rest of the frame.
-    rest = 1.0 - both[0]._left
-    assert rest < 0.5 * both[1].measured
-    both[1].detach()
-    view.draw(2)
-    assert both[0]._alone

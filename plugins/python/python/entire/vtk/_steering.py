@@ -42,8 +42,6 @@ _TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": tim
 # Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
 # else does.
 _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
-# The steerings of each window, by its address: they share its frame.
-_in_windows: dict[str, weakref.WeakSet[Steering]] = {}
 
 
 def timer(clock: str) -> Callable[[], float]:
@@ -155,10 +153,7 @@ class Steering:
         self.on_frame: Callable[[Steering], None] | None = None
         self._renderer = weak(renderer)
         self._window = weak()
-        self._window_address = ""
-        # The other steerings of the window, held while a frame is drawn and no longer; and whether one pass of one
-        # volume is all that the window draws.
-        self._others: tuple[Steering, ...] = ()
+        # Whether one pass of one volume is all that is drawn.
         self._alone = True
         self._window_tags: list[int] = []
         self._renderer_tags: list[int] = []
@@ -406,16 +401,8 @@ class Steering:
                 before.RemoveObserver(tag)
         self._window_tags = []
         self._in_frame = False
-        self._others = ()
         self._window = weak(window)
-        there = _in_windows.get(self._window_address)
-        if there is not None:
-            there.discard(self)
-            if not there:
-                del _in_windows[self._window_address]
-        self._window_address = "" if window is None else window.__this__
         if window is not None:
-            _in_windows.setdefault(self._window_address, weakref.WeakSet()).add(self)
             self._window_tags = [
                 window.AddObserver("StartEvent", self._on_window_start, 1.0),
                 window.AddObserver("EndEvent", self._on_window_end),
@@ -431,11 +418,7 @@ class Steering:
         self._clean = True
         self._mapper_seconds = self._overhead = 0.0
         self._drawn = 0
-        # An address may be that of an earlier window, too.
-        there = _in_windows[self._window_address]
-        if len(there) > 1:
-            self._others = tuple(s for s in there if s is not self and s._window() is window)
-        self._alone = not self._others and len(self.leaves) == 1 and self.leaves[0]._passes == 1
+        self._alone = len(self.leaves) == 1 and self.leaves[0]._passes == 1
         self._frame_start = self._now()
 
     def _on_window_end(self, _window: Any, _event: str) -> None:
@@ -446,14 +429,13 @@ class Steering:
         before = perf_counter()
         self._in_frame = False
         if self._drawn == 0:
-            self._others = ()
             return
         for leaf in self.leaves:
             leaf._count_passes()
         # The first frame holds what is done once.
         if self.frames > 0 and self._clean:
             _, a, b = self._rests
-            c = seconds - self._mapper_seconds - math.fsum(other._mapper_seconds for other in self._others)
+            c = seconds - self._mapper_seconds
             self._rests = a, b, c
             # The median of three, without the sort's cold instructions.
             middle = b if a <= b <= c or c <= b <= a else a if b <= a <= c or c <= a <= b else c
@@ -463,7 +445,6 @@ class Steering:
         self.overhead = self._overhead + perf_counter() - before
         if self.on_frame is not None:
             self.on_frame(self)
-        self._others = ()
 
     def _on_renderer_start(self, renderer: Any, _event: str) -> None:
         if renderer.GetSelector() is not None:
@@ -534,11 +515,11 @@ class Steering:
         return not always and window.GetDesiredUpdateRate() < self.still_rate
 
     def _share(self, leaf: Leaf) -> float:
-        """Seconds for one pass of one volume: the frame is the window's, whoever draws in it.
+        """Seconds for one pass of one volume.
 
         Shares go by what each pass would take at full quality, so that all are coarsened alike.
         """
-        leaves = [other for steering in (self, *self._others) for other in steering.leaves]
+        leaves = self.leaves
         if all(other._weight for other in leaves):
             return self._left * leaf._weight / sum(other._weight * other._passes for other in leaves)
         return self._left / sum(other._passes for other in leaves)
