@@ -84,7 +84,7 @@ pub(crate) struct Correction {
     loaded: u64,
     /// Frames in a row that were off by more than [`CLIP`]: too slow where positive, too fast where negative.
     off: i64,
-    /// Whether the observation before began or ended a load, or was taken whole.
+    /// The observation before began or ended a load, or was taken whole.
     jumped: bool,
     observations: u64,
     /// Frames since the scene was new.
@@ -142,6 +142,8 @@ const SQUARE_LIMIT: f64 = 6.0;
 const FASTEST_PACE: f64 = 0.25;
 /// A guard: an observation weakens to a thousandth at most.
 const LEAST_TRUST: f64 = 1.0e-3;
+/// Novelty from which a frame is the first of a scene: by definition, it has more of a new scene than of the one before.
+pub(crate) const NOVEL: f64 = 0.5;
 /// Three standard deviations: of normal errors 0.3 % lie beyond, so what does is another work or another machine.
 pub(crate) const CLIP: f64 = 3.0;
 
@@ -214,14 +216,14 @@ impl Correction {
         self.age > SETTLED + 1
     }
 
-    /// Whether the observation before began or ended a load, or was so fast that it was taken whole: what the
-    /// frames before it say of the next one no longer holds.
+    /// True if the observation before began or ended a load, or was so fast that it was taken whole. Then frames
+    /// before it say nothing of the next one.
     pub(crate) fn jumped(&self) -> bool {
         self.jumped
     }
 
-    /// Whether others have slowed down the frames before, as far as times tell.
-    pub(crate) fn loaded(&self) -> bool {
+    /// True while other programs change the machine's pace, as far as times tell.
+    fn loaded(&self) -> bool {
         self.load != 0.0
     }
 
@@ -231,7 +233,7 @@ impl Correction {
     }
 
     /// Variance of ln t between equal frames, stalls left out.
-    pub(crate) fn noise(&self) -> f64 {
+    fn noise(&self) -> f64 {
         self.spread * (1.0 - self.gain())
     }
 
@@ -255,7 +257,7 @@ impl Correction {
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
         self.widen(DRIFT, DRIFT_SINGLE);
         self.tidy();
-        if novelty >= 0.5 {
+        if novelty >= NOVEL {
             self.age = 0;
         }
         self.age = self.age.saturating_add(1);
@@ -289,9 +291,10 @@ impl Correction {
         let noise = weakened(self.noise());
         let mut model = self.model_variance(&shares);
         let sd = libm::sqrt(model + noise);
-        let normalized = (free - self.load) / libm::sqrt(model + weakened(self.noise_of_all()));
-        if standing == Standing::Same && trust >= 1.0 && self.age > SETTLED {
-            let surprise = free - self.load;
+        let surprise = free - self.load;
+        let normalized = surprise / libm::sqrt(model + weakened(self.noise_of_all()));
+        let calm = standing == Standing::Same && trust >= 1.0 && self.age > SETTLED;
+        if calm {
             self.spread_of_all = self.follow(self.spread_of_all, surprise * surprise);
         }
         let loaded = self.loaded();
@@ -318,12 +321,7 @@ impl Correction {
                 let seen = (squared - others).clamp(0.0, SQUARE_LIMIT * self.change);
                 self.change = (self.change + SCENE_PACE * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
             }
-        } else if standing == Standing::Same
-            && trust >= 1.0
-            && self.age > SETTLED
-            && self.off == 0
-            && !self.jumped
-        {
+        } else if calm && self.off == 0 && !self.jumped {
             self.spread = self.follow(self.spread, squared);
         }
         // Kalman step.

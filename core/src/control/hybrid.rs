@@ -5,7 +5,7 @@ use super::history::History;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
-use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, Prior, Standing, Verdict};
+use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, NOVEL, Prior, Standing, Verdict};
 use crate::error::bail;
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
@@ -131,10 +131,8 @@ const EVALUATIONS: usize = 12;
 /// more: 98 of 100 frames. What lies beyond is somebody else's doing, and a step that is coarse enough for it would cost
 /// every frame.
 const WORTH: f64 = 2.0;
-/// How fast margins move: over some twenty frames. A fixed margin costs the training paths the same, but keeps no miss rate.
+/// Pace of the margins: over some twenty frames. A fixed margin costs the training paths the same, but keeps no miss rate.
 const MARGIN_PACE: f32 = 0.05;
-/// Novelty from which a frame is the first of a scene: by definition, it has more of a new scene than of the one before.
-const NOVEL: f64 = 0.5;
 /// Relative changes of the step, or distances of the expected time from the target, below which the step is kept: a guard,
 /// less than anybody sees.
 const DEAD_BAND: f64 = 0.01;
@@ -144,13 +142,13 @@ const SAME_TARGET: f64 = 0.02;
 /// that of others, so it sets the order of magnitude where nothing else does.
 const FIRST_TRUST: f64 = 0.01;
 
-/// What is expected of a frame, seconds.
+/// Expected time of a frame and its bounds, seconds.
 #[derive(Clone, Copy, Debug)]
 struct Expected {
     seconds: f64,
-    /// What all but the share of frames that may be missed stay below.
+    /// Bound that all frames stay below, but for the share that may be missed.
     upper: f64,
-    /// What undisturbed frames stay below: a step that is coarse enough for a frame that somebody else slows down
+    /// Bound of undisturbed frames: a step that is coarse enough for a frame that somebody else slows down
     /// would be too coarse for all others.
     calm_upper: f64,
 }
@@ -178,12 +176,12 @@ impl Hybrid {
         &self.correction
     }
 
-    /// What is expected of a prediction for the frame at hand, at the step drawn last.
+    /// Corrects a prediction for the frame at hand, at the step drawn last.
     fn judge(&self, terms: &CostTerms) -> Expected {
         self.judge_at(terms, f64::NAN)
     }
 
-    /// What is expected of a prediction for the frame at hand, at `step`. Within a scene the
+    /// Corrects a prediction for the frame at hand, at `step`. Within a scene the
     /// bounds are wider the further the step is from the one drawn last: the predicted step curve has an error
     /// of its own.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
