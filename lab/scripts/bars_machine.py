@@ -13,6 +13,7 @@ minutes each on a quiet machine: --steps lists them, --only makes some and print
 Needs Python 3.9 and `entire` (--bin), and nothing else.
 """
 import argparse
+import contextlib
 import csv
 import json
 import os
@@ -53,6 +54,20 @@ while True:
         pass
     time.sleep(4 * burst)
 """
+
+
+@contextlib.contextmanager
+def neighbors(*seeds):
+    """As many neighbors on the machine as there are seeds, for as long as the context lasts."""
+    loops = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(seed)]) for seed in seeds]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
 # When test frames are timed, with calibration between.
 WHEN = ("before", "after")
 INVALID_LIMIT = 0
@@ -116,13 +131,8 @@ class Machine:
         (self.out / f"{name}.json").write_text(json.dumps({"seconds": seconds, "load": os.getloadavg()}))
 
     def calibrate_busy(self):
-        loops = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(seed)]) for seed in range(NEIGHBORS)]
-        try:
+        with neighbors(*range(NEIGHBORS)):
             self.calibrate("busy", "none")
-        finally:
-            for loop in loops:
-                loop.kill()
-                loop.wait()
 
     def by_clocks(self, name, mode):
         """Models of the same frames by processor time and by wall time."""

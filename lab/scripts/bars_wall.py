@@ -14,7 +14,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bars_machine import NEIGHBOR
+from bar_lines import Bars
+from bars_machine import neighbors
 
 ROOT = Path(__file__).resolve().parents[2]
 # Volumes that no model saw. Scans lie in the folder that --data names.
@@ -82,15 +83,10 @@ class Machine:
         for run in range(self.runs):
             folder = self.out / f"{name}-{'neighbor' if busy else 'quiet'}-{run}"
             if not (folder / "frames.csv").exists():
-                neighbor = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(run)])] if busy else []
                 command = [str(self.entire), *map(str, arguments), "--clock", "wall", "--quiet", "--out", str(folder)]
                 print("$ " + " ".join(["entire", *command[1:]]), file=sys.stderr, flush=True)
-                try:
+                with neighbors(*([run] if busy else [])):
                     subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, env=self.environment)
-                finally:
-                    for each in neighbor:
-                        each.kill()
-                        each.wait()
             out.append(figures(folder))
         return out
 
@@ -101,10 +97,13 @@ def medians(runs):
     }
 
 
-def bar(name, value, limit):
-    ok = value is not None and value <= limit
-    print(f"bar {name} {'-' if value is None else f'{value:.4f}'} {limit:.4f} {'ok' if ok else 'short'}")
-    return ok
+def asked():
+    """Limits by name, in the order of `found`."""
+    out = {}
+    for load in ("quiet", "neighbor"):
+        out |= {f"wall/{load}/{key}-of-best-rival": limits[load == "neighbor"] for key, *limits in SHARES}
+        out[f"wall/{load}/psnr-below-rival"] = PSNR_BELOW[load]
+    return out | {"wall/neighbor/psnr-below-quiet": PSNR_BELOW_QUIET, "wall/bonsai-10ms/late": BONSAI_LATE}
 
 
 def main():
@@ -113,45 +112,42 @@ def main():
     parser.add_argument("--out", default="out/bars-wall", help="folder for the runs")
     parser.add_argument("--bin", default="target/release/entire", help="the program")
     parser.add_argument("--runs", type=int, default=5, help="runs of each volume, quiet and with a neighbor")
-    machine = Machine(parser.parse_args())
+    options = parser.parse_args()
+    with Bars(asked()) as bars:
+        measure(Machine(options), bars)
+
+
+def measure(machine, bars):
     missing = [path for path in (*VOLUMES.values(), BONSAI) if machine.volume(path) is None]
-    if missing:
-        print(f"bars-wall: {', '.join(missing)} missing: make bars-wall DATA=FOLDER-WITH-scans", file=sys.stderr)
-    there = {name: machine.volume(path) for name, path in VOLUMES.items() if machine.volume(path)}
+    machine.calibrate()
     print(f"{'volume':8} {'load':9} {'controller':11} {'> 1.1 T':>8} {'|t-T|/T':>8} {'switches':>8} {'PSNR':>6}")
     found = {}
-    machine.calibrate()
     for busy, load in ((False, "quiet"), (True, "neighbor")):
-        for name, file in there.items():
-            runs = machine.played(name, ["demo", file], busy)
-            found[name, load] = medians(runs)
-            for controller, f in found[name, load].items():
-                shares = " ".join(f"{100 * f[k]:6.1f} %" for k, _, _ in SHARES)
-                print(f"{name:8} {load:9} {controller:11} {shares} {f['psnr']:6.1f}")
-    whole = len(there) == len(VOLUMES)
+        for name, path in VOLUMES.items():
+            if file := machine.volume(path):
+                found[name, load] = medians(machine.played(name, ["demo", file], busy))
+                for controller, f in found[name, load].items():
+                    shares = " ".join(f"{100 * f[k]:6.1f} %" for k, _, _ in SHARES)
+                    print(f"{name:8} {load:9} {controller:11} {shares} {f['psnr']:6.1f}")
 
     def mean(load, controller, key):
-        return statistics.mean(found[name, load][controller][key] for name in there)
+        return statistics.mean(found[name, load][controller][key] for name in VOLUMES)
 
-    ok = True
-    for load in ("quiet", "neighbor"):
-        for key, *limits in SHARES:
-            best = min(mean(load, rival, key) for rival in RIVALS)
-            value = mean(load, OURS, key) / max(best, 1e-9)
-            ok &= bar(f"wall/{load}/{key}-of-best-rival", value if whole else None, limits[load == "neighbor"])
-        often = 2 * mean(load, OURS, "late")
-        # Rivals that are late less than twice as often; OLP where none is, and beside a neighbor.
-        rivals = [r for r in RIVALS if load == "quiet" and mean(load, r, "late") < often] or [OLP]
-        below = max(mean(load, r, "psnr") for r in rivals) - mean(load, OURS, "psnr")
-        ok &= bar(f"wall/{load}/psnr-below-rival", below if whole else None, PSNR_BELOW[load])
-    below = mean("quiet", OURS, "psnr") - mean("neighbor", OURS, "psnr")
-    ok &= bar("wall/neighbor/psnr-below-quiet", below if whole else None, PSNR_BELOW_QUIET)
-    late = None
+    if len(found) == 2 * len(VOLUMES):
+        for load in ("quiet", "neighbor"):
+            for key, _, _ in SHARES:
+                best = min(mean(load, rival, key) for rival in RIVALS)
+                bars.found(f"wall/{load}/{key}-of-best-rival", mean(load, OURS, key) / max(best, 1e-9))
+            often = 2 * mean(load, OURS, "late")
+            # Rivals that are late less than twice as often; OLP where none is, and beside a neighbor.
+            rivals = [r for r in RIVALS if load == "quiet" and mean(load, r, "late") < often] or [OLP]
+            below = max(mean(load, r, "psnr") for r in rivals) - mean(load, OURS, "psnr")
+            bars.found(f"wall/{load}/psnr-below-rival", below)
+        bars.found("wall/neighbor/psnr-below-quiet", mean("quiet", OURS, "psnr") - mean("neighbor", OURS, "psnr"))
     if bonsai := machine.volume(BONSAI):
         arguments = ["steer", bonsai, "--generate", "switches", "--target", "10ms", "--controllers", f"{OLP},{OURS}"]
-        late = medians(machine.played("bonsai", arguments, False))[OURS]["late"]
-    ok &= bar("wall/bonsai-10ms/late", late, BONSAI_LATE)
-    sys.exit(0 if ok else "bars-wall: a bar is short")
+        bars.found("wall/bonsai-10ms/late", medians(machine.played("bonsai", arguments, False))[OURS]["late"])
+    bars.lacking(f"{', '.join(missing)} missing: make bars-wall DATA=FOLDER-WITH-scans")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 //! `entire-lab disturb`: how much somebody else on the machine slows frames down, over time.
 
 use crate::replay::Slowdown;
+use crate::stress::Noise;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_cli::device;
@@ -62,11 +63,9 @@ const QUIET_SECONDS: f64 = 5.0;
 
 /// Keeps a core busy until `stop`.
 fn disturb(neighbor: Neighbor, seed: u64, stop: &AtomicBool) {
-    let mut state = seed;
+    let mut noise = Noise::new(seed);
     while !stop.load(Ordering::Relaxed) {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let share = (state >> 11) as f64 / (1u64 << 53) as f64;
-        let burst = Duration::from_secs_f64(0.05 + 0.45 * share);
+        let burst = Duration::from_secs_f64(0.05 + 0.45 * noise.uniform());
         let begin = Instant::now();
         while begin.elapsed() < burst {
             std::hint::spin_loop();

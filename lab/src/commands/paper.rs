@@ -315,12 +315,12 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let traces = control::traces_of(&folder, set)?;
     let options = |out: &str, model: Option<PathBuf>, controllers: &[ControllerKind]| replay::Options {
         paths: replay::Paths {
-            disturbance: None,
             traces: traces.clone(),
             calibration: vec![calibration.clone()],
             targets: ["5fps", "10fps", "20fps", "40fps"].map(str::to_owned).to_vec(),
             limits: (1.0, 16.0),
         },
+        disturbance: None,
         model,
         controllers: controllers.to_vec(),
         rounds: 1,

@@ -18,7 +18,7 @@ use entire_cli::steering::model::SteeringModel;
 use entire_core::control::StepLimits;
 use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Recorded paths, and what they are played against.
@@ -40,9 +40,6 @@ pub struct Paths {
         allow_hyphen_values = true
     )]
     pub targets: Vec<String>,
-    /// Replay under what `entire-lab disturb` recorded of somebody else on the machine.
-    #[arg(long, value_name = "FILE.csv")]
-    pub disturbance: Option<PathBuf>,
     /// Finest and coarsest step that may be chosen, reference steps. Rules that act on image resolution have
     /// ranges of their own.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
@@ -60,17 +57,15 @@ impl Paths {
         Ok(limits)
     }
 
-    /// Opens one of the paths, under the neighbor that it is to be replayed with.
+    /// Opens the paths.
     ///
     /// # Errors
-    /// For files that cannot be read or are no recordings.
-    pub fn open(&self, file: &Path) -> Result<Replayable> {
-        let mut replayable =
-            Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display()))?;
-        if let Some(disturbance) = &self.disturbance {
-            replayable.disturbance = Some(Arc::new(Disturbance::open(disturbance)?));
-        }
-        Ok(replayable)
+    /// For files that cannot be read or are no recordings; names the file.
+    pub fn open(&self) -> Result<Vec<Replayable>> {
+        let open = |file: &PathBuf| {
+            Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display()))
+        };
+        self.traces.iter().map(open).collect()
     }
 
     /// Every target in seconds with its name, the longest first.
@@ -102,6 +97,9 @@ pub struct Options {
     /// The paths that are played.
     #[command(flatten)]
     pub paths: Paths,
+    /// Replay beside somebody else on the machine, as `entire-lab disturb` recorded.
+    #[arg(long, value_name = "FILE.csv")]
+    pub disturbance: Option<PathBuf>,
     /// Steer by this model file instead of the predictor that is fitted to the tables.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
@@ -139,8 +137,11 @@ pub fn run(options: &Options) -> Result<()> {
         calibrated.candidates.iter_mut().for_each(|c| c.chosen = false);
         calibrated.candidates.push(Candidate { chosen: true, ..given });
     }
-    let traces =
-        options.paths.traces.iter().map(|file| options.paths.open(file)).collect::<Result<Vec<_>>>()?;
+    let mut traces = options.paths.open()?;
+    if let Some(file) = &options.disturbance {
+        let disturbance = Arc::new(Disturbance::open(file)?);
+        traces = traces.into_iter().map(|trace| trace.disturbed(&disturbance)).collect();
+    }
     let players = Player::all(&options.controllers, &traces);
     let (trials, unplayed) = trials_of_all(&traces, &targets, limits);
     for name in &unplayed {

@@ -51,7 +51,7 @@ pub struct Options {
     pub out: Option<PathBuf>,
 }
 
-/// What every constant is worth.
+/// Table of the paths' cost without each constant.
 fn worth_table(worth: &[Removed]) -> Table {
     let mut table = Table::new(vec![
         Column::text("constant"),
@@ -61,26 +61,15 @@ fn worth_table(worth: &[Removed]) -> Table {
         Column::number("standard error"),
     ]);
     for r in worth {
-        let numbers = [r.value, r.without].map(|v| format!("{v:.3}"));
-        let [value, without] = numbers;
         table.row(vec![
             r.name.into(),
-            value.into(),
-            without.into(),
+            format!("{:.3}", r.value).into(),
+            format!("{:.3}", r.without).into(),
             format!("{:+.3}", r.more).into(),
             format!("{:.3}", r.standard_error).into(),
         ]);
     }
     table
-}
-
-/// The same path under somebody else on the machine.
-fn disturbed(recorded: &[Replayable; 3], disturbance: &Arc<Disturbance>) -> [Replayable; 3] {
-    recorded.clone().map(|mut r| {
-        r.trace.name = format!("{}/{}", r.trace.name, disturbance.name);
-        r.disturbance = Some(Arc::clone(disturbance));
-        r
-    })
 }
 
 /// Runs the command.
@@ -100,10 +89,9 @@ pub fn run(options: &Options) -> Result<()> {
     let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
     let mut played = options
         .paths
-        .traces
-        .iter()
-        .map(|file| {
-            let recorded = options.paths.open(file)?;
+        .open()?
+        .into_iter()
+        .map(|recorded| {
             let shown = |volume: &str| recorded.trace.volumes.iter().any(|v| v.file.as_os_str() == volume);
             let others: Vec<Sample> =
                 samples.iter().filter(|(v, _)| !shown(v)).map(|(_, s)| s.clone()).collect();
@@ -111,18 +99,14 @@ pub fn run(options: &Options) -> Result<()> {
             Ok((Law::ALL.map(|law| law.of(&recorded)), calibrated))
         })
         .collect::<Result<Vec<Played>>>()?;
-    let disturbances = options
-        .disturbances
-        .iter()
-        .map(|file| Ok(Arc::new(Disturbance::open(file)?)))
-        .collect::<Result<Vec<_>>>()?;
-    let disturbed: Vec<Played> = disturbances
-        .iter()
-        .flat_map(|d| {
-            played.iter().map(move |(recorded, calibrated)| (disturbed(recorded, d), calibrated.clone()))
-        })
-        .collect();
-    played.extend(disturbed);
+    let undisturbed = played.len();
+    for file in &options.disturbances {
+        let disturbance = Arc::new(Disturbance::open(file)?);
+        for path in 0..undisturbed {
+            let (recorded, calibrated) = played[path].clone();
+            played.push((recorded.map(|r| r.disturbed(&disturbance)), calibrated));
+        }
+    }
     let courses: Vec<Course<'_>> =
         played.iter().map(|(recorded, c)| Course::new(recorded, c, &targets, limits)).collect();
     ensure!(courses.len() >= 2, "one path has no standard error; name several");

@@ -73,6 +73,14 @@ impl Replayable {
         Ok(Self { trace, path, curves, images, summaries, switches, disturbance: None })
     }
 
+    /// The same path beside somebody else on the machine, who is part of its name.
+    #[must_use]
+    pub fn disturbed(mut self, disturbance: &Arc<Disturbance>) -> Self {
+        self.trace.name = format!("{}/{}", self.trace.name, disturbance.name);
+        self.disturbance = Some(Arc::clone(disturbance));
+        self
+    }
+
     /// What answers a controller's decisions, and what it may choose: its own range, as far as it was recorded.
     ///
     /// # Errors
