@@ -72,7 +72,7 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
-/// What a controller acted on.
+/// Names the setting that a controller acted on.
 fn acts_on(playback: &Playback, controller: usize) -> &'static str {
     let smaller = playback.records[controller].iter().any(|r| r.image_sample_distance > 1.0);
     match playback.acts_on[controller] {

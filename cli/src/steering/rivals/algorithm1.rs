@@ -43,7 +43,7 @@ impl Controller for Algorithm1 {
     fn reset(&mut self) {}
 }
 
-/// What the last frames say of the next one.
+/// The rule by which the last frames foretell the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Recent {
     MeanOfThree,
