@@ -1,6 +1,6 @@
 //! The window of `entire`: a volume explorer whose frame time stays where it is put.
 //!
-//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_core::Session`] and
+//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_steer::Session`] and
 //! told to it afterwards; a graph shows the prediction with its bound beside what the frame took. The picture
 //! never leaves the device: the compute shader writes it, the interface samples it.
 //!

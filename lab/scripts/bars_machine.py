@@ -212,7 +212,7 @@ def found(machine, test):
 def invalid(machine, test):
     """Predictions that are no positive number of seconds: the test counts over all shipped models, tables and random inputs."""
     kept = machine.out / "predictions.txt"
-    counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
+    counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("steer/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
     if not kept.exists() or kept.stat().st_mtime < max(f.stat().st_mtime for f in counted):
         if not test:
             return None

@@ -1,7 +1,7 @@
 //! Bars: what was asked for beside what was found, one line each.
 
 use anyhow::{Result, ensure};
-use entire_cli::report::{Column, Table};
+use entire_report::{Column, Table};
 
 /// A bar.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,9 +5,9 @@ use super::rivals::{
     Algorithm1, Filament, Fixed, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
 };
 use clap::ValueEnum;
-use entire_core::control::Prior;
-use entire_core::control::{Controller, Hybrid, HybridOptions, Session, StepLimits};
-use entire_core::predict::Predictor;
+use entire_steer::control::Prior;
+use entire_steer::control::{Controller, Hybrid, HybridOptions, Session, StepLimits};
+use entire_steer::predict::Predictor;
 
 /// What a controller acts on. Its decision's `step` is the ray step, or an image's share of the work.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,8 +4,8 @@ use super::calibrate::{Quality, Sample};
 use anyhow::{Context, Result};
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet};
-use entire_core::predict::{GroupKind, Predictor, load};
 use entire_core::scene::VolumeView;
+use entire_steer::predict::{GroupKind, Predictor, load};
 use std::sync::Arc;
 
 /// A predictor that any number of contenders can be given.

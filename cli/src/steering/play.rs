@@ -3,15 +3,15 @@
 use super::contenders::ActsOn;
 use super::metrics::{Metrics, Played};
 use super::sizes::{scale_at, volume_at};
-use crate::dataset::{Clock, Timing};
-use crate::options::RenderArgs;
-use crate::path::FlightPath;
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
-use entire_core::control::ObserveFlags;
-use entire_core::control::{Quality, Reason, Session, StepLimits};
-use entire_core::features::{Changes, VolumeSummary};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
+use entire_io::dataset::{Clock, Timing};
+use entire_io::options::RenderArgs;
+use entire_io::path::FlightPath;
+use entire_steer::control::ObserveFlags;
+use entire_steer::control::{Quality, Reason, Session, StepLimits};
+use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
 
@@ -344,14 +344,14 @@ pub fn play(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
     use crate::scripted::ScriptedRenderer;
     use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
-    use entire_core::control::Prior;
-    use entire_core::features::SummaryOptions;
-    use entire_core::predict::{Inputs, Prediction, Predictor, Source};
     use entire_core::scene::{Scalars, TransferFunction};
+    use entire_io::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
+    use entire_steer::control::Prior;
+    use entire_steer::features::SummaryOptions;
+    use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
     /// Knows the script's law, but for a bias.
     struct Insider {

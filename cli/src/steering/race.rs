@@ -7,18 +7,18 @@ use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
 use crate::calibrate::place::machine_model;
-use crate::dataset::Clock;
-use crate::metrics::median;
-use crate::path::FlightPath;
-use crate::progress::progress_bar;
-use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result};
-use entire_core::control::Prior;
-use entire_core::control::StepLimits;
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::{Model, ModelFile};
-use entire_core::predict::AnalyticModel;
 use entire_core::scene::{Shading, VolumeView};
+use entire_io::dataset::Clock;
+use entire_io::metrics::median;
+use entire_io::path::FlightPath;
+use entire_io::progress::progress_bar;
+use entire_io::scenes::SceneDistribution;
+use entire_steer::control::Prior;
+use entire_steer::control::StepLimits;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::predict::AnalyticModel;
 use entire_vk_raycaster::Renderer;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -128,7 +128,7 @@ pub fn steering_model(
 pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(String, ModelFile)>, Clock)> {
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
     let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
-        crate::files::note(&format!(
+        entire_io::files::note(&format!(
             "{} predicts {} seconds and the clock is {}: it takes no part (`entire calibrate --shade {} --clock \
              {}` makes one that does)",
             path.display(),
@@ -156,7 +156,7 @@ pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     if !path.is_file() {
         return Ok(None);
     }
-    let (file, _) = crate::files::read_model_file(&path)?;
+    let (file, _) = entire_io::files::read_model_file(&path)?;
     Ok(Some((path, file)))
 }
 
@@ -179,7 +179,7 @@ pub fn shipped_files(shading: Shading) -> Result<Vec<(PathBuf, ModelFile)>> {
     others.sort();
     let mut out = vec![first];
     for path in others {
-        let (file, _) = crate::files::read_model_file(&path)?;
+        let (file, _) = entire_io::files::read_model_file(&path)?;
         out.push((path, file));
     }
     Ok(out)

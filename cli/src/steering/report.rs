@@ -6,11 +6,11 @@ use super::metrics::{Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback, Record};
 use super::race::Steers;
 use super::rivals::StepResponse;
-use crate::files::{make_folder, write_json, write_whole};
-use crate::machine::Provenance;
 use crate::pictures::BEST_PSNR;
-use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
 use anyhow::Result;
+use entire_io::files::{make_folder, write_json, write_whole};
+use entire_io::machine::Provenance;
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
 use serde_json::{Value, json};
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! `include/entire/entire.h` is what this crate's source says. `UPDATE_HEADER=1` (`make header`) writes it
 //! anew.
 
-use entire_core::control::{HybridOptions, StepLimits};
+use entire_steer::control::{HybridOptions, StepLimits};
 use std::path::{Path, PathBuf};
 
 fn header_path() -> PathBuf {

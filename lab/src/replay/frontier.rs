@@ -2,8 +2,8 @@
 
 use super::Replayable;
 use crate::trace::{TRACE_SCALES, TracePoint};
-use entire_cli::metrics::median;
-use entire_core::calibrate::{FittedQuality, Picture, fit_quality};
+use entire_io::metrics::median;
+use entire_steer::calibrate::{FittedQuality, Picture, fit_quality};
 
 /// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to:
 /// mean structural similarity of what each way picks among settings that meet the target.

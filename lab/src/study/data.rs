@@ -2,8 +2,8 @@
 
 use super::Set;
 use anyhow::{Result, ensure};
-use entire_cli::dataset::{Clock, Table, read_tables};
-use entire_cli::split::{GroupBy, TimedFrames};
+use entire_io::dataset::{Clock, Table, read_tables};
+use entire_train::split::{GroupBy, TimedFrames};
 use std::collections::BTreeSet;
 use std::ops::Range;
 

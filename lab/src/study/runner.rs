@@ -12,18 +12,18 @@ use super::{Findings, Fit, Intervals, Named, Set, Study, clock};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Result, ensure};
-use entire_cli::bound;
-use entire_cli::dataset::{TimedFrame, noise_floor};
-use entire_cli::enlarge::enlarge;
-use entire_cli::files::{make_folder, write_whole};
-use entire_cli::fit::{FitContext, Recipe, predict, predict_stored};
-use entire_cli::inputs::Layout;
-use entire_cli::metrics::Metrics;
-use entire_cli::split::{GroupBy, TimedFrames};
-use entire_cli::volume::Volume;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Storage;
-use entire_core::predict::UpperBound;
+use entire_io::dataset::{TimedFrame, noise_floor};
+use entire_io::enlarge::enlarge;
+use entire_io::files::{make_folder, write_whole};
+use entire_io::metrics::Metrics;
+use entire_io::volume::Volume;
+use entire_steer::predict::UpperBound;
+use entire_train::bound;
+use entire_train::fit::{FitContext, Recipe, predict, predict_stored};
+use entire_train::inputs::Layout;
+use entire_train::split::{GroupBy, TimedFrames};
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
@@ -170,7 +170,7 @@ impl Runner<'_> {
             file.metadata.insert(
                 Key::Provenance.into(),
                 json!({ "what": fitted.what, "settings": fitted.settings, "outcome": fitted.outcome,
-                    "training_frames": training.frames.len(), "program": entire_cli::machine::version() })
+                    "training_frames": training.frames.len(), "program": entire_io::machine::version() })
                 .to_string(),
             );
         }

@@ -1,7 +1,7 @@
 //! The constants of the controller: what the book says of them, and what recorded paths do.
 
-use entire_core::control::{CorrectionConstants, HybridConstants};
 use entire_lab::trace::{Curve, Trace};
+use entire_steer::control::{CorrectionConstants, HybridConstants};
 use std::path::Path;
 
 #[test]

@@ -2,10 +2,10 @@
 
 use entire_cli::steering::contenders::{ActsOn, ControllerKind, contender};
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::control::{Prior, StepLimits};
-use entire_core::predict::AnalyticModel;
 use entire_lab::replay::{Player, Replayable, Replayed, replay};
 use entire_lab::trace::{Trace, TracePoint};
+use entire_steer::control::{Prior, StepLimits};
+use entire_steer::predict::AnalyticModel;
 use std::path::Path;
 
 /// A trace that was recorded before smaller images were.

@@ -1,7 +1,7 @@
 //! What a session answers.
 
-use entire_core::control::Plan as CorePlan;
-use entire_core::predict::{Prediction as CorePrediction, Source};
+use entire_steer::control::Plan as CorePlan;
+use entire_steer::predict::{Prediction as CorePrediction, Source};
 use pyo3::prelude::*;
 
 /// What to draw, and what to expect of it.

@@ -1,6 +1,6 @@
 //! The controllers that the hybrid is compared with: one step for every frame, the paper's Algorithm 1 with
 //! its baselines, and the reactive rules of renderers in use. They implement
-//! [`entire_core::control::Controller`]; no product steers by them. All stand here because `entire steer
+//! [`entire_steer::control::Controller`]; no product steers by them. All stand here because `entire steer
 //! --controllers` offers all of them.
 
 mod algorithm1;

@@ -9,8 +9,8 @@
 //! assumed work (work ∝ 1 / step): in the window (`entire explore`), on stress scenes, and on traces that
 //! were recorded without smaller images, which the tables then say.
 
-use entire_core::control::Verdict;
-use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
+use entire_steer::control::Verdict;
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason};
 
 fn reactive(step: f32) -> Decision {
     Decision { step, seconds: f32::NAN, upper: f32::NAN, out_of_range: f32::NAN, reason: Reason::Reactive }

@@ -1,9 +1,9 @@
 //! Closed loops with a scripted clock: no renderer, a known cost law, every controller beside the hybrid.
 
 use super::*;
-use entire_core::control::{Controller, Hybrid, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
-use entire_core::features::Changes;
-use entire_core::predict::{CostTerms, Source, TERMS};
+use entire_steer::control::{Controller, Hybrid, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
+use entire_steer::features::Changes;
+use entire_steer::predict::{CostTerms, Source, TERMS};
 
 /// A deterministic source of noise.
 struct Noise(u64);

@@ -1,0 +1,139 @@
+//! What runs bundles: processes of this machine, HyperQueue, Slurm. Engines are found, never bundled.
+
+mod hyperqueue;
+mod local;
+mod slurm;
+
+pub use hyperqueue::{HyperQueue, Options as HyperQueueOptions};
+pub use local::Local;
+pub use slurm::{Options as SlurmOptions, Slurm};
+
+use super::planner::Sent;
+use super::record::{Line, Order};
+use anyhow::Result;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// A bundle on its way to an engine.
+#[derive(Clone, Debug)]
+pub struct Bundle {
+    /// What the planner says of it.
+    pub sent: Sent,
+    /// Its tasks for the worker.
+    pub orders: Vec<Order>,
+    /// Seconds that it stays below in all but one of a hundred cases: its time request.
+    pub upper_s: f64,
+}
+
+/// What an engine has to say.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A worker's line about a bundle.
+    Line(u64, Line),
+    /// A bundle will not be finished by whoever had it.
+    Lost(u64, String),
+    /// A slot has a new worker, which holds no volume.
+    Fresh(usize),
+    /// The engine itself is gone: everything that it had is lost.
+    Down(String),
+}
+
+/// An engine. All engines run the same worker (`entire farm-worker`), which writes images and answers into
+/// the database's folder; that folder must be reachable from every node under the same path.
+pub trait Engine {
+    /// Its name.
+    fn name(&self) -> &'static str;
+    /// Bundles that run at once.
+    fn slots(&self) -> usize;
+    /// Whether a bundle is for a certain slot, whose worker stays and keeps its volume.
+    fn bound(&self) -> bool;
+    /// Seconds that a bundle costs a slot, before any was measured.
+    fn overhead(&self) -> f64;
+    /// Longest time request that the engine will run, seconds.
+    fn limit(&self) -> Option<f64> {
+        None
+    }
+    /// Bundles that wait inside the engine, so that no slot waits for the driver. The rest stays with the
+    /// planner, which binds late.
+    fn waiting(&self) -> usize {
+        0
+    }
+    /// Sends bundles, the most urgent first.
+    ///
+    /// # Errors
+    /// When the engine refuses them.
+    fn submit(&mut self, bundles: &[Bundle]) -> Result<()>;
+    /// Puts bundles that were sent and have not begun into another order, the most urgent first. False where
+    /// the engine cannot: its queue is kept short instead.
+    ///
+    /// # Errors
+    /// When the engine refuses.
+    fn reprioritize(&mut self, bundles: &[u64]) -> Result<bool> {
+        let _ = bundles;
+        Ok(false)
+    }
+    /// Takes back what has not begun; what has begun ends after the task at hand.
+    ///
+    /// # Errors
+    /// When the engine refuses.
+    fn cancel(&mut self) -> Result<()>;
+    /// What happened, waiting for it at most so long.
+    ///
+    /// # Errors
+    /// When the engine cannot be asked.
+    fn poll(&mut self, wait: Duration) -> Result<Vec<Event>>;
+    /// What each slot does, for people; empty where that is not known.
+    fn nodes(&self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// Where things are, for engines.
+#[derive(Clone, Debug)]
+pub struct Places {
+    /// The state folder of the database.
+    pub state: PathBuf,
+    /// The program with the worker in it.
+    pub program: PathBuf,
+}
+
+impl Places {
+    /// The worker's command for a bundle.
+    pub fn worker(&self, bundle: u64) -> Result<Vec<String>> {
+        use anyhow::Context;
+        let text = |p: &PathBuf| {
+            p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()))
+        };
+        Ok(vec![
+            text(&self.program)?,
+            "farm-worker".into(),
+            text(&self.state)?,
+            "--bundle".into(),
+            bundle.to_string(),
+        ])
+    }
+
+    /// Writes a bundle's description where its worker looks for it.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
+        let order =
+            super::record::BundleOrder { bundle: bundle.sent.bundle, run, tasks: bundle.orders.clone() };
+        let path = self.state.join("orders").join(format!("{}.json", bundle.sent.bundle));
+        entire_io::files::write_whole(&path, &serde_json::to_vec(&order)?)
+    }
+
+    /// Removes what a bundle that is over has left.
+    pub fn clear(&self, bundle: u64) {
+        for (folder, end) in [("orders", ".json"), ("spool", ".jsonl"), ("cancel", "")] {
+            let _ = std::fs::remove_file(self.state.join(folder).join(format!("{bundle}{end}")));
+        }
+        let _ = std::fs::remove_file(self.state.join("logs").join(format!("bundle-{bundle}.log")));
+    }
+
+    /// Tells the worker of a bundle to end after the task at hand.
+    pub fn cancel(&self, bundle: u64) {
+        let _ = std::fs::write(self.state.join("cancel").join(bundle.to_string()), b"");
+    }
+}

@@ -1,0 +1,238 @@
+//! A job file as it is written, before it is checked and spread out into tasks.
+
+use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
+use entire_io::volume::{Fill, Range, Reading};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// A job file as it is written. Relative paths start at the job file's folder.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobFile {
+    /// The database's name: letters, digits, `-`, `_` and `.`.
+    pub name: String,
+    /// Where the database goes; `NAME.cdb` beside the job file where it is not given.
+    pub output: Option<PathBuf>,
+    /// Vertical field of view, degrees.
+    #[serde(default = "default_fov")]
+    pub fov_y_deg: f32,
+    /// Image sizes, `WIDTHxHEIGHT`.
+    pub sizes: Vec<String>,
+    /// Ray steps in reference steps.
+    #[serde(default = "default_steps")]
+    pub steps: Vec<f32>,
+    /// What is rendered.
+    pub volumes: Vec<VolumesEntry>,
+    /// From where.
+    pub cameras: Vec<CamerasEntry>,
+    /// With which transfer functions.
+    pub transfer: Vec<TransferEntry>,
+    /// By whom.
+    pub renderer: Renderer,
+    /// Where expected times come from.
+    #[serde(default)]
+    pub predict: Predict,
+    /// What happens to tasks that fail.
+    #[serde(default)]
+    pub retry: Retry,
+}
+
+fn default_fov() -> f32 {
+    DEFAULT_FOV_Y_DEGREES
+}
+
+fn default_steps() -> Vec<f32> {
+    vec![1.0]
+}
+
+/// One volume, or several as a time series.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VolumesEntry {
+    /// Its name; the first file's stem where it is not given, and each file its own where `series` is false.
+    pub name: Option<String>,
+    /// Files or glob patterns, sorted by name with numbers in them by value (see [`super::natural::sort`]).
+    pub files: Vec<String>,
+    /// Whether the files are time steps of one volume.
+    #[serde(default)]
+    pub series: bool,
+    /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for the voxels' own.
+    pub range: Option<RangeEntry>,
+    /// The array to read from a VTK file that holds several.
+    pub array: Option<String>,
+    /// Values that stand for voxels without data: `"none"`, or numbers separated by commas.
+    #[serde(default)]
+    pub fill: Fill,
+}
+
+/// A scalar range.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(untagged, expecting = "two numbers, the low one first, or \"data\"")]
+pub enum RangeEntry {
+    /// Low and high end.
+    Numbers([f32; 2]),
+    /// A word, or numbers as `--range` has them.
+    Text(Range),
+}
+
+impl VolumesEntry {
+    /// Options of reading the files.
+    pub fn reading(&self) -> Reading {
+        let range = match self.range {
+            Some(RangeEntry::Numbers([low, high])) => Range::Given(low, high),
+            Some(RangeEntry::Text(range)) => range,
+            None => Range::Default,
+        };
+        Reading { array: self.array.clone(), fill: self.fill.clone(), range }
+    }
+}
+
+/// Views of a database.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum CamerasEntry {
+    /// Turns about the y axis.
+    Orbit {
+        /// Views on the turn.
+        views: u32,
+        /// Rotation about x, degrees.
+        #[serde(default)]
+        elevation_deg: f32,
+        /// Distances, bounding-sphere radii.
+        distances_radii: Vec<f32>,
+        /// Where the turn begins, degrees.
+        #[serde(default)]
+        from_deg: f32,
+        /// Where it ends (not reached), degrees.
+        #[serde(default = "full_turn")]
+        to_deg: f32,
+    },
+    /// Evenly spread directions on the upper half of spheres (Fibonacci lattice).
+    SemiSphere {
+        /// Views on each sphere.
+        views: u32,
+        /// Radii, bounding-sphere radii.
+        distances_radii: Vec<f32>,
+    },
+    /// Poses one by one: rotation about x and y in degrees, distance in bounding-sphere radii.
+    List {
+        /// The poses.
+        poses: Vec<[f32; 3]>,
+    },
+}
+
+fn full_turn() -> f32 {
+    360.0
+}
+
+/// A named transfer function: lobes (center, width, height) or points.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransferEntry {
+    /// Its name.
+    pub name: String,
+    /// Gaussian lobes: center, width, height.
+    pub lobes: Option<Vec<[f32; 3]>>,
+    /// Control points: position, red, green, blue, opacity.
+    pub points: Option<Vec<[f32; 5]>>,
+}
+
+/// Who renders.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Renderer {
+    /// The project's raycaster.
+    Entire {
+        /// `none`, `local` or `scatter`.
+        #[serde(default = "default_shade")]
+        shade: String,
+        /// `none`, `blocks` or `distance`.
+        #[serde(default = "default_skip")]
+        skip: String,
+        /// Accumulated opacity at which a ray stops.
+        #[serde(default = "default_termination")]
+        termination: f32,
+        /// `auto`, `vulkan` or `cpu`.
+        #[serde(default = "default_device")]
+        device: String,
+    },
+    /// A program that renders one image and ends. Its arguments hold placeholders; no shell is in between.
+    Command {
+        /// Program and arguments.
+        command: Vec<String>,
+        /// Seconds after which it is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+    /// A program that stays: it reads a task per line of its standard input (JSON) and answers each with a
+    /// line of its standard output (JSON).
+    Session {
+        /// Program and arguments.
+        command: Vec<String>,
+        /// Seconds after which it is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+    /// A ParaView script that stays, run by `pvbatch`: as `session`.
+    Pvbatch {
+        /// The script.
+        script: PathBuf,
+        /// More arguments of the script.
+        #[serde(default)]
+        args: Vec<String>,
+        /// The program.
+        #[serde(default = "default_pvbatch")]
+        program: String,
+        /// Seconds after which it is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+}
+
+fn default_shade() -> String {
+    "none".into()
+}
+
+fn default_skip() -> String {
+    "blocks".into()
+}
+
+fn default_termination() -> f32 {
+    0.99
+}
+
+fn default_device() -> String {
+    "auto".into()
+}
+
+fn default_pvbatch() -> String {
+    "pvbatch".into()
+}
+
+/// Where expected times come from.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Predict {
+    /// A model file.
+    pub model: Option<PathBuf>,
+    /// A task list with `task` (an id) and `predicted_s`.
+    pub list: Option<PathBuf>,
+    /// Whether the analytic model looks at the volumes where no model is given. Without it, times are taken
+    /// to go with pixels over step until tasks have been measured.
+    pub analytic: Option<bool>,
+    /// Rays along each side of the probe of the analytic model.
+    pub probe_side: Option<usize>,
+}
+
+/// What happens to tasks that fail.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Retry {
+    /// Times that a task may fail; then it is quarantined.
+    pub attempts: u32,
+    /// Times that a task may be lost with its worker; then it is quarantined.
+    pub losses: u32,
+}
+
+impl Default for Retry {
+    fn default() -> Self {
+        Self { attempts: 3, losses: 8 }
+    }
+}
