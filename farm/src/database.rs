@@ -1,24 +1,18 @@
 //! A job's database on the disk: what is done, by the journal and by what workers wrote since.
 
 use super::cinema::{self, Row};
-use super::drive::Options;
 use super::job::Job;
 use super::journal::Journal;
 use super::learn::{Shape, TOLD, UNKNOWN};
 use super::load::Loads;
+use super::options::Options;
 use super::planner::{Planner, Setting};
-use super::record::{Answer, BARE_JOURNAL_FORMAT, Entry, JOURNAL_FORMAT, Line, Order, parse_id};
+use super::record::{Answer, BARE_JOURNAL_FORMAT, Entry, JOURNAL_FORMAT, Line, Order, parse_id, run_number};
 use super::spool;
 use anyhow::{Context, Result, ensure};
 use entire_io::files::{make_folder, note, write_whole};
 use entire_io::identity::{self, Identity};
 use std::collections::{BTreeMap, HashMap, HashSet};
-use std::path::Path;
-
-/// The number of the run that is under way.
-pub fn run_number(state: &Path) -> Option<u64> {
-    std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
-}
 
 /// A job's database, open for writing: journal, and what is done.
 pub struct Database<'a> {

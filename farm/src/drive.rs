@@ -3,6 +3,7 @@
 use super::database::{Database, planner};
 use super::engine::{Bundle, Engine, Event};
 use super::job::Job;
+use super::options::Options;
 use super::planner::{Planner, Setting, State, Straggler};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, parse_id, unix_now};
 use super::show::{Show, View};
@@ -25,25 +26,6 @@ const RESTARTS: u32 = 3;
 const UPPER: f64 = 0.99;
 /// In a preview one view of so many comes first.
 const PREVIEW: usize = 8;
-
-/// How a job is run.
-#[derive(Clone, Debug, Default)]
-pub struct Options {
-    /// Whether an earlier run goes on.
-    pub resume: bool,
-    /// Whether quarantined tasks are tried again.
-    pub retry_quarantined: bool,
-    /// Whether images that are there are read and compared with their checksums.
-    pub verify: bool,
-    /// Whether a coarse subset comes first.
-    pub preview: bool,
-    /// In which order tasks are sent.
-    pub order: super::dispatch::Order,
-    /// Whether all tasks are taken for equally long and stay so: to compare with.
-    pub uniform: bool,
-    /// Seconds that a bundle costs, instead of the engine's own figure.
-    pub overhead: Option<f64>,
-}
 
 /// What a run did.
 #[derive(Clone, Debug, Default)]

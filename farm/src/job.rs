@@ -1,7 +1,9 @@
 //! The job file: what a database of images holds and who renders it.
 
 use super::command::{self, Placeholders};
-pub use super::job_file::{CamerasEntry, JobFile, Predict, Renderer, Retry, TransferEntry, VolumesEntry};
+pub use super::job_file::{
+    CamerasEntry, JobFile, Predict, Renderer, Retry, TransferEntry, VolumesEntry, draw_settings,
+};
 use super::natural;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Arcball, Camera};
@@ -511,7 +513,7 @@ fn transfers(entries: &[TransferEntry]) -> Result<Vec<NamedTransfer>> {
 fn renderer(renderer: Renderer, folder: &Path) -> Result<Renderer> {
     match &renderer {
         Renderer::Entire { .. } => {
-            super::worker::draw_settings(&renderer)?;
+            draw_settings(&renderer)?;
             Ok(renderer)
         }
         Renderer::Command { command, timeout_s } => {

@@ -1,6 +1,10 @@
 //! A job file as it is written, before it is checked and spread out into tasks.
 
-use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
+use anyhow::{Result, anyhow, bail, ensure};
+use clap::ValueEnum;
+use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
+use entire_io::device::Device;
+use entire_io::options::{ShadeOption, SkipOption};
 use entire_io::volume::{Fill, Range, Reading};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -235,4 +239,30 @@ impl Default for Retry {
     fn default() -> Self {
         Self { attempts: 3, losses: 8 }
     }
+}
+
+/// How the raycaster draws: shading, skipping, termination, device.
+///
+/// # Errors
+/// Names the word that is unknown and those that are accepted.
+pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
+    let Renderer::Entire { shade, skip, termination, device } = renderer else {
+        bail!("the renderer is another program")
+    };
+    fn word<T: ValueEnum>(what: &str, text: &str) -> Result<T> {
+        T::from_str(text, false).map_err(|_| {
+            let all: Vec<String> = T::value_variants()
+                .iter()
+                .filter_map(|v| v.to_possible_value().map(|p| p.get_name().to_owned()))
+                .collect();
+            anyhow!("renderer: {what} is {text:?}; accepted are {}", all.join(", "))
+        })
+    }
+    ensure!(
+        termination.is_finite() && (0.0..=1.0).contains(termination),
+        "renderer: termination is {termination}; it must lie in 0 to 1"
+    );
+    let shade: ShadeOption = word("shade", shade)?;
+    let skip: SkipOption = word("skip", skip)?;
+    Ok((shade.into(), skip.into(), *termination, word("device", device)?))
 }

@@ -21,6 +21,7 @@ pub mod list;
 pub mod load;
 pub mod natural;
 pub mod openjd;
+pub mod options;
 pub mod planner;
 pub mod predict;
 pub mod record;

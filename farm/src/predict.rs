@@ -1,9 +1,8 @@
 //! Base seconds of tasks before anything was measured: from a model file, a list, the analytic model, or as
 //! pixels over step.
 
-use super::job::{Job, Renderer};
+use super::job::{Job, Renderer, draw_settings};
 use super::record::parse_id;
-use super::worker::draw_settings;
 use anyhow::{Context, Result, ensure};
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet};

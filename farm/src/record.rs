@@ -5,7 +5,12 @@ use entire_io::path::Transfer;
 use entire_io::volume::Reading;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+/// The number of the run that is under way.
+pub fn run_number(state: &Path) -> Option<u64> {
+    std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
+}
 
 /// A task as a worker gets it: everything that it needs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

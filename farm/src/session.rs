@@ -2,7 +2,7 @@
 //! standard output. What else it prints goes to the task's log.
 
 use super::record::Order;
-use super::worker::tail;
+use super::spool::tail;
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use std::fs::File;

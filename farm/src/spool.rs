@@ -88,3 +88,13 @@ impl Spool {
         self.open.remove(&bundle);
     }
 }
+
+/// The last line of a log that says anything.
+pub(crate) fn tail(log: &Path) -> String {
+    let mut bytes = Vec::new();
+    if let Ok(file) = File::open(log) {
+        let _ = file.take(1 << 20).read_to_end(&mut bytes);
+    }
+    let text = String::from_utf8_lossy(&bytes);
+    text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("it said nothing").chars().take(300).collect()
+}

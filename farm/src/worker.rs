@@ -2,16 +2,16 @@
 //! answer is written to the spool; both survive the worker.
 
 use super::command::{Placeholders, fill};
-use super::job::Renderer;
-use super::record::{Answer, BundleOrder, Line, Order, unix_now};
+use super::job::{Renderer, draw_settings};
+use super::record::{Answer, BundleOrder, Line, Order, run_number, unix_now};
 use super::session::Session;
-use anyhow::{Context, Result, anyhow, bail, ensure};
-use clap::ValueEnum;
+use super::spool::tail;
+use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
 use entire_io::device::{self, Device};
 use entire_io::files::{make_folder_of, open_volume, write_whole};
 use entire_io::identity;
-use entire_io::options::{ShadeOption, SkipOption};
+
 use entire_io::volume::Reading;
 use entire_report::encode_png;
 use std::fs::{File, OpenOptions};
@@ -21,32 +21,6 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-
-/// How the raycaster draws: shading, skipping, termination, device.
-///
-/// # Errors
-/// Names the word that is unknown and those that are accepted.
-pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
-    let Renderer::Entire { shade, skip, termination, device } = renderer else {
-        bail!("the renderer is another program")
-    };
-    fn word<T: ValueEnum>(what: &str, text: &str) -> Result<T> {
-        T::from_str(text, false).map_err(|_| {
-            let all: Vec<String> = T::value_variants()
-                .iter()
-                .filter_map(|v| v.to_possible_value().map(|p| p.get_name().to_owned()))
-                .collect();
-            anyhow!("renderer: {what} is {text:?}; accepted are {}", all.join(", "))
-        })
-    }
-    ensure!(
-        termination.is_finite() && (0.0..=1.0).contains(termination),
-        "renderer: termination is {termination}; it must lie in 0 to 1"
-    );
-    let shade: ShadeOption = word("shade", shade)?;
-    let skip: SkipOption = word("skip", skip)?;
-    Ok((shade.into(), skip.into(), *termination, word("device", device)?))
-}
 
 /// What renders tasks in this process.
 enum Painter {
@@ -165,7 +139,7 @@ impl Worker {
         let mut spool = open_spool(&path)?;
         let cancel = self.state.join("cancel").join(number.to_string());
         for order in bundle.tasks.iter().filter(|o| !done.contains(&o.task)) {
-            if cancel.exists() || super::database::run_number(&self.state) != Some(bundle.run) {
+            if cancel.exists() || run_number(&self.state) != Some(bundle.run) {
                 break;
             }
             append(&mut spool, &Line::Begin { begins: order.task.clone() })?;
@@ -337,16 +311,6 @@ fn run(
     };
     ensure!(status.success(), "{program:?} ended with {status}: {}", tail(log));
     Ok(Painted { load_s: 0.0, render_s: None })
-}
-
-/// The last line of a log that says anything.
-pub(super) fn tail(log: &Path) -> String {
-    let mut bytes = Vec::new();
-    if let Ok(file) = File::open(log) {
-        let _ = file.take(1 << 20).read_to_end(&mut bytes);
-    }
-    let text = String::from_utf8_lossy(&bytes);
-    text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("it said nothing").chars().take(300).collect()
 }
 
 /// Whether bytes are a whole PNG file of this size.

@@ -157,7 +157,7 @@ pub fn run(options: &Options) -> Result<()> {
     if options.dry_run {
         return dry_run(&job, base, options);
     }
-    let driving = drive::Options {
+    let driving = entire_farm::options::Options {
         resume: options.resume,
         retry_quarantined: options.retry_quarantined,
         verify: options.verify,

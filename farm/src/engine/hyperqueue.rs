@@ -119,7 +119,7 @@ impl HyperQueue {
                 Err(_) => break,
             }
         }
-        bail!("HyperQueue did not start: {}; see {}", crate::worker::tail(log), log.display())
+        bail!("HyperQueue did not start: {}; see {}", crate::spool::tail(log), log.display())
     }
 }
 
@@ -212,7 +212,7 @@ impl Engine for HyperQueue {
                 }
                 Ok(Said::Failed { failed, why }) if self.open.remove(&failed).is_some() => {
                     let log = self.places.state.join("logs").join(format!("bundle-{failed}.log"));
-                    let said = crate::worker::tail(&log);
+                    let said = crate::spool::tail(&log);
                     out.push(Event::Lost(failed, format!("HyperQueue: {why} ({said})")));
                 }
                 Ok(Said::Down(error)) => out.push(Event::Down(format!("HyperQueue: {error}"))),

@@ -133,7 +133,7 @@ impl Local {
                 }
                 self.stillborn += 1;
                 if self.stillborn > STILLBORN * slots as u32 {
-                    let said = crate::worker::tail(&self.log(slot));
+                    let said = crate::spool::tail(&self.log(slot));
                     bail!("workers end without an answer ({status}): {said}");
                 }
                 if let Some(bundle) = bundle {
