@@ -31,4 +31,5 @@ mod work_map;
 
 pub use app::run;
 pub use host::{Host, Options, Progress, Steering, VolumeSource};
-pub use recording::{RecordedFrame, RecordedTransfer, Recording};
+pub use recording::{RecordedFrame, Recording};
+pub use transfer::RecordedTransfer;

@@ -1,7 +1,6 @@
 //! Volumes come in the background: read, summed up, brought onto the device by a raycaster of their own, and
 //! drawn once in small, so that the frame in which they appear is a frame like any other.
 
-use crate::app::Wake;
 use crate::camera::Placement;
 use crate::histogram::Histogram;
 use crate::host::{Host, Progress, Steering, VolumeSource};
@@ -18,6 +17,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Instant;
 use winit::event_loop::EventLoopProxy;
+
+/// Messages of other threads to the event loop.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Wake {
+    /// A load has ended.
+    Loaded,
+}
 
 /// What to load.
 #[derive(Clone)]

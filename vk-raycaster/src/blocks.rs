@@ -1,7 +1,7 @@
 //! Min–max blocks, which of them are empty under a transfer function, and how far each is from the other
 //! kind.
 
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::table::Classifier;
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;

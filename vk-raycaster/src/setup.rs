@@ -1,7 +1,7 @@
 //! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a
 //! struct.
 
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::voxels::Geometry;
 use entire_core::scene::{Frame, Shading};
 

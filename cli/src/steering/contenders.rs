@@ -1,52 +1,13 @@
 //! The controllers that commands can name.
 
-use super::play::Contender;
+use super::play::{ActsOn, Contender};
 use super::rivals::{
     Algorithm1, Filament, Fixed, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
 };
 use clap::ValueEnum;
 use entire_steer::control::Prior;
-use entire_steer::control::{Controller, Hybrid, HybridOptions, Session, StepLimits};
+use entire_steer::control::{Controller, Hybrid, HybridOptions, Session};
 use entire_steer::predict::Predictor;
-
-/// What a controller acts on. Its decision's `step` is the ray step, or an image's share of the work.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ActsOn {
-    /// The ray step.
-    RayStep,
-    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, for each side
-    /// 1/√s of them.
-    ImageResolution {
-        /// Largest s by the rule's published constants; the smallest is 1.
-        coarsest: f32,
-    },
-}
-
-impl ActsOn {
-    /// For tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::RayStep => "ray step",
-            Self::ImageResolution { .. } => "image resolution",
-        }
-    }
-
-    /// What may be chosen, where the ray step has these limits.
-    pub const fn limits(self, of_step: StepLimits) -> StepLimits {
-        match self {
-            Self::RayStep => of_step,
-            Self::ImageResolution { coarsest } => StepLimits { finest: 1.0, coarsest },
-        }
-    }
-
-    /// Ray step and image sample distance (pixels between rays along each side) of what was chosen.
-    pub fn drawn(self, chosen: f32) -> (f32, f32) {
-        match self {
-            Self::RayStep => (chosen, 1.0),
-            Self::ImageResolution { .. } => (1.0, chosen.sqrt()),
-        }
-    }
-}
 
 /// A controller by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, ValueEnum)]
@@ -182,6 +143,7 @@ pub fn contender(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use entire_steer::control::StepLimits;
 
     #[test]
     fn names_are_those_of_the_options() {

@@ -6,6 +6,7 @@ use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet};
 use entire_core::scene::VolumeView;
 use entire_steer::predict::{GroupKind, Predictor, load};
+use serde::Serialize;
 use std::sync::Arc;
 
 /// A predictor that any number of contenders can be given.
@@ -70,5 +71,28 @@ impl SteeringModel {
             ));
         }
         Quality::of(&pairs).context("there is no frame to judge the model by")
+    }
+}
+
+/// The predictor of a race, for people.
+#[derive(Clone, Debug, Serialize)]
+pub struct Steers {
+    /// What it is.
+    pub title: String,
+    /// Its errors on the random frames of the volume, none of which it was fitted to.
+    pub on_this_volume: Quality,
+}
+
+impl Steers {
+    /// The predictor and its errors, in a sentence.
+    pub fn sentence(&self) -> String {
+        let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
+        format!(
+            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this volume, none of \
+             which it was fitted to",
+            self.title,
+            100.0 * median_error,
+            100.0 * p95_error
+        )
     }
 }

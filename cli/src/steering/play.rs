@@ -1,6 +1,5 @@
 //! Playing a path: every frame under every controller.
 
-use super::contenders::ActsOn;
 use super::metrics::{Metrics, Played};
 use super::sizes::{scale_at, volume_at};
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
@@ -14,6 +13,45 @@ use entire_steer::control::{Quality, Reason, Session, StepLimits};
 use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
+
+/// The quantity that a controller changes. Its decision's `step` is the ray step, or an image's share of the work.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ActsOn {
+    /// The ray step.
+    RayStep,
+    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, for each side
+    /// 1/√s of them.
+    ImageResolution {
+        /// Largest s by the rule's published constants; the smallest is 1.
+        coarsest: f32,
+    },
+}
+
+impl ActsOn {
+    /// For tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::RayStep => "ray step",
+            Self::ImageResolution { .. } => "image resolution",
+        }
+    }
+
+    /// What may be chosen, where the ray step has these limits.
+    pub const fn limits(self, of_step: StepLimits) -> StepLimits {
+        match self {
+            Self::RayStep => of_step,
+            Self::ImageResolution { coarsest } => StepLimits { finest: 1.0, coarsest },
+        }
+    }
+
+    /// Ray step and image sample distance (pixels between rays along each side) of what was chosen.
+    pub fn drawn(self, chosen: f32) -> (f32, f32) {
+        match self {
+            Self::RayStep => (chosen, 1.0),
+            Self::ImageResolution { .. } => (1.0, chosen.sqrt()),
+        }
+    }
+}
 
 /// How frames are drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,8 +1,8 @@
 //! A whole race: measure what a coarser step saves, choose a target, play a path under every controller.
 
-use super::calibrate::{Quality, Sample, measure, response};
+use super::calibrate::{Sample, measure, response};
 use super::contenders::{ControllerKind, contender};
-use super::model::SteeringModel;
+use super::model::{SteeringModel, Steers};
 use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
@@ -20,7 +20,6 @@ use entire_steer::control::StepLimits;
 use entire_steer::features::{SummaryOptions, VolumeSummary};
 use entire_steer::predict::AnalyticModel;
 use entire_vk_raycaster::Renderer;
-use serde::Serialize;
 use std::path::PathBuf;
 
 /// What is raced.
@@ -57,29 +56,6 @@ pub struct Race<'a> {
     pub model: &'a SteeringModel,
     /// Knowledge of the predictor that a controller starts from.
     pub prior: Prior,
-}
-
-/// The predictor of a race, for people.
-#[derive(Clone, Debug, Serialize)]
-pub struct Steers {
-    /// What it is.
-    pub title: String,
-    /// Its errors on the random frames of the volume, none of which it was fitted to.
-    pub on_this_volume: Quality,
-}
-
-impl Steers {
-    /// The predictor and its errors, in a sentence.
-    pub fn sentence(&self) -> String {
-        let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
-        format!(
-            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this volume, none of \
-             which it was fitted to",
-            self.title,
-            100.0 * median_error,
-            100.0 * p95_error
-        )
-    }
 }
 
 /// Chooses the predictor: the model that was given, else the machine's, else the one that ships, whose scale every frame

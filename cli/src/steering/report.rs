@@ -1,10 +1,10 @@
 //! What is written of a playback: tables, CSV, JSON, and the page.
 
 use super::calibrate::{Sample, response_pairs};
-use super::contenders::{ActsOn, ControllerKind};
+use super::contenders::ControllerKind;
 use super::metrics::{Metrics, SWITCH_FRAMES};
-use super::play::{DrawSettings, Playback, Record};
-use super::race::Steers;
+use super::model::Steers;
+use super::play::{ActsOn, DrawSettings, Playback, Record};
 use super::rivals::StepResponse;
 use crate::pictures::BEST_PSNR;
 use anyhow::Result;

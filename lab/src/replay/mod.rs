@@ -19,7 +19,7 @@ pub use trials::{Outcome, Trial, play, trials, trials_of_all};
 
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
-use entire_cli::steering::contenders::ActsOn;
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::play::Contender;
 use entire_io::path::FlightPath;
 use entire_steer::control::ObserveFlags;

@@ -1,8 +1,8 @@
 //! The baselines that predictors are beside: the mean of some frames of each volume, and a low-resolution
 //! proxy.
 
+use super::data::OnSet;
 use super::findings::judge;
-use super::runner::OnSet;
 use super::{CONSTANT, Findings, PROXY, Set};
 use crate::latency::Latency;
 use anyhow::{Result, ensure};

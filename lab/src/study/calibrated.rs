@@ -1,7 +1,7 @@
 //! Error of a predictor that is calibrated to a hundred frames of other data, on other volumes of that data.
 
+use super::data::OnSet;
 use super::findings::CalibratedResult;
-use super::runner::OnSet;
 use super::{CALIBRATION_FRAMES, Findings};
 use anyhow::Result;
 use entire_cli::calibrate::calibrate_to_frames;

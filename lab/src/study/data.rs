@@ -1,8 +1,9 @@
 //! The frames of a set: what is learned from, what bounds follow from, what is judged on.
 
-use super::Set;
+use super::{Set, Study};
 use anyhow::{Result, ensure};
 use entire_io::dataset::{Clock, Table, read_tables};
+use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::{GroupBy, TimedFrames};
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -135,5 +136,28 @@ impl<'a> SetData<'a> {
     /// Those of the frames that are of the training tables.
     pub(super) fn of_training_tables(&self, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
         frames.parted(|f| f.table < self.training_tables).0
+    }
+}
+
+/// A set at work: what it is of, its frames, and what fitting needs.
+#[derive(Clone, Copy)]
+pub(super) struct OnSet<'a> {
+    /// The study.
+    pub(super) study: &'a Study,
+    /// The set.
+    pub(super) set: &'a Set,
+    /// Its frames.
+    pub(super) data: &'a SetData<'a>,
+    /// What fitting works with.
+    pub(super) context: &'a FitContext<'a>,
+}
+
+impl<'a> OnSet<'a> {
+    /// What a recipe learns from. The paper's inputs say nothing of the step.
+    ///
+    /// # Errors
+    /// For inputs that are not known.
+    pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
+        Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
     }
 }

@@ -4,11 +4,11 @@ use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
 use super::cache::{STUDY_KEY, identity, kept, path_of};
 use super::calibrated::calibrated;
-use super::data::{Folds, Learned, SetData, SetTables};
+use super::data::{Folds, OnSet, SetData, SetTables};
 use super::description::main_panel;
 use super::findings::judge;
 use super::rule::{by_rule, numbers};
-use super::{Findings, Fit, Intervals, Named, Set, Study, clock};
+use super::{Findings, Fit, Intervals, Named, Study, clock};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Result, ensure};
@@ -96,29 +96,6 @@ impl StudyPredictor {
             Self::Model(kept) => bench.latency(&kept.model),
             Self::Trees(t) => bench.latency_of(Some(t.probe_side()), 0, |inputs| t.predict_one(inputs)),
         }
-    }
-}
-
-/// A set at work: what it is of, its frames, and what fitting needs.
-#[derive(Clone, Copy)]
-pub(super) struct OnSet<'a> {
-    /// The study.
-    pub(super) study: &'a Study,
-    /// The set.
-    pub(super) set: &'a Set,
-    /// Its frames.
-    pub(super) data: &'a SetData<'a>,
-    /// What fitting works with.
-    pub(super) context: &'a FitContext<'a>,
-}
-
-impl<'a> OnSet<'a> {
-    /// What a recipe learns from. The paper's inputs say nothing of the step.
-    ///
-    /// # Errors
-    /// For inputs that are not known.
-    pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
-        Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
     }
 }
 

@@ -1,6 +1,7 @@
 //! Rules that act on image resolution are answered by smaller images, rules that act on the ray step by steps.
 
-use entire_cli::steering::contenders::{ActsOn, ControllerKind, contender};
+use entire_cli::steering::contenders::{ControllerKind, contender};
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::rivals::StepResponse;
 use entire_lab::replay::{Player, Replayable, Replayed, replay};
 use entire_lab::trace::{Trace, TracePoint};

@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use entire_cli::commands::train;
-use entire_cli::steering::contenders::ActsOn;
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::play::Contender;
 use entire_io::dataset::{Scene, Timing, Writer};
 use entire_io::files::open_model;

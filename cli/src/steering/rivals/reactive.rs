@@ -3,7 +3,7 @@
 //! VTK's rule for GPU ray casting acts on the distance of samples along rays: its decision's step is the ray
 //! step. The others scale image resolution, by a fraction f of each side or an image sample distance d: their
 //! decision's step is s = 1 / f² = d², for an image with 1 / s of the pixels at an unchanged ray step.
-//! [`ActsOn`](crate::steering::contenders::ActsOn) says which is which, and how far s may go. A race draws
+//! [`ActsOn`](crate::steering::play::ActsOn) says which is which, and how far s may go. A race draws
 //! such images (`entire steer`); a replay answers s by what the frame costs, and looks like, as such an image
 //! (`entire-lab replay`). Where the ray step is all that there is to set, s is taken as the ray step, by equal
 //! assumed work (work ∝ 1 / step): in the window (`entire explore`), on stress scenes, and on traces that

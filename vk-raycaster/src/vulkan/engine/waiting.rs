@@ -1,7 +1,7 @@
 //! Waits for what was submitted, never for ever: devices get lost, and some hang.
 
 use super::{Engine, with_pass};
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::vulkan::gpu::NamedCall;
 use ash::vk;
 
