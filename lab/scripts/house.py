@@ -161,6 +161,18 @@ def missing_names(pages):
                 yield f"{page.path}: entire.h has no {name}"
 
 
+def figures_apart_from_results(readme):
+    """Percentages and times of README's numbers that docs/src/results.md does not state."""
+    stated = (ROOT / "docs/src/results.md").read_text(encoding="utf-8")
+    numbers = next((section for section in readme.sections() if section.startswith("## Five numbers")), "")
+    if not numbers:
+        yield "README.md has no section Five numbers"
+    for line in re.findall(r"^- .*", numbers, re.M):
+        for figure in re.findall(r"(?<![\w.])\d+\.\d+", line):
+            if not re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", stated):
+                yield f"README.md: results.md does not state {figure}"
+
+
 def make_targets():
     found = set()
     for name in ["Makefile", *tracked("make/*.mk")]:
@@ -331,6 +343,7 @@ def main():
         ("missing-paths", missing_paths(front)),
         ("missing-c-names", missing_names(front)),
         ("missing-make-targets", missing_targets(pages)),
+        ("readme-figures-apart-from-results", figures_apart_from_results(readme)),
         ("code-blocks-that-do-not-compile", broken_snippets(pages) if shutil.which("cc") else ()),
     ):
         found = sorted(set(found))
