@@ -50,7 +50,7 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
     }
     ensure!(
         with == 0 || with == all,
-        "{with} of {all} repeats have device timestamps, the others wall time alone; name the clock that all \
+        "{with} of {all} repeats have device timestamps, the others wall time only; choose a clock that all \
          have: --clock wall or cpu"
     );
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
@@ -87,8 +87,7 @@ pub fn for_training<'a>(
             } else {
                 let found = concrete(Clock::Auto, frames)?;
                 crate::files::note(&format!(
-                    "not every frame has seconds by the clock {}; the model predicts {} seconds (choose with \
-                     --clock)",
+                    "some frames have no {} time; the model predicts {} seconds (--clock chooses the clock)",
                     wanted.name(),
                     found.name()
                 ));
@@ -107,7 +106,8 @@ pub fn for_training<'a>(
 pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
     let theirs = theirs.filter(|c| *c != clock)?;
     Some(format!(
-        "{name} predicts {} seconds; the new model predicts {} seconds, whose speed is learned from the frames",
+        "{name} predicts {} seconds; the new model predicts {} seconds and learns the factor between them \
+         from the frames",
         theirs.name(),
         clock.name()
     ))
@@ -121,11 +121,7 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
     }
     let names: Vec<&str> = models.into_iter().filter(|m| of(m.1).is_none()).map(|m| m.0).collect();
     (!names.is_empty()).then(|| {
-        format!(
-            "no clock is stated by {}; what is predicted is taken for {} seconds",
-            names.join(", "),
-            clock.name()
-        )
+        format!("{} states no clock; its predictions are taken as {} seconds", names.join(", "), clock.name())
     })
 }
 
@@ -140,7 +136,7 @@ pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a M
         let Some(clock) = of(model) else { continue };
         ensure!(
             asked == Clock::Auto || clock == asked,
-            "{name} predicts {} seconds and --clock asks for {}; leave --clock away, or make a model for that \
+            "{name} predicts {} seconds and --clock asks for {}; leave out --clock, or make a model for that \
              clock: `entire calibrate --clock {}` for this machine, `entire train --calibrate {name} --clock \
              {}` from a table",
             clock.name(),
@@ -151,7 +147,7 @@ pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a M
         if let Some((other, theirs)) = found {
             ensure!(
                 theirs == clock,
-                "{other} predicts {} seconds and {name} {} seconds; give models of one clock at a time",
+                "{other} predicts {} seconds and {name} {} seconds; name models of one clock only",
                 theirs.name(),
                 clock.name()
             );

@@ -5,15 +5,15 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_vk_raycaster::{CpuRaycaster, Renderer, VulkanOptions, VulkanRaycaster};
 
-/// What renders.
+/// Choice of the renderer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Device {
-    /// Vulkan where there is a device, else the CPU twin.
+    /// Vulkan where there is a device, else the CPU version of the raycaster.
     #[default]
     Auto,
     /// The Vulkan raycaster.
     Vulkan,
-    /// The CPU twin: same pictures, and it counts its samples.
+    /// The CPU version of the raycaster: same pictures, with sample counts.
     Cpu,
 }
 
@@ -35,7 +35,7 @@ pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => Ok(Box::new(renderer)),
         Err(error) if device == Device::Auto => {
-            note(&format!("{error}; the CPU twin renders instead"));
+            note(&format!("{error}; the CPU version renders instead"));
             Ok(Box::new(CpuRaycaster::new()))
         }
         Err(error) => Err(error).context("cannot open a Vulkan device (--device cpu needs none)"),

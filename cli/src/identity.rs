@@ -80,15 +80,15 @@ impl Identity {
     fn difference(&self, now: &Self) -> Option<String> {
         let Self { name, .. } = self;
         if now.name != *name {
-            return Some(format!("it was called {name} and is called {}", now.name));
+            return Some(format!("its name was {name} and is {}", now.name));
         }
         if now.bytes != self.bytes {
             return Some(format!("{name} had {} bytes and has {}", self.bytes, now.bytes));
         }
         if now.hash != self.hash {
-            return Some(format!("the content of {name} is another (hash {}, was {})", now.hash, self.hash));
+            return Some(format!("the content of {name} changed (hash {}, was {})", now.hash, self.hash));
         }
-        (now.key() != self.key()).then(|| format!("{name} was written anew (the time of its last change)"))
+        (now.key() != self.key()).then(|| format!("{name} has a new modification time"))
     }
 }
 

@@ -375,8 +375,8 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         && let Some(what) = manifest.changed(name, &path)?
     {
         bail!(
-            "{} was written anew since the frames of {} were measured: {what}; put the file back, or collect \
-             its frames anew into another table",
+            "{} changed after the frames of {} were measured: {what}; restore the file, or collect its \
+             frames again into another table",
             path.display(),
             table.path.display()
         );

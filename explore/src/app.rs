@@ -165,7 +165,7 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         return Err(error);
     }
     if let Some(first) = said.first() {
-        bail!("the validation layer said {} things, the first: {first}", said.len());
+        bail!("the validation layer reported {} messages, the first: {first}", said.len());
     }
     Ok(())
 }

@@ -45,7 +45,7 @@ pub(crate) struct Loaded {
 }
 
 /// The parts of a load, for people.
-const STAGES: [&str; 4] = ["reading", "summing up", "bringing onto the device", "first picture"];
+const STAGES: [&str; 4] = ["reading", "summing up", "uploading to the device", "first picture"];
 
 /// A load under way.
 pub(crate) struct Loading {
@@ -152,7 +152,7 @@ impl Worker {
             (summed.join(), uploaded)
         });
         uploaded?;
-        let Ok(summed) = summed else { anyhow::bail!("summing up the volume failed") };
+        let Ok(summed) = summed else { anyhow::bail!("summarizing the volume failed") };
         let (summary, histogram, steering) = summed?;
         self.enter(3)?;
         let curve = match job.curve {

@@ -290,7 +290,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         Reason::TargetUnreachable => {
             format!("the coarsest that the quality floor allows; even that is not expected to fit {target}")
         }
-        Reason::History => "the prediction was not trusted here (out of its range, or wrong lately): recent \
+        Reason::History => "the prediction was not trusted (out of range, or large recent errors): recent \
                             frames decided"
             .to_owned(),
         Reason::NoInformation => "the coarsest allowed: nothing is known yet".to_owned(),

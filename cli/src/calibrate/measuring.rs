@@ -222,7 +222,7 @@ impl<'a> Measuring<'a> {
         if !self.volumes.contains_key(&key) {
             let opened = Volume::open_as(path, &self.pool.reading, None)?;
             if let Some(what) = identity::difference(&self.pool.files[volume], &identity::of_volume(path)?) {
-                bail!("{} was written anew during the calibration: {what}; calibrate again", path.display());
+                bail!("{} changed during the calibration: {what}; calibrate again", path.display());
             }
             let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
             // Four bytes is the largest scalar.

@@ -53,9 +53,9 @@ pub struct Settings {
     pub termination: f32,
     /// The clock that is learned.
     pub clock: Clock,
-    /// Wall seconds that all of it may take.
+    /// Limit of wall seconds for all steps.
     pub seconds: f64,
-    /// Frames at most.
+    /// Maximum number of frames.
     pub frames: usize,
     /// Shortest and longest image side, pixels.
     pub sizes: (u32, u32),
@@ -63,7 +63,7 @@ pub struct Settings {
     pub steps: Vec<f32>,
     /// Seed of every random choice.
     pub seed: u64,
-    /// How far a picture is from the one at full quality.
+    /// Error measure between a picture and the one at full quality.
     pub picture_error: PictureError,
 }
 

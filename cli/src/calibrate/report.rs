@@ -65,7 +65,7 @@ pub struct Report {
 /// What compared pictures said.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Pictures {
-    /// How far a picture is from the one at full quality.
+    /// Error measure between a picture and the one at full quality.
     pub error: PictureError,
     /// The law, and what its choices cost.
     #[serde(flatten)]
@@ -136,8 +136,8 @@ impl Report {
         let mut out = Vec::new();
         if self.others.busy() {
             out.push(format!(
-                "the machine was busy: others used {:.1} processors on average, in {:.0} of {:.0} seconds more \
-                 than {}; frames that were seen undisturbed count by those repeats alone; calibrate again on a \
+                "the machine was busy: other programs used {:.1} processors on average, in {:.0} of {:.0} \
+                 seconds more than {}; frames with undisturbed repeats use those alone; calibrate again on a \
                  quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
@@ -147,15 +147,15 @@ impl Report {
         }
         if let Some(drift) = self.noise.and_then(|n| n.drift).filter(|d| d.exp_m1() > DRIFT) {
             out.push(format!(
-                "passes over the same frames differ by {:.0} %: something slowed the machine down or sped it \
-                 up meanwhile",
+                "passes over the same frames differ by {:.0} %: the machine's speed changed during the \
+                 calibration",
                 100.0 * drift.exp_m1()
             ));
         }
         if self.folds == 0 {
             out.push(
-                "fewer than three volumes: nothing could be held out, and the error is that of frames that \
-                 the model was fitted to"
+                "fewer than three volumes: none could be held out, so the error is that of the training \
+                 frames"
                     .into(),
             );
         }
@@ -196,7 +196,7 @@ impl Report {
             &mut out,
             "to expect",
             format!(
-                "on volumes not in it: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, \
+                "on held-out volumes: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, \
                  cross-validated by volume in {} parts)",
                 100.0 * self.median_error,
                 self.rmse_over_sd,
@@ -214,7 +214,7 @@ impl Report {
             line(
                 &mut out,
                 "pictures",
-                "too few were compared in the time; the model states nothing of them".into(),
+                "too few were compared in the time; the model states no quality law".into(),
             );
         }
         out
@@ -266,18 +266,18 @@ impl Report {
     }
 }
 
-/// What compared pictures said, in one line: `error` is the measure that they were compared by.
+/// The quality law fitted to compared pictures, in one line; `error` names the measure of their difference.
 pub fn law_text(fitted: &FittedQuality, error: &str) -> String {
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(
         "{} scenes at {} steps and sizes: {error} as (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - \
-         1)^{image_exponent:.2}, {:.0} % of the time goes with rays; steps and sizes chosen so cost {:.2} times the error of \
-         the best ones, the step alone, which saves {:.0} % at most, {}",
+         1)^{image_exponent:.2}, {:.0} % of a frame's time is per ray; error over the best choice at equal \
+         time: step and image size {:.2}, step alone {} (it saves at most {:.0} % of the time)",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,
         fitted.over_best,
-        100.0 * (1.0 - fitted.step_least_time),
-        fitted.step_over_best.map_or("too little".into(), |over| format!("{over:.2} times"))
+        fitted.step_over_best.map_or("not comparable".into(), |over| format!("{over:.2}")),
+        100.0 * (1.0 - fitted.step_least_time)
     )
 }

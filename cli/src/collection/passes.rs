@@ -62,7 +62,7 @@ pub fn collect_passes(
             let entry = frames.entry(frame.number).or_insert_with(|| (frame.scene.clone(), Vec::new()));
             ensure!(
                 entry.0 == frame.scene,
-                "{}: frame {} shows something else than in the passes before; remove the files of the passes",
+                "{}: frame {} differs from that frame in earlier passes; remove the pass files",
                 file.display(),
                 frame.number
             );

@@ -136,7 +136,7 @@ impl Protocol {
         );
         ensure!(
             s.passes > 0 && manifest.repeats.is_multiple_of(s.passes),
-            "its {} repeats are not those of {} passes",
+            "its {} repeats cannot be split evenly over {} passes",
             manifest.repeats,
             s.passes
         );
@@ -284,7 +284,7 @@ pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     for name in names {
         let (old, new) = (a.get(name), b.get(name));
         if name == "volumes" && old != new {
-            out.push("the list of volumes is another (paths, members and order count)".into());
+            out.push("the list of volumes differs (paths, members and order must be the same)".into());
         } else {
             let mut compare = |a: Option<&serde_json::Value>, b: Option<&serde_json::Value>| {
                 // Numbers went through text: compare what is written.
@@ -299,7 +299,7 @@ pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     }
     let changed = |(name, then): (&String, &Vec<Identity>)| {
         let what = identity::difference(then, new.files.get(name)?)?;
-        Some(format!("{name} was written anew since the table was begun ({what})"))
+        Some(format!("{name} changed since the table was begun ({what})"))
     };
     out.extend(old.files.iter().filter_map(changed));
     out

@@ -24,7 +24,7 @@ pub struct Options {
     /// Reading of the volume.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }

@@ -17,9 +17,9 @@ use std::path::PathBuf;
 
 /// Render one frame and time it.
 ///
-/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a
-/// JSON object with the seconds of every repeat, the samples taken (null where the renderer does not count),
-/// device and step.
+/// Writes the picture over black as PNG (8-bit RGB) and prints its time: a line, or with --json a JSON object
+/// with the seconds of every repeat, the samples taken (null where the renderer does not count), device and
+/// step.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
@@ -40,7 +40,7 @@ pub struct Options {
     /// Ray step in reference steps (the smallest voxel spacing).
     #[arg(long, default_value_t = 1.0, value_name = "S", allow_hyphen_values = true)]
     pub step: f32,
-    /// How frames are rendered.
+    /// Rendering options.
     #[command(flatten)]
     pub render: RenderArgs,
     /// Edge of the blocks that are skipped, in cells: 4, 8 or 16.

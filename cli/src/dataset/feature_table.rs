@@ -104,7 +104,7 @@ impl FeatureTable {
         );
         let mut at = HashMap::new();
         for (i, &n) in numbers.iter().enumerate() {
-            ensure!(at.insert(n, i).is_none(), "frame {n} stands there twice; make the file anew");
+            ensure!(at.insert(n, i).is_none(), "frame {n} appears twice; make the file again");
         }
         let bytes: Vec<u8> = columns
             .iter()
@@ -174,19 +174,20 @@ impl FeatureTable {
         }
         let found = Self::read(&path).with_context(|| {
             format!(
-                "{} is no feature table; make it anew with `entire features` or remove it",
+                "{} is no feature table; make it again with `entire features` or remove it",
                 path.display()
             )
         })?;
         ensure!(
             is_understood(found.schema),
-            "{} holds features of another version of this program, which need not mean what this version's \
-             do; make it anew with `entire features` or remove it",
+            "{} was made by another version of this program, whose features may differ; make it again with \
+             `entire features` or remove it",
             path.display()
         );
         ensure!(
             found.table == hash,
-            "{} was made of another table than {} is now; make it anew with `entire features` or remove it",
+            "{} does not belong to the present content of {}; make it again with `entire features` or remove \
+             it",
             path.display(),
             table.display()
         );
@@ -199,7 +200,7 @@ impl FeatureTable {
             });
             ensure!(
                 fits,
-                "{} does not go with {}: frame {} is missing or has another size or step; make it anew with \
+                "{} does not match {}: frame {} is missing or has another size or step; make it again with \
                  `entire features`",
                 path.display(),
                 table.display(),
@@ -223,8 +224,8 @@ impl FeatureTable {
         let (schema, table, rows) =
             std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {
                 format!(
-                    "its first line is not {MARK:?} with schema, table and frames, so that nothing tells \
-                what its features mean"
+                    "its first line is not {MARK:?} with schema, table and frames, so its features are \
+                unknown"
                 )
             })?;
         let mut reader = csv::ReaderBuilder::new().from_reader(&bytes[end..]);

@@ -147,14 +147,14 @@ pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
         let (number, repeat, scene, measurement) = row.read().with_context(|| format!("line {line}"))?;
         ensure!(
             seen.insert((number, repeat)),
-            "line {line}: frame {number}, repeat {repeat} stands there twice; remove one"
+            "line {line}: frame {number}, repeat {repeat} appears twice; remove one"
         );
         match by_number.get(&number) {
             Some(&i) => {
                 ensure!(
                     frames[i].scene == scene,
-                    "line {line}: repeat {repeat} of frame {number} shows another scene than its earlier \
-                     rows; give it another frame number"
+                    "line {line}: repeat {repeat} of frame {number} has another scene than its earlier rows; \
+                     give it another frame number"
                 );
                 frames[i].repeats.push(measurement);
             }

@@ -54,16 +54,16 @@ impl Timing {
         }
         ensure!(
             self.device.is_some() || self.wall.is_some() || self.cpu.is_some(),
-            "no clock was read; at least one of seconds_device, seconds_wall, seconds_cpu is needed"
+            "there is no time; at least one of seconds_device, seconds_wall, seconds_cpu is needed"
         );
         Ok(())
     }
 }
 
-/// Which clock counts as a frame's time.
+/// Clock that gives a frame's time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Clock {
-    /// The device's timestamps where there are any, else wall time.
+    /// The device's timestamps, else wall time.
     #[default]
     Auto,
     /// Device timestamps.
@@ -199,8 +199,7 @@ pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Opt
         names => format!(", or choose a clock that all frames have: --clock {}", names.join(" or ")),
     };
     Some(format!(
-        "{missing} of {} frames are left out, which have no seconds by the clock {}; measure that clock in every \
-         frame{instead}",
+        "{missing} of {} frames are left out, since they have no {} time; measure it in every frame{instead}",
         frames.len(),
         clock.name()
     ))
@@ -235,8 +234,8 @@ impl NoiseFloor {
         let drift =
             self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
         format!(
-            "repeats of one frame scatter with a log-SD of {:.4} (median of repeats about {:.4}), the first \
-             takes {:.1} % longer than the last{drift}; {} repeated frames",
+            "log-SD of a repeat {:.4} (of the median of repeats {:.4}), the first repeat takes {:.1} % \
+             longer than the last{drift}; {} repeated frames",
             self.log_sd,
             self.log_sd_of_median,
             100.0 * self.warm_up.exp_m1(),

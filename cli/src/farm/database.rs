@@ -137,15 +137,14 @@ impl<'a> Database<'a> {
                 n => format!(" and {n} other files"),
             };
             note(&format!(
-                "{first}{more}: another input than before; {count} pictures of what it was are removed and \
-                 rendered anew"
+                "{first}{more} changed; {count} pictures of the old content are removed and rendered again"
             ));
         }
         if !gone.is_empty() {
             let why = if known {
-                "belong to no task of the job as it is now"
+                "belong to no task of the job"
             } else {
-                "do not tell what they were made of and are rendered anew"
+                "have no record of their inputs and are rendered again"
             };
             note(&format!(
                 "{} pictures in {} {why}; they are left out of the table",
@@ -221,7 +220,7 @@ impl<'a> Database<'a> {
         }
         if !missing.is_empty() {
             note(&format!(
-                "{} images that the journal names are gone or damaged; they are rendered again",
+                "{} images in the journal are missing or damaged; they are rendered again",
                 missing.len()
             ));
         }

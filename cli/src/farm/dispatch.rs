@@ -78,13 +78,13 @@ pub struct Dispatcher {
     rng: ChaCha8Rng,
 }
 
-/// In which order tasks are sent.
+/// Order in which tasks are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// Longest first by expected seconds.
     #[default]
     LongestFirst,
-    /// As the job lists them.
+    /// In the order of the job.
     Arrival,
 }
 

@@ -36,7 +36,7 @@ pub struct Options {
     pub verify: bool,
     /// Whether a coarse subset comes first.
     pub preview: bool,
-    /// In which order tasks are sent.
+    /// Order in which tasks are sent.
     pub order: super::dispatch::Order,
     /// Whether all tasks are taken for equally long and stay so: to compare with.
     pub uniform: bool,
@@ -218,7 +218,7 @@ impl Drive<'_, '_> {
                 restarts += 1;
                 done_then = self.now;
                 if restarts > RESTARTS {
-                    bail!("{why}; it was started {RESTARTS} times in vain");
+                    bail!("{why}; {RESTARTS} restarts failed");
                 }
                 crate::files::note(&format!("{why}; it is started again"));
                 self.restart(start)?;

@@ -161,7 +161,7 @@ impl Job {
             volumes.iter().find(|v| !names.insert(format!("{} {} {}", v.name, v.time, v.reading.key())))
         {
             bail!(
-                "volumes: {} is not the first by the name {}; give it a name",
+                "volumes: {} has the name {} of an earlier entry; give it another `name`",
                 volume.path.display(),
                 volume.name
             );

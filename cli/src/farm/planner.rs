@@ -41,7 +41,7 @@ pub struct Setting {
     pub overhead: f64,
     /// Seconds that no bundle may take.
     pub limit: Option<f64>,
-    /// In which order tasks are sent.
+    /// Order in which tasks are sent.
     pub order: Order,
     /// Whether expected times are corrected by measured ones.
     pub learn: bool,

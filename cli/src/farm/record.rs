@@ -115,7 +115,7 @@ pub enum Entry {
         job: String,
         /// When, UTC.
         date: String,
-        /// What runs the tasks.
+        /// Engine that runs the tasks.
         engine: String,
         /// How many at once.
         slots: usize,

@@ -151,7 +151,7 @@ fn gantt(page: &mut Page, run: &Run, number: usize, of: usize) {
         .size(900.0, 90.0 + 22.0 * shown as f64)
         .series(Series::new("rendering", Mark::Stretches(frames)).color(0))
         .series(Series::new("loading", Mark::Stretches(loads)).color(1));
-    let text = format!("What each node did in run {number} of {of}; {shown} of {} lanes.", names.len());
+    let text = format!("Tasks of each node in run {number} of {of}; {shown} of {} lanes.", names.len());
     page.chart(&chart, &text);
 }
 
@@ -165,8 +165,8 @@ fn accuracy(page: &mut Page, all: &[&(Answer, f64)]) {
     let mut errors: Vec<f64> = all.iter().map(|(a, p)| (p / a.seconds - 1.0).abs()).collect();
     let middle = crate::metrics::median(&mut errors).unwrap_or(f64::NAN);
     let text = format!(
-        "Seconds that were expected when a task was sent, and what it took without loading. Median error \
-         {:.1} %.",
+        "Expected seconds when a task was sent, and its measured seconds without loading. Median error {:.1} \
+         %.",
         100.0 * middle
     );
     page.chart(&chart, &text);
@@ -187,11 +187,11 @@ fn ends(page: &mut Page, run: &Run) {
         .series(Series::new("90 % interval", Mark::Band(band)).color(0))
         .series(Series::new("expected end", Mark::Line(line)).color(0))
         .rule(Rule::Horizontal(end, "the end".into()));
-    page.chart(&chart, "When the farm said that it would be done, and when it was.");
+    page.chart(&chart, "The predicted end over the time of the run, and the actual end.");
 }
 
 fn gains(page: &mut Page, run: &Run) -> Result<()> {
-    page.heading("What the order gained");
+    page.heading("Gain of the order");
     let mut tasks: Vec<&(Answer, f64)> = run.done.iter().collect();
     tasks.sort_by(|a, b| a.0.task.cmp(&b.0.task));
     let slots = run.slots.max(1);
@@ -223,7 +223,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
         ("lower bound: no order is faster", bound),
         ("queue, longest predicted first", longest),
         ("queue, any order (mean of 32)", any),
-        ("dealt out beforehand, all taken for equal", dealt),
+        ("assigned beforehand, all tasks taken as equal", dealt),
         ("this run, with loading, bundles and corrections", took),
     ] {
         table.row(vec![name.into(), format!("{end:.2}").into(), format!("{:.3}", end / bound).into()]);
@@ -259,5 +259,5 @@ fn slowest(page: &mut Page, job: &Job, all: &[&(Answer, f64)]) {
             format!("{:.3}", a.seconds).into(),
         ]);
     }
-    page.table(&table, "The ten tasks that took longest beside what was expected.");
+    page.table(&table, "The ten tasks with the largest ratio of measured to expected time.");
 }

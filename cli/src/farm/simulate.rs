@@ -20,7 +20,7 @@ pub struct World {
     pub load_warm: Vec<f64>,
     /// Speed of each slot.
     pub speeds: Vec<f64>,
-    /// Seconds of a slot that each bundle costs.
+    /// Slot seconds per bundle.
     pub latency: f64,
     /// Seconds of the engine that each bundle costs; it sends one after the other.
     pub dispatch: f64,

@@ -223,7 +223,7 @@ impl Worker {
                     Painter::Own(_) => unreachable!("it is handled above"),
                 };
                 let png = std::fs::read(&part).with_context(|| {
-                    format!("the renderer ended well and wrote no image; its output is in {}", log.display())
+                    format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
                 })?;
                 let _ = std::fs::remove_file(&log);
                 (painted, png)
@@ -232,7 +232,7 @@ impl Worker {
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
             bail!(
-                "{} was written anew while the farm was at work: {what}; go on with --resume when it is whole",
+                "{} changed while the farm was running: {what}; go on with --resume when it is whole",
                 order.volume.display()
             );
         }
@@ -346,7 +346,16 @@ pub(super) fn tail(log: &Path) -> String {
         let _ = file.take(1 << 20).read_to_end(&mut bytes);
     }
     let text = String::from_utf8_lossy(&bytes);
-    text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("it said nothing").chars().take(300).collect()
+    text.lines()
+        .rev()
+        .find(|l| !l.trim().is_empty())
+        .unwrap_or(
+            "it printed \
+        nothing",
+        )
+        .chars()
+        .take(300)
+        .collect()
 }
 
 /// Whether bytes are a whole PNG file of this size.
@@ -358,7 +367,7 @@ fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
     let found = [side(16), side(20)];
     ensure!(
         found == size,
-        "the renderer's image has {} x {} pixels; {} x {} were ordered",
+        "the renderer's image has {} x {} pixels; {} x {} were requested",
         found[0],
         found[1],
         size[0],

@@ -17,7 +17,7 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
         let (width, height) = (layer.inputs, layer.outputs);
         ensure!(
             parts.iter().all(|p| p.inputs == width && p.outputs == height),
-            "networks of different widths cannot stand beside each other"
+            "networks of different widths cannot form an ensemble"
         );
         let blocks: Vec<&DenseParts> = std::iter::once(&*layer).chain(parts).collect();
         let (inputs, outputs) =

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// Most networks whose mean is taken.
 const MAX_ENSEMBLE: usize = 16;
 
-/// What is fitted.
+/// Kind of the fitted model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -37,7 +37,7 @@ pub enum Kind {
     Residual,
 }
 
-/// What the network gives.
+/// Output quantity of the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[value(rename_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
@@ -49,7 +49,7 @@ pub enum TargetChoice {
     LogSeconds,
 }
 
-/// How weights are stored.
+/// Storage format of weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DtypeChoice {
@@ -77,7 +77,7 @@ impl DtypeChoice {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Recipe {
-    /// What is fitted.
+    /// Kind of the fitted model.
     pub kind: Kind,
     /// Hidden layer widths of networks.
     pub layers: Vec<usize>,
@@ -96,7 +96,7 @@ pub struct Recipe {
     pub target: TargetChoice,
     /// `mse`, `relative`, `huber:DELTA` or `pinball:QUANTILE`.
     pub loss: String,
-    /// Passes over the training frames at most.
+    /// Maximum number of passes over the training frames.
     pub epochs: usize,
     /// Frames per step.
     pub batch: usize,
@@ -120,7 +120,7 @@ pub struct Recipe {
     /// A model file that is taken as it is; nothing else counts then.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
-    /// How weights are stored.
+    /// Storage format of weights.
     pub dtype: DtypeChoice,
 }
 
@@ -253,7 +253,7 @@ impl Recipe {
             self.kind != Kind::Residual
                 || self.fine_tune.is_some()
                 || self.inputs.iter().map(|g| g.trim()).eq([<&str>::from(GroupKind::SceneFeatures)]),
-            "a residual model takes scene_features alone; leave other --inputs away"
+            "a residual model takes scene_features alone; leave out other --inputs"
         );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, context, training, validation);
@@ -482,7 +482,7 @@ impl Recipe {
         training: Timed<'_>,
         validation: Timed<'_>,
     ) -> Result<FittedModel> {
-        ensure!(self.kind != Kind::Analytic, "an analytic model is fitted anew; leave --fine-tune away");
+        ensure!(self.kind != Kind::Analytic, "an analytic model cannot be fine-tuned; leave out --fine-tune");
         let (mut file, model) = read_model_file(path)?;
         let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
         let parts = model.prednet().context("the model file holds no PredNet")?;

@@ -4,7 +4,7 @@ use super::{CameraPose, Keyframe, Lobe, MAX_FRAMES, PATH_FORMAT, PathFile, Trans
 use anyhow::{Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, VolumeView};
 
-/// Paths that are made to fit a volume.
+/// Paths that are generated for a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Generated {
     /// An orbit with three abrupt transfer-function switches.
@@ -13,7 +13,7 @@ pub enum Generated {
     Orbit,
     /// A slow orbit while a lobe is dragged over the scalar range and back.
     Drag,
-    /// From afar into the volume and out again.
+    /// From far away into the volume and out again.
     FlyIn,
     /// Two switches of the camera and one of the transfer function.
     Cuts,

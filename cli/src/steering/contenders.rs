@@ -53,17 +53,18 @@ impl ActsOn {
 pub enum ControllerKind {
     /// Always the same step.
     Fixed,
-    /// Mean of the three frames before, brought to the reference step by G.
+    /// Mean of the last three frames, converted to the reference step by G, the curve of frame time over
+    /// step.
     Olp,
-    /// The last frame, brought to the reference step by G.
+    /// The last frame, converted to the reference step by G.
     Last,
-    /// The larger of the two frames before, brought to the reference step by G.
+    /// The larger of the last two frames, converted to the reference step by G.
     LargerOfTwo,
     /// Proportional, integral and differential feedback on the step, gains 0.3, 0.05, 0.1.
     Pid,
-    /// The paper's: prediction at the reference step through G.
+    /// The paper's Algorithm 1: prediction at the reference step, converted to other steps by G.
     Algorithm1,
-    /// Ours: prediction for every step, corrected online, with a margin.
+    /// entire's: prediction for every step, corrected online, with a safety margin.
     Hybrid,
     /// VTK's rule for GPU ray casting, on the ray step.
     VtkGpu,

@@ -73,8 +73,8 @@ impl Steers {
     pub fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         format!(
-            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this volume, none of \
-             which it was fitted to",
+            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this \
+             volume, which it was not fitted to",
             self.title,
             100.0 * median_error,
             100.0 * p95_error
@@ -129,10 +129,10 @@ pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(Stri
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
     let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
         crate::files::note(&format!(
-            "{} predicts {} seconds and the clock is {}: it takes no part (`entire calibrate --shade {} --clock \
-             {}` makes one that does)",
+            "{} is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
+             --shade {} --clock {}` makes a model of that clock)",
             path.display(),
-            stated.map_or("no stated clock's", Clock::name),
+            stated.map_or("unspecified", Clock::name),
             asked.name(),
             shading,
             asked.name()

@@ -168,9 +168,9 @@ pub fn table_caption() -> String {
          abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in \
          bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at \
          the end of what is allowed), mean over the switches; 0 means the switch's own frame was. PSNR \
-         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB. \
-         Step: mean ray step; of what acts on image resolution, mean pixels of the full image per pixel drawn, \
-         at the reference step. Smaller images are brought back to full size before pictures are compared."
+         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB. Step: mean \
+         ray step; of rules that act on image resolution, mean pixels of the full image per pixel drawn, at \
+         the reference step. Smaller images are brought back to full size before pictures are compared."
     )
 }
 
@@ -308,7 +308,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         .series(Series::new("target", Mark::Steps(numbered_targets(playback))).color(10))
         .series(
             Series::new(
-                "reference step (not raced)",
+                "reference step (not timed)",
                 Mark::Band(
                     playback
                         .references
@@ -325,9 +325,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     });
     page.chart(
         &chart,
-        "Measured time of every frame under every controller. The shaded area reaches from the target to \
-         what the frame costs at the reference step: what there is to save. All controllers draw the same \
-         frame before the next one begins, in rotating order.",
+        "Measured time of every frame under every controller. The shaded area reaches from the target to the \
+         frame's time at the reference step. All controllers draw the same frame before the next one begins, \
+         in rotating order.",
     );
 
     if !playback.switches.is_empty() {
@@ -341,8 +341,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
         page.chart(
             &chart,
-            "Mean over the switches. What reacts sees a switch one frame late; what predicts plans its first \
-             frame already.",
+            "Mean over the switches. Reactive controllers notice a switch one frame late; predicting ones \
+             plan its first frame.",
         );
     }
 
@@ -351,8 +351,11 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
         Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].step)))
     });
-    page.chart(&chart, "The step that each controller chose: coarser is faster and less exact. What acts on image resolution \
-         keeps the reference step.");
+    page.chart(
+        &chart,
+        "The step that each controller chose: coarser is faster and less exact. Rules that \
+         act on image resolution keep the reference step.",
+    );
 
     if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
         let chart = Chart::new(
@@ -376,7 +379,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
         Mark::Line(numbered(c, &|i| playback.records[c][i].psnr.min(60.0)))
     });
-    page.chart(&chart, "Likeness to the picture at the reference step; over 60 dB drawn as 60.");
+    page.chart(&chart, "Similarity to the picture at the reference step; over 60 dB drawn as 60.");
 
     page.heading("Predictions");
     page.paragraph(&format!("{}.", story.predictor.sentence()));
@@ -397,16 +400,16 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         }
         page.chart(
             &chart,
-            "What was predicted for each frame before it was drawn, over what it took. Algorithm 1 takes the \
-             prediction as it is; the hybrid corrects it by what it observed, and aims below the target \
-             where its upper bound would not fit.",
+            "Predicted time of each frame over its measured time. Algorithm 1 takes the prediction as it is; \
+             the hybrid corrects it by what it observed, and aims below the target where its upper bound \
+             would not fit.",
         );
     }
     if !story.response.points.is_empty() {
         page.chart(
             &story.response.chart(),
-            "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is \
-             what that costs them; the hybrid predicts each scene's own curve.",
+            "Algorithm 1 and OLP use this one curve for all scenes. The scatter of the scenes about it is \
+             their error; the hybrid predicts each scene's own curve.",
         );
     }
 

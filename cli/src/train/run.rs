@@ -69,7 +69,7 @@ impl Samples<'_> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
-    /// Passes over the training frames at most.
+    /// Maximum number of passes over the training frames.
     pub epochs: usize,
     /// Frames per step.
     pub batch: usize,
@@ -83,7 +83,7 @@ pub struct Settings {
     pub patience: usize,
     /// What is made small.
     pub loss: Loss,
-    /// What the network gives.
+    /// Output quantity of the network.
     pub target: Target,
     /// Order of the frames.
     pub seed: u64,

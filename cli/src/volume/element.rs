@@ -180,7 +180,7 @@ pub(crate) fn expect_end(
     let behind = match stream.remaining() {
         Remaining::Exact(left) => left,
         Remaining::AtMost(_) => io::copy(&mut stream.take(expected), &mut io::sink())
-            .with_context(|| format!("{prefix}behind the voxels"))?,
+            .with_context(|| format!("{prefix}after the voxels"))?,
     };
     if behind == 0 {
         return Ok(None);
@@ -199,8 +199,8 @@ pub(crate) fn expect_end(
         );
     }
     Ok(Some(format!(
-        "{prefix}{behind} bytes behind the {expected} bytes of {x} x {y} x {z} voxels of {size} {bytes} are left \
-         out; check sizes and type in the header if there should be none"
+        "{prefix}{behind} bytes after the {expected} bytes of {x} x {y} x {z} voxels of {size} {bytes} are \
+         left out; check sizes and type in the header if there should be none"
     )))
 }
 
@@ -299,7 +299,7 @@ fn short(stream: &Stream<'_>, got: usize, voxels: usize, bytes: usize) -> anyhow
 
 fn broken(stream: &Stream<'_>, error: &io::Error, at: usize, voxels: usize, bytes: usize) -> anyhow::Error {
     anyhow::anyhow!(
-        "{}the voxels cannot be read behind byte {at} of {}: {error}; the file is damaged",
+        "{}the voxels cannot be read after byte {at} of {}: {error}; the file is damaged",
         stream.prefix(),
         voxels * bytes
     )

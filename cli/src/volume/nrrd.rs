@@ -195,7 +195,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         };
         let field = field.trim().to_ascii_lowercase();
         if seen.contains(&field) {
-            bail!("NRRD header line {number}: field \"{field}\" stands there twice");
+            bail!("NRRD header line {number}: field \"{field}\" appears twice");
         }
         header.set(&field, value).with_context(|| format!("NRRD header line {number}"))?;
         if field.replace(' ', "") == "datafile" && value.split_whitespace().next() == Some("LIST") {

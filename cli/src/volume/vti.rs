@@ -341,10 +341,7 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
             shown(array),
             array.components
         ),
-        Some(_) => bail!(
-            "the file has no array of numbers but those that VTK keeps for itself ({})",
-            names(&|_, _| true)
-        ),
+        Some(_) => bail!("the file has no array of numbers except VTK's own ({})", names(&|_, _| true)),
         None => bail!("the file has no point or cell data array"),
     }
 }

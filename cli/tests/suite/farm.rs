@@ -349,7 +349,7 @@ fn a_resumed_database_shows_what_its_files_are_now() {
     write_level(&at("step20.nrrd"), 240);
     let notes = resumed("content", "4 of 4 images, 2 of them");
     assert!(
-        notes.contains("step20.nrrd") && notes.contains("2 pictures") && notes.contains("anew"),
+        notes.contains("step20.nrrd") && notes.contains("2 pictures") && notes.contains("again"),
         "{notes}"
     );
     assert_eq!(notes.lines().count(), 1, "{notes}");
@@ -461,7 +461,7 @@ fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
     std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"; echo more >> \"$1\"\n").unwrap();
     let output = entire(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
     assert!(stderr(&output).contains("4 tasks were given up"), "{}", stderr(&output));
-    assert!(journal(dir.path()).contains("was written anew while the farm was at work"));
+    assert!(journal(dir.path()).contains("changed while the farm was running"));
     assert!(table(dir.path()).is_empty());
     std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"\n").unwrap();
     let (said, _) = resumed_is_fresh(dir.path(), "mended");
@@ -495,7 +495,7 @@ fn a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew() {
     std::fs::write(dir.path().join("db.cdb/.farm/journal.jsonl"), old.join("\n") + "\n").unwrap();
     let (said, notes) = resumed_is_fresh(dir.path(), "old");
     assert!(said.contains("4 of 4 images, 4 of them"), "{said}");
-    assert!(notes.contains("4 pictures") && notes.contains("rendered anew"), "{notes}");
+    assert!(notes.contains("4 pictures") && notes.contains("rendered again"), "{notes}");
 }
 
 #[test]

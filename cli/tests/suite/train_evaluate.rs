@@ -300,7 +300,7 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     assert_eq!(m.scene_features().len(), net.layers[0].inputs);
     let shown = works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--by", "volume"]);
     assert!(shown.contains("blobs/m02/t0001.nrrd"), "{shown}");
-    assert!(shown.contains("the truth, by the repeats of a frame"), "{shown}");
+    assert!(shown.contains("noise floor, from repeats of a frame"), "{shown}");
 }
 
 #[test]

@@ -524,7 +524,7 @@ fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
         std::fs::write(&path, header(skip)).unwrap();
         let volume = Volume::open(&path).unwrap();
         assert_eq!(volume.data(), &VolumeData::U8(right.to_vec()));
-        assert!(!volume.notes().iter().any(|n| n.contains("behind")), "{:?}", volume.notes());
+        assert!(!volume.notes().iter().any(|n| n.contains("bytes after")), "{:?}", volume.notes());
     }
     check("a.nrrd", header(-6).as_bytes(), "last 3 bytes before 5 others, there are 7");
     check("a.nrrd", header(i64::MIN).as_bytes(), "there are 7");
@@ -615,7 +615,7 @@ fn voxels_in_several_files_are_read_in_their_order() {
 fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
     for name in ["behind-newline.nrrd", "behind-newline.mha", "behind-pad.nrrd", "behind-pad.mha"] {
         let volume = assert_right(name);
-        let behind = if name.contains("pad") { "64 bytes behind" } else { "1 bytes behind" };
+        let behind = if name.contains("pad") { "64 bytes after" } else { "1 bytes after" };
         assert!(volume.notes()[0].contains(behind), "{name}: {:?}", volume.notes());
     }
     for name in ["behind-second.nrrd", "behind-second.mha"] {
@@ -641,7 +641,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
         let path = folder.path().join(name);
         std::fs::write(&path, right).unwrap();
         let volume = Volume::open(&path).unwrap();
-        assert!(volume.notes()[0].contains("bytes behind the"), "{name}: {:?}", volume.notes());
+        assert!(volume.notes()[0].contains("bytes after the"), "{name}: {:?}", volume.notes());
         check(name, &behind, "check sizes and type in the header");
     }
 }

@@ -42,7 +42,7 @@ impl App {
             Command::Forget => {
                 self.state.steer.forget();
                 self.state.changed.settings = true;
-                self.state.say("every controller starts anew");
+                self.state.say("all controllers are reset");
             }
             Command::Screenshot { file, size } => {
                 if self.scene.is_some() && self.screenshot.is_none() {

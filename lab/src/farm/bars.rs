@@ -124,7 +124,7 @@ pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> 
             ..World::default()
         };
         let out = simulate(&mut planner, &world, &[0.1]);
-        let said = out.said.first().context("nothing was foretold")?.end;
+        let said = out.said.first().context("no end was predicted")?.end;
         let hit = (said[0]..=said[2]).contains(&out.makespan);
         hits += u32::from(hit);
         errors.push((said[1] / out.makespan - 1.0).abs());
@@ -227,7 +227,7 @@ pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
         };
         let out = simulate(&mut planner, &world, &[]);
         println!(
-            "simulated: 1000 nodes, 10^6 tasks, {name}: {:.0} s, {:.3} over the bound without loading, {} \
+            "simulated: 1000 nodes, 10^6 tasks, {name}: {:.0} s, {:.3} times the bound without loading, {} \
              bundles, {} loads, {} lost (simulated in {:.1} s)",
             out.makespan,
             out.makespan / bound,

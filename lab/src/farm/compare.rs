@@ -80,9 +80,9 @@ pub struct Comparison<'a> {
     pub tasks: &'a [Task],
     /// Where they come from, for the report.
     pub source: String,
-    /// Seconds of a node that every dispatch from a queue costs.
+    /// Node seconds per dispatch from a queue.
     pub dispatch: f64,
-    /// Tasks that a node looks at for one on the volume that it holds.
+    /// Queue entries that a node searches for a task on its loaded volume.
     pub window: usize,
     /// What [`second_measurement`] found.
     pub noise: Option<(f64, f64)>,
@@ -149,11 +149,11 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     page.table(
         &table,
         "Time until the last node is done over the lower bound (all work over all nodes, and \
-        the longest tasks).",
+         the longest tasks).",
     );
     println!("{}", table.to_text());
     let mut chart = Chart::new(
-        "Loads of the nodes",
+        "Node loads",
         Axis::categories("nodes", shown.iter().map(ToString::to_string).collect()),
         Axis::linear("load / longest load of longest first, measured"),
     )
@@ -174,8 +174,8 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     }
     page.chart(
         &chart,
-        "Per method, the spread of what the nodes have to do, normalized to the longest load \
-        that static balancing on measured times leaves. 5th, 25th, 50th, 75th and 95th percentile.",
+        "Distribution of node loads per method, relative to the longest load of static balancing by measured \
+         times. 5th, 25th, 50th, 75th and 95th percentile.",
     );
     let mut chart = Chart::new(
         "Longest load",
@@ -191,12 +191,15 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     chart = chart.series(Series::new("lower bound", Mark::Line(bound)).color(6));
     let line = all.iter().map(|&n| (n as f64, random[at(n)] / makespans[0][at(n)])).collect();
     chart = chart.series(Series::new(any, Mark::Line(line)).color(7));
-    page.chart(&chart, "What decides when a farm is done, normalized to static balancing on measured times.");
+    page.chart(
+        &chart,
+        "Longest load, which is the end of the job, relative to static balancing by measured \
+                        times.",
+    );
     if let Some((low, high)) = comparison.noise {
         let text = format!(
-            "What measuring a second time reaches instead of predicting: static longest first on the medians \
-             of all repeats but one takes, by that one, up to {low:.3} to {high:.3} of what longest first on \
-             itself takes."
+            "Limit by noise: static longest first by the medians of all repeats but one, judged by that one, \
+             takes up to {low:.3} to {high:.3} of the time of longest first by that one."
         );
         println!("{text}");
         page.paragraph(&text);

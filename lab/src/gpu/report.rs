@@ -149,10 +149,10 @@ impl Found {
     pub fn page(&self, device: String) -> Page {
         let mut page = Page::new(
             "What this device does",
-            "Pictures against the CPU twin, the cost of each part of a frame, frame times in three shading modes, \
-             models that the device calibrated, and frames held across switches.",
+            "Pictures against the CPU version, the cost of each part of a frame, frame times in three \
+             shading modes, models that the device calibrated, and frames held across switches.",
         );
-        page.table(&self.steps(), "Steps. What was cut short is used as far as it came.");
+        page.table(&self.steps(), "Steps. A step that ran out of time counts with its partial results.");
         page.heading("Pictures");
         let mut worst = Table::new(vec![
             Column::text("volume"),
@@ -175,7 +175,7 @@ impl Found {
         }
         page.table(
             &worst,
-            "Every channel of every pixel, device against the CPU twin; 2 of 255 are accepted.",
+            "Every channel of every pixel, device against the CPU version; 2 of 255 are accepted.",
         );
         if let Some(probe) = &self.probe {
             page.heading("The device");
@@ -188,7 +188,7 @@ impl Found {
                     ]);
                 }
             }
-            page.table(&numbers, "As `entire probe` tells them.");
+            page.table(&numbers, "As `entire probe` prints them.");
         }
         page.heading("Frame times");
         page.table(&self.times(), "Median milliseconds of frames that no calibration rendered.");
@@ -209,9 +209,9 @@ impl Found {
         page.heading("Predictions");
         page.table(
             &self.errors(),
-            "The models that `entire calibrate` made here, on volumes that it did not render; the noise floor is the \
-             median error that knowing the truth would leave, since repeats of a frame differ. In a session every \
-             frame is predicted, then observed.",
+            "The models that `entire calibrate` made here, on volumes that it did not render; the noise \
+             floor is the median error of perfect predictions, since repeats of a frame differ. In a session \
+             every frame is predicted, then observed.",
         );
         if self.switches.is_some() {
             page.heading("Frames held");

@@ -230,7 +230,7 @@ pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &Ato
         .with_context(|| format!("cannot run {}; name the command with --entire", entire.display()))?;
     let over = || interrupt::requested(stop) || Instant::now() >= end;
     let child::Ended { status, asked: cut } = child::wait(&mut child, over, Signal::SIGINT, GRACE)?;
-    ensure!(!interrupt::requested(stop), "stopped; the same command goes on where this ended");
+    ensure!(!interrupt::requested(stop), "stopped; the same command continues from here");
     let text = std::fs::read_to_string(&log).unwrap_or_default();
     let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or_default().to_owned();
     let state = match (cut, status.success()) {

@@ -282,7 +282,10 @@ fn side_by_side(images: &[Image]) -> Image {
 /// The time of every calibration scene over that at the reference step, and G.
 fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     let samples = samples_of(&[calibration.to_owned()], PROBE_SIDE)?;
-    let g = response(&samples).context("G needs scenes that were timed at several steps")?;
+    let g = response(&samples).context(
+        "G, the curve of frame time over step, needs scenes that were timed \
+                                        at several steps",
+    )?;
     let mut by_scene: BTreeMap<usize, Vec<(f64, f64)>> = BTreeMap::new();
     for s in &samples {
         by_scene.entry(s.scene).or_default().push((f64::from(s.setting.step), s.seconds));

@@ -199,14 +199,14 @@ pub struct Orbit {
     pub size: u32,
 }
 
-/// A part of the study; each is made and kept by itself.
+/// Part of the study; each is computed and stored separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Panel {
     /// Every data set and mode: the network, ours, the mean of 15 %, LVRP; by volumes, members, modality.
     Overall,
-    /// The network without one of its inputs.
+    /// The network, each time without one input.
     Ablation,
     /// One parameter varied at a time.
     Varied,

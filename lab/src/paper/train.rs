@@ -170,7 +170,7 @@ impl At<'_> {
         self.on_split(&Method { name: OURS, key: &key, recipe }, self.paper().runs, frames)
     }
 
-    /// The network without one of its inputs.
+    /// The network, each time without one input.
     fn without(&self, input: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
         let (mut recipe, _) = self.network(BY_VOLUMES)?;
         recipe.inputs.retain(|i| i != input);

@@ -167,7 +167,7 @@ pub fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<P
         match Place::find(set, data)? {
             Some(place) => found.push(place),
             None => {
-                entire_cli::files::note(&format!("{} is not in {}; it is left out", set.name, data.display()))
+                entire_cli::files::note(&format!("{} is not in {}; it is skipped", set.name, data.display()))
             }
         }
     }

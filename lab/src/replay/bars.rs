@@ -26,7 +26,7 @@ const REACTIVE: [ControllerKind; 9] = [
 pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     let of = |kind: ControllerKind| {
         players.iter().position(|p| p.kind == kind).map(|i| &scores[i]).with_context(|| {
-            format!("the bars compare {} and it did not play; leave --controllers out", kind.name())
+            format!("the bars need {}, which did not play; leave out --controllers", kind.name())
         })
     };
     let ours = of(ControllerKind::Hybrid)?;

@@ -42,11 +42,7 @@ impl Disturbance {
     /// # Errors
     /// As [`Disturbance::open`].
     pub fn new(name: String, frames: Vec<Slowdown>) -> Result<Self> {
-        ensure!(
-            frames.len() >= 2,
-            "{} frames are no recording of slowdowns; at least 2 are needed",
-            frames.len()
-        );
+        ensure!(frames.len() >= 2, "a recording of slowdowns needs at least 2 frames, not {}", frames.len());
         ensure!(
             frames[0].start_s == 0.0 && frames.windows(2).all(|w| w[0].start_s < w[1].start_s),
             "the column start_s must ascend from 0"

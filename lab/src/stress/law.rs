@@ -403,14 +403,14 @@ fn clamps(method: ControllerKind) -> Verdict {
     }
     let under = at(275..320, &|s| s.seconds < 0.75 * s.target);
     if under > 0 {
-        broken.push(format!("wound up: {under} frames under 0.75 T after"));
+        broken.push(format!("integral windup: {under} frames under 0.75 T after"));
     }
     let coarse = at(340..400, &|s| s.step > 1.05);
     if coarse > 0 {
         broken.push(format!("not at the finest step in {coarse} of 60 slack frames"));
     }
     if method == ControllerKind::Hybrid && unsaid > 0 {
-        broken.push(format!("did not say that the target is unreachable in {unsaid} frames"));
+        broken.push(format!("did not report an unreachable target in {unsaid} frames"));
     }
     judge(22, method, &seen, Limits::missed(1.0), broken)
 }
@@ -516,7 +516,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
         }
     });
     if strange > 0 {
-        broken.push(format!("{strange} plans that are no numbers or out of limits"));
+        broken.push(format!("{strange} plans are not finite or out of limits"));
     }
     let mut state = Vec::new();
     c.save(&mut state);
@@ -524,7 +524,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
         broken.push(format!("the state has {} bytes", state.len()));
     }
     if method == ControllerKind::Hybrid && new(method).load(&state).is_err() {
-        broken.push("the state is out of its own bounds".into());
+        broken.push("the state is out of bounds".into());
     }
     judge(27, method, &seen, Limits { missed: 0.05, run: 3, quality: 0.8, inside: 0.0 }, broken)
 }

@@ -163,7 +163,7 @@ fn yes() -> bool {
 pub fn read(path: &Path) -> Result<Study> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut study: Study =
-        serde_json::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
+        serde_json::from_str(&text).with_context(|| format!("{} is no study file", path.display()))?;
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();
     let place = |p: &mut PathBuf| *p = folder.join(&*p);
     place(&mut study.latency_volume.0);
@@ -178,13 +178,13 @@ pub fn read(path: &Path) -> Result<Study> {
         }
         if let Some(other) = p.in_set.keys().chain(&p.sets).find(|n| study.sets.iter().all(|s| s.name != **n))
         {
-            bail!("{}: {} names the set {other:?}, which is none", path.display(), p.name);
+            bail!("{}: {} names the set {other:?}, which does not exist", path.display(), p.name);
         }
     }
     let mut names: Vec<&str> = study.predictors.iter().map(|p| p.name.as_str()).collect();
     names.sort_unstable();
     if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
-        bail!("{}: the predictor {:?} stands there twice", path.display(), twice[0]);
+        bail!("{}: the predictor {:?} appears twice", path.display(), twice[0]);
     }
     for Ship { predictor: name, .. } in &study.ship {
         ensure!(

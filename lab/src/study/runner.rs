@@ -156,7 +156,7 @@ impl Runner<'_> {
         }
         self.bar.set_message(key.to_owned());
         let fitted = recipe.make(context, training.timed(), validation.timed())?;
-        ensure!(!(self.stop)(), "stopped; what was made is kept in {}", self.models.display());
+        ensure!(!(self.stop)(), "stopped; finished results are in {}", self.models.display());
         let mut file = fitted.file;
         let judged = if judged.frames.is_empty() { validation } else { judged };
         if let Some(upper) = upper {

@@ -89,8 +89,8 @@ fn tune_says_what_recorded_paths_cost() {
         }
     }
     for (traces, targets, why) in [
-        (&both[..1], "45fps", "one path has no standard error"),
-        (&both[..], "3600s", "no target is worth playing on train-orbit"),
+        (&both[..1], "45fps", "a standard error needs several paths"),
+        (&both[..], "3600s", "train-orbit has no target that an allowed step meets"),
     ] {
         let output = tune(traces, targets, &["--rounds", "0"]);
         let said = text(&output.stderr);
@@ -126,7 +126,7 @@ fn tune_says_what_recorded_paths_cost() {
     for (option, value, why) in [
         ("--only", "dead-band", "no constant is named dead-band; there are full, damping"),
         ("--set", "far", "far is no NAME=VALUE"),
-        ("--set", "far=-1", "far is to be -1; it must be a finite number and not negative"),
+        ("--set", "far=-1", "far is -1; it must be a finite number and not negative"),
     ] {
         let output = tune(&both, "45fps", &[option, value]);
         let said = text(&output.stderr);

@@ -28,14 +28,14 @@ const PER_VOLUME: usize = 2;
 /// Shortest image side that is compared: of fewer pixels little can be told.
 const LEAST_SIDE: u32 = 96;
 
-/// How far a picture is from the one at full quality.
+/// Error measure between a picture and the one at full quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PictureError {
     /// Root mean squared difference of colors.
     #[default]
     Rmse,
-    /// One less the structural similarity of their luma.
+    /// One minus the structural similarity of their luma.
     Ssim,
 }
 

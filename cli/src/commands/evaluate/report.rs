@@ -66,7 +66,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let mut overall = Table::new(vec![
         Column::text("predictor"),
         Column::number("frames"),
-        Column::number("of them seen"),
+        Column::number("seen in training"),
         Column::number("RMSE, s"),
         Column::number("RMSE/SD"),
         Column::number("MAE, s"),
@@ -76,7 +76,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
         Column::number("R² in log"),
         Column::number("within bound, %"),
         Column::number("µs per prediction"),
-        Column::number("of that network"),
+        Column::number("of it network, µs"),
         Column::number("µs per transfer function"),
     ]);
     for p in predictors {
@@ -174,7 +174,7 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
         table.row(row);
     }
     if !noise.is_empty() {
-        let mut row = vec!["the truth, by the repeats of a frame".into()];
+        let mut row = vec!["noise floor, from repeats of a frame".into()];
         row.extend((0..4).map(|_| "-".into()));
         for kind in &kinds {
             let floor = noise.iter().find(|(k, _)| k == kind);
@@ -203,7 +203,7 @@ fn histogram(predictors: &[Predictor], measured: &[f64]) -> Chart {
     const BINS: usize = 41;
     let span = 2f64.ln();
     let mut chart = Chart::new(
-        "How predicted / measured is spread",
+        "Distribution of predicted / measured",
         Axis::log("predicted / measured"),
         Axis::linear("share of frames, %").from(0.0),
     )
@@ -282,18 +282,14 @@ pub(super) fn write_report(
     let mut page = Page::new("Evaluation of predictors", &lead);
     page.table(
         overall,
-        "RMSE over SD is 1 for a predictor that always says the mean. MdAPE: median absolute percentage \
-         error. Latency: \
-         median of warm calls in one thread, scene features included.",
+        "RMSE over SD is 1 for a predictor that always gives the mean. MdAPE: median absolute percentage \
+         error. Latency: median of warm calls in one thread, scene features included.",
     );
-    page.table(
-        more,
-        "Intervals: ensemble members (volumes that belong to none) drawn anew with replacement.",
-    );
+    page.table(more, "Intervals: bootstrap over ensemble members, and over volumes that belong to none.");
     page.heading("Errors");
     let spread = histogram(predictors, measured);
     write("errors.svg", &spread.to_svg_file())?;
-    page.chart(&spread, "Bins of equal ratio between 1/2 and 2; the outermost hold everything beyond.");
+    page.chart(&spread, "Bins of equal ratio between 1/2 and 2; the outermost include all values beyond.");
     let by_time = bias_chart(predictors);
     write("bias.svg", &by_time.to_svg_file())?;
     page.chart(

@@ -89,7 +89,8 @@ impl Steering for Predicts {
         };
         if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
             out += &format!(
-                "; it predicts {} seconds, frames take {} seconds: the first ones tell the factor",
+                "; it predicts {} seconds, the window measures {} seconds: the factor is learned from the \
+                 first frames",
                 clock.name(),
                 WINDOW.name()
             );
@@ -128,9 +129,10 @@ impl Steering for Predicts {
 /// What is said of a machine's model that takes no part, because it predicts other seconds than the window's.
 fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
     format!(
-        "{} predicts {} seconds and takes no part: Calibrate … copies the command that makes one of {} seconds",
+        "{} is ignored, since it predicts {} time: Calibrate … copies the command for a model of {} \
+         seconds",
         file.display(),
-        clock.map_or("no stated clock's", Clock::name),
+        clock.map_or("unspecified", Clock::name),
         WINDOW.name()
     )
 }

@@ -208,7 +208,7 @@ impl Engine for HyperQueue {
         for line in said {
             match serde_json::from_str(&line) {
                 Ok(Said::Over(bundle)) if self.open.remove(&bundle).is_some() => {
-                    out.push(Event::Lost(bundle, "its worker ended without a word".into()));
+                    out.push(Event::Lost(bundle, "its worker ended without an answer".into()));
                 }
                 Ok(Said::Failed { failed, why }) if self.open.remove(&failed).is_some() => {
                     let log = self.places.state.join("logs").join(format!("bundle-{failed}.log"));

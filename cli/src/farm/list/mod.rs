@@ -26,26 +26,26 @@ use std::path::Path;
 pub struct Farm {
     /// Speed of each node; a node of speed 2 takes half of a task's seconds.
     pub speeds: Vec<f64>,
-    /// Seconds of a node that every dispatch from a queue costs.
+    /// Node seconds per dispatch from a queue.
     pub dispatch: f64,
-    /// Tasks that a node looks at for one on the volume that it holds.
+    /// Queue entries that a node searches for a task on its loaded volume.
     pub window: usize,
 }
 
-/// How tasks come to nodes.
+/// Assignment method of tasks to nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
     /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged
     /// between nodes as long as that helps.
     #[default]
     Static,
-    /// Fixed beforehand: longest first alone.
+    /// Fixed beforehand: longest first, without exchanges.
     Longest,
-    /// A queue, longest first: whichever node is free takes the next.
+    /// A queue, longest first: a free node takes the next task.
     Queue,
     /// A queue in the order of the list.
     Arrival,
-    /// A queue, longest first, in which a node prefers tasks on the volume that it holds.
+    /// A queue, longest first, in which a node prefers tasks on its loaded volume.
     Affinity,
 }
 
@@ -62,7 +62,7 @@ impl Method {
     }
 }
 
-/// Which times decide.
+/// Task times that a schedule uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum By {
     /// `predicted_s`.
@@ -70,7 +70,7 @@ pub enum By {
     Predicted,
     /// `measured_s`.
     Measured,
-    /// All tasks alike.
+    /// All tasks take equally long.
     Uniform,
 }
 

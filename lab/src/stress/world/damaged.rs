@@ -29,7 +29,7 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     let mut noise = Noise::new(28);
     let (mut refused, mut read) = (0, 0);
     let mut check = |bytes: &[u8], what: &str| match Model::from_bytes(bytes).and_then(|m| load(&m)) {
-        Err(e) if e.to_string().is_empty() => broken.push(format!("{what}: refused without a reason")),
+        Err(e) if e.to_string().is_empty() => broken.push(format!("{what}: refused without a message")),
         Err(_) => refused += 1,
         Ok(mut predictor) => {
             read += 1;

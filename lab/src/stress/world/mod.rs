@@ -243,7 +243,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
     }
     let feasible = seen.iter().filter(|s| s.feasible).count();
     if 2 * feasible < seen.len() {
-        broken.push(format!("the script asks for what cannot be in {} frames", seen.len() - feasible));
+        broken.push(format!("the script requests an impossible state in {} frames", seen.len() - feasible));
     }
     if number == 12 {
         // The first frame of a size is where its target is set too.
