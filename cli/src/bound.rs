@@ -21,7 +21,7 @@ pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Up
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().zip(groups))
 }
 
-/// How often a bound holds.
+/// Coverage and quantile loss of an upper bound.
 pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
     BoundMetrics::new(&of_predictions(upper, predicted), measured, UPPER_LEVEL)
 }

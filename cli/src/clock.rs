@@ -67,9 +67,9 @@ pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     }
 }
 
-/// What training learns where no clock is named: the clock of the model that it starts from where there is
-/// one, else processor time, which the project's figures are about, else what `auto` gives. Frames without
-/// the wanted clock are said on standard error.
+/// Clock that training learns: the one that was asked for, else the clock of the model that it starts from,
+/// else processor time, which the project's figures are about, else what `auto` gives. A note names frames
+/// without the wanted clock.
 ///
 /// # Errors
 /// As [`concrete`].
@@ -101,8 +101,8 @@ pub fn for_training<'a>(
     Ok(clock)
 }
 
-/// What is to be said where a model of another clock is started from; `None` where its file states the same
-/// clock or none.
+/// Note for training that starts from a model of another clock; `None` where that model states the same clock
+/// or none.
 pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
     let theirs = theirs.filter(|c| *c != clock)?;
     Some(format!(
@@ -113,8 +113,8 @@ pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<S
     ))
 }
 
-/// What is to be said where models that state no clock are judged or steer by one; `None` where all state one,
-/// and for [`Clock::Auto`], which names none.
+/// Note for models that state no clock and are evaluated or steer by one; `None` where all state one, and for
+/// [`Clock::Auto`].
 pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
     if clock == Clock::Auto {
         return None;

@@ -1,4 +1,4 @@
-//! What predictors are judged by: errors by kind of frame, the constant baseline, warm latency.
+//! Evaluation of predictors: errors by kind of frame, the constant baseline, warm latency.
 
 use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor};
 use crate::inputs::{Layout, measure, open_volume};
@@ -35,7 +35,7 @@ pub struct WarmLatency {
     pub transfer_seconds: f64,
 }
 
-/// What a frame may be like.
+/// A kind of frame: its name, and the test for it.
 type Kind = (&'static str, fn(&TimedFrame) -> bool);
 
 const KINDS: [Kind; 6] = [

@@ -61,7 +61,7 @@ pub fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
     }
 }
 
-/// Whether a model file can be written there; makes its folder.
+/// Checks that a model file can be written there, and makes its folder.
 ///
 /// # Errors
 /// When its name does not end in `.safetensors`, or the folder cannot be made.

@@ -1,5 +1,5 @@
-//! What a file was when something was made of it: size, time of its last change and a hash of its content, so
-//! that what is kept (pictures, timing tables) is never taken for one of a file that was written anew.
+//! Identity of a file: size, modification time and a hash of its content. Kept results (pictures, timing
+//! tables) store the identities of their inputs, so that they are never used for changed files.
 
 use crate::volume::{Companions, Folder, Format, Stream, Volume};
 use anyhow::{Context, Result, bail};
@@ -22,7 +22,7 @@ const HEADER: u64 = 1 << 16;
 /// Nanoseconds of a second.
 const SECOND: u64 = 1_000_000_000;
 
-/// What a file is.
+/// Identity of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Its name; of a data file as the header gives it.
@@ -33,12 +33,12 @@ pub struct Identity {
     pub modified_ns: u64,
     /// FNV-1a (64 bits) and CRC-32 of what was read, hexadecimal.
     pub hash: String,
-    /// Whether that was all of it.
+    /// True if the hash covers the whole content.
     pub whole: bool,
 }
 
 impl Identity {
-    /// What a file is now.
+    /// Reads the identity of a file.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -76,7 +76,7 @@ impl Identity {
         format!("{name}\n{bytes}\n{hash}\n{modified}\n")
     }
 
-    /// What tells another from this one, if anything.
+    /// The difference between two identities of a file, in words; `None` for the same file.
     fn difference(&self, now: &Self) -> Option<String> {
         let Self { name, .. } = self;
         if now.name != *name {
@@ -97,7 +97,7 @@ fn modified_ns(metadata: &Metadata) -> u64 {
     since.map_or(0, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// What a volume file and the data files that its header names are now, the volume file first.
+/// Identities of a volume file and of the data files that its header names, the volume file first.
 ///
 /// # Errors
 /// When one of them cannot be read. A header that names no data, or that cannot be understood, is a file as any
@@ -120,7 +120,8 @@ pub fn key(files: &[Identity]) -> String {
     files.iter().map(Identity::key).collect()
 }
 
-/// What tells a volume's files now from what they were, if anything.
+/// The first difference between two lists of identities of a volume's files, in words; `None` for the same
+/// files.
 pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
     let missing = |of: &[Identity], than: &[Identity]| {
         let lone = of.iter().skip(1).find(|f| than.iter().all(|g| g.name != f.name));
@@ -135,8 +136,8 @@ pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
     then.iter().zip(now).find_map(|(a, b)| a.difference(b))
 }
 
-/// What tells a volume's files now from what they were, if anything, as another machine sees them: sizes and
-/// times are looked at first, and only where they differ the files are read. Times may come in whole seconds.
+/// Difference between a volume's files and earlier identities, which may come from another machine; `None`
+/// for the same files. Files are read only where sizes or times differ. Times may be whole seconds.
 ///
 /// # Errors
 /// When a file cannot be read.

@@ -36,7 +36,7 @@ impl Encoder {
     }
 }
 
-/// What a model takes, and the encoder of its volume features.
+/// Inputs of a model, and the encoder of its volume features.
 #[derive(Debug)]
 pub struct Layout {
     layout: InputLayout,
@@ -86,7 +86,7 @@ impl Layout {
         Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
     }
 
-    /// Whether Gaussian lobes go in by ascending center.
+    /// True if Gaussian lobes go in by ascending center.
     pub fn sorted_lobes(&self) -> bool {
         self.layout.sorted_lobes
     }
@@ -199,7 +199,7 @@ impl Layout {
         for feature in self.scene_features() {
             quantities.insert(feature.quantity, column(feature.quantity)?);
         }
-        // What costs nothing need not be kept.
+        // Quantities without a unit cost are not kept.
         quantities.extend(COST_QUANTITIES.iter().filter_map(|&q| Some((q, column(q)?))));
         let code = match self.encoder() {
             Some(e) => (0..e.net.feature_len())
@@ -396,7 +396,7 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
     );
 }
 
-/// What unit costs are paid for: one frame, then values of [`COST_QUANTITIES`], in their order.
+/// Inputs of the unit costs: one frame, then values of [`COST_QUANTITIES`], in their order.
 pub(crate) fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
     let mut work = [1.0; COSTS];
     for (slot, count) in work[1..].iter_mut().zip(counts) {

@@ -26,7 +26,7 @@ pub fn flag() -> Result<Arc<AtomicBool>> {
     Ok(REQUESTED.get_or_init(|| flag).clone())
 }
 
-/// Whether the flag was raised.
+/// True if the flag was raised.
 pub fn requested(flag: &AtomicBool) -> bool {
     flag.load(Ordering::SeqCst)
 }

@@ -38,12 +38,12 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, |n| n.get())
 }
 
-/// What the numbers of a report were measured with.
+/// Machine, device, program and date of a report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Provenance {
     /// Processor, logical processors, operating system.
     pub machine: String,
-    /// What rendered, with its driver.
+    /// The renderer's device, with its driver.
     pub device: String,
     /// The program's version and commit.
     pub commit: String,

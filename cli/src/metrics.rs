@@ -1,4 +1,4 @@
-//! How well predicted seconds fit measured ones.
+//! Error measures of predicted seconds against measured ones.
 
 pub use entire_core::numeric::median;
 use rand_chacha::ChaCha8Rng;
@@ -79,7 +79,7 @@ impl Metrics {
     }
 }
 
-/// How well an upper bound holds.
+/// Coverage and quantile loss of an upper bound.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BoundMetrics {
     /// Share of frames that took no longer than the bound.

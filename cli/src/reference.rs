@@ -23,7 +23,7 @@ pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
             definition.get_after_help().map(ToString::to_string).unwrap_or_default().replace("\\\n", " ");
         let before = found.len();
         for line in help.lines().filter(|l| l.starts_with("  ")) {
-            // What stands before it runs the program: variables, another program, a pipe.
+            // Text before the program's name runs it: variables, another program, a pipe.
             if let Some(at) = line.find(&format!("{name} ")) {
                 found.push((command.clone(), Some(line[at..].to_owned())));
             }

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
-/// What random scenes are drawn from. Every draw is independent of all others.
+/// Distribution of random scenes. All draws are independent.
 ///
 /// * Distance of the eye: one of `radii` (bounding-sphere radii), each equally likely.
 /// * Direction of the eye: uniform over the area of the upper semi-sphere. R_y uniform in [−180°, 180°), sin

@@ -1,5 +1,5 @@
-//! What commands say of a folder in which nothing can be written: one line that names the file, status 1, and
-//! nothing left behind. Where no folder can be made read-only for this user, that test is reported as ignored.
+//! Commands in a folder that cannot be written: one line that names the file, status 1, and no file left
+//! behind. Where no folder can be made read-only for this user, that test is reported as ignored.
 
 mod support;
 
@@ -11,7 +11,7 @@ use support::{render, stderr};
 /// Makes the folder `$1` read-only for what follows, whoever runs it: permissions do not bind root.
 const MOUNTED: &str = r#"mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" && shift && exec "$@""#;
 
-/// How a folder is made read-only.
+/// Ways to make a folder read-only.
 #[derive(Clone, Copy)]
 enum How {
     Permissions,

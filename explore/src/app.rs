@@ -27,14 +27,14 @@ use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
 use winit::window::{Window, WindowId};
 
-/// How the interface names the two pictures, whatever textures they have.
+/// Texture ids of the two pictures in the interface, whatever textures they have.
 pub(crate) const STEERED: TextureId = TextureId::User(u64::MAX);
 pub(crate) const FULL: TextureId = TextureId::User(u64::MAX - 1);
 
 /// A second loss of the device within this time is not recovered from.
 const LOST_AGAIN: Duration = Duration::from_secs(10);
 
-/// What other threads tell the event loop.
+/// Messages of other threads to the event loop.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Wake {
     /// A load has ended.
@@ -45,7 +45,7 @@ pub(crate) enum Wake {
 struct Pictures {
     steered: Picture,
     full: Picture,
-    /// What the interface's renderer calls them.
+    /// Texture ids in the interface's renderer.
     steered_id: TextureId,
     full_id: TextureId,
     size: [u32; 2],
@@ -53,7 +53,7 @@ struct Pictures {
     used: [u32; 2],
 }
 
-/// What a script waits for.
+/// Event that a script waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Waiting {
     Nothing,
@@ -79,7 +79,7 @@ struct App {
     proxy: EventLoopProxy<Wake>,
     state: State,
     refinement: Option<Refinement>,
-    /// Whether the view is at full quality.
+    /// True if the view is at full quality.
     refined: bool,
     screenshot: Option<Screenshot>,
     script: Option<Script>,
@@ -159,7 +159,7 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         failed: None,
     };
     event_loop.run_app(&mut app).map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
-    // What the validation layer said, where it was asked to speak.
+    // Messages of the validation layer, where it is on.
     let said = app.device.as_ref().map(SharedDevice::validation_messages).unwrap_or_default();
     if let Some(error) = app.failed.take() {
         return Err(error);
@@ -280,7 +280,7 @@ impl App {
         }
     }
 
-    /// Whether a script says what happens, and does not wait for anything.
+    /// True if a script plays and does not wait for anything.
     fn is_scripted(&self) -> bool {
         self.script.is_some() && self.waiting == Waiting::Nothing
     }

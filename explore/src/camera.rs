@@ -36,7 +36,7 @@ pub(crate) struct Viewpoint {
     pub(crate) target: Vec3,
     /// Vertical field of view, degrees.
     pub(crate) fov_y: f32,
-    /// Whether rays are parallel.
+    /// True if rays are parallel.
     pub(crate) orthographic: bool,
 }
 

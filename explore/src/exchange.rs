@@ -41,7 +41,7 @@ enum FileOpacity {
 /// Reads either kind of file. `range` are the scalars that map to [0, 1].
 ///
 /// # Errors
-/// What is wrong with the file.
+/// The error in the file.
 pub(crate) fn load(path: &Path, range: (f32, f32)) -> Result<Curve> {
     let shown = path.display();
     let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();

@@ -1,4 +1,4 @@
-//! How often each value occurs in a volume.
+//! Histogram of a volume's values.
 
 use entire_core::scene::VolumeView;
 

@@ -1,4 +1,4 @@
-//! What the window needs of the program that opens it.
+//! Services that the window needs of the program that opens it.
 
 use crate::recording::Recording;
 use anyhow::{Result, bail};
@@ -21,7 +21,7 @@ pub trait VolumeSource: Send + Sync {
 
 /// A predictor that is ready for one volume.
 pub trait Steering: Send + Sync {
-    /// What predicts, for people.
+    /// Name of the predictor, for display.
     fn title(&self) -> String;
 
     /// VolumeNet's output for the volume, where the predictor takes it.
@@ -39,7 +39,7 @@ pub trait Host: Send + Sync {
     /// Reads a volume file, telling how far it is, and stops once it is cancelled.
     ///
     /// # Errors
-    /// What is wrong with the file; [`Progress::check`]'s error when cancelled.
+    /// The error in the file; [`Progress::check`]'s error when cancelled.
     fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>>;
 
     /// The predictor for a volume and shading mode.
@@ -67,7 +67,7 @@ pub trait Host: Send + Sync {
     fn calibration(&self, volume: &Path, shading: Shading) -> String;
 }
 
-/// How far a file has been read, shared between who reads and who watches.
+/// Share of a file that has been read, shared between the reader and the window.
 #[derive(Debug, Default)]
 pub struct Progress {
     done: AtomicU64,
@@ -91,7 +91,7 @@ impl Progress {
         self.cancelled.store(true, Ordering::Relaxed);
     }
 
-    /// Whether [`Progress::cancel`] was called.
+    /// True if [`Progress::cancel`] was called.
     pub fn is_cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
     }
@@ -114,7 +114,7 @@ impl Progress {
     }
 }
 
-/// How the window opens.
+/// Options of the window.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The volume, or those of a time series in order; none for an empty window.
@@ -123,9 +123,9 @@ pub struct Options {
     pub target: f64,
     /// One of [`Host::controllers`].
     pub controller: String,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which a ray stops.
     pub termination: f32,

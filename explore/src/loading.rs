@@ -19,7 +19,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Instant;
 use winit::event_loop::EventLoopProxy;
 
-/// What to load.
+/// A volume to load.
 #[derive(Clone)]
 pub(crate) struct Job {
     pub(crate) path: PathBuf,

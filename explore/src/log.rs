@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{LineWriter, Write};
 use std::path::Path;
 
-/// What stands beside a frame's record.
+/// Values besides a frame's record.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Beside<'a> {
     pub(crate) controller: &'a str,

@@ -14,7 +14,7 @@ pub(crate) struct Recent {
 }
 
 impl Recent {
-    /// What was kept; nothing where there is no state folder.
+    /// The saved list; empty where there is no state folder.
     pub(crate) fn load() -> Self {
         let variable = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let folder = variable("XDG_STATE_HOME")

@@ -1,4 +1,4 @@
-//! What a person did, frame by frame, to be played again.
+//! A person's actions, frame by frame, to be played again.
 
 use crate::camera::Viewpoint;
 use crate::transfer::Curve;
@@ -25,11 +25,11 @@ pub struct RecordedFrame {
     pub camera: Arcball,
     /// Half of the height that an orthographic view shows, bounding-sphere radii; none for a perspective one.
     pub parallel_scale: Option<f32>,
-    /// Whether the camera jumped here.
+    /// True if the camera jumped here.
     pub camera_switched: bool,
     /// The transfer function, where it differs from the frame before.
     pub transfer: Option<RecordedTransfer>,
-    /// Whether it was replaced, not dragged.
+    /// True if it was replaced, not dragged.
     pub transfer_switched: bool,
 }
 
@@ -47,7 +47,7 @@ pub struct Recording {
 pub(crate) struct Recorder {
     recording: Recording,
     last: Option<(Arcball, Option<f32>, Curve)>,
-    /// Whether a frame was panned, which path files do not hold.
+    /// True if a frame was panned, which path files cannot hold.
     pub(crate) panned: bool,
 }
 

@@ -11,7 +11,7 @@ const BAND: u32 = 32;
 /// Columns of the smallest piece of a band.
 const PIECE: u32 = 16;
 
-/// How much longer than the one before a piece may take.
+/// Largest ratio of a piece's time to that of the one before.
 const CAUTION: f64 = 1.3;
 
 /// Where the work on a picture stands: bands from top to bottom, each from left to right.
@@ -39,7 +39,7 @@ impl Cursor {
         self.y >= self.height
     }
 
-    /// What is done: columns × rows of whole bands, and the part of the band at hand.
+    /// Finished part: columns × rows of whole bands, and the part of the current band.
     pub(crate) fn covered(&self) -> [Option<Region>; 2] {
         let part = |x, y, width, height| (width > 0 && height > 0).then_some(Region { x, y, width, height });
         [
@@ -58,7 +58,7 @@ impl Cursor {
     pub(crate) fn remaining(&self) -> f64 {
         let pieces = f64::from(self.width.div_ceil(PIECE)) * f64::from(self.height.div_ceil(BAND));
         let share = self.share();
-        // What is done tells more the more of it there is.
+        // The estimate relies on the finished part the more, the larger it is.
         let whole = share * (self.spent / share.max(1e-6)) + (1.0 - share) * self.piece * pieces;
         (1.0 - share) * whole
     }

@@ -26,7 +26,7 @@ pub(crate) struct Scene {
     pub(crate) facts: Facts,
 }
 
-/// What is said of a volume.
+/// Description of a volume.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Facts {
     pub(crate) dims: [usize; 3],

@@ -38,7 +38,7 @@ use std::path::{Path, PathBuf};
 /// Largest script, bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// What happens.
+/// Action of an event.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Action {

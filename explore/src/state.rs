@@ -1,4 +1,4 @@
-//! What the interface shows and edits. The application acts on it.
+//! State that the interface shows and edits. The application acts on it.
 
 use crate::camera::Viewpoint;
 use crate::histogram::Histogram;
@@ -14,7 +14,7 @@ use entire_core::scene::{COLOR_RAMP, Shading, Skipping};
 use entire_vk_raycaster::Region;
 use std::path::PathBuf;
 
-/// What a person asks for that the interface cannot do itself.
+/// Requests of a person that the interface cannot fulfil itself.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Command {
     Open(PathBuf),
@@ -39,7 +39,7 @@ pub(crate) enum Command {
     Forget,
 }
 
-/// What changed since the last frame.
+/// Changes since the last frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Changed {
     pub(crate) camera: bool,
@@ -53,12 +53,12 @@ pub(crate) struct Changed {
 }
 
 impl Changed {
-    /// Whether the picture is to be drawn anew.
+    /// True if the picture must be drawn again.
     pub(crate) fn any(&self) -> bool {
         *self != Self::default()
     }
 
-    /// Whether it changed abruptly.
+    /// True if it changed abruptly.
     pub(crate) fn abrupt(&self) -> bool {
         self.cut || self.replaced
     }
@@ -82,7 +82,7 @@ pub(crate) struct Rest {
     pub(crate) took: Option<f64>,
 }
 
-/// What is being dragged in the editor.
+/// Handle that is dragged in the editor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Handle {
     Point(usize),
@@ -139,7 +139,7 @@ pub(crate) struct State {
 
     pub(crate) recorder: Option<Recorder>,
     pub(crate) recent: Recent,
-    /// What is being loaded: the file, the stage, and the share that was read.
+    /// File that is loading, its stage, and the share that was read.
     pub(crate) loading: Option<(String, &'static str, f32)>,
     pub(crate) screenshot_share: Option<f64>,
     pub(crate) screenshot_size: [u32; 2],

@@ -39,9 +39,9 @@ pub(crate) struct FrameRecord {
     pub(crate) step: f32,
     pub(crate) image_sample_distance: f32,
     pub(crate) reason: Reason,
-    /// Whether something changed abruptly.
+    /// True if something changed abruptly.
     pub(crate) switched: bool,
-    /// What the frame would have taken at full quality, as predicted; NaN where unknown.
+    /// Predicted time of the frame at full quality; NaN where unknown.
     pub(crate) full: f64,
 }
 
@@ -62,7 +62,7 @@ struct Loop {
     transfer: u64,
 }
 
-/// What sessions are told.
+/// Inputs of the sessions.
 struct Known {
     summary: VolumeSummary,
     steering: [Arc<dyn Steering>; 3],
@@ -150,7 +150,7 @@ impl Steer {
         self.other.clear();
     }
 
-    /// What predicts, for people.
+    /// Name of the predictor, for display.
     pub(crate) fn predictor(&self, shading: Shading) -> String {
         self.known.as_ref().map_or(String::new(), |k| k.steering[shading_index(shading)].title())
     }

@@ -109,7 +109,7 @@ impl Curve {
         }
     }
 
-    /// Whether the color map is that of Gaussian transfer functions.
+    /// True if the color map is that of Gaussian transfer functions.
     fn has_ramp(&self) -> bool {
         self.colors == COLOR_RAMP
     }

@@ -1,4 +1,4 @@
-//! What the C door costs: `entire_model_predict` through the installed shared library against
+//! Overhead of the C interface: `entire_model_predict` through the installed shared library against
 //! `PredNet::predict` called from Rust, batch 1, medians over interleaved runs. Printed by `make bars-ffi`.
 //!
 //!     overhead LIBENTIRE.so MODEL.safetensors

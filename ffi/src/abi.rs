@@ -37,7 +37,7 @@ pub(crate) unsafe trait ByValue: Copy {
     /// Its size when it was first released; a smaller one never existed. A struct that has grown since states
     /// it.
     const FIRST_SIZE: usize = size_of::<Self>();
-    /// What fields hold that the caller's older struct does not have, and what `_init` writes.
+    /// Default values: those of fields that the caller's older struct lacks, and those that `_init` writes.
     fn defaults() -> Self;
 }
 

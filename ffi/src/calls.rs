@@ -21,7 +21,7 @@ fn ok(result: entire_result) {
     assert_eq!(result, ENTIRE_OK);
 }
 
-/// What a call writes into its last argument.
+/// The value that a call writes into its last argument.
 fn made<T>(call: impl FnOnce(*mut *mut T) -> entire_result) -> *mut T {
     let mut out = null_mut();
     ok(call(&raw mut out));
@@ -252,7 +252,7 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
         let (mut model, mut own) = (ENTIRE_CLOCK_CPU, ENTIRE_CLOCK_CPU);
         ok(entire_session_clocks(session, &raw mut model, &raw mut own));
         assert_eq!((model, own), (ENTIRE_CLOCK_UNSTATED, ENTIRE_CLOCK_WALL));
-        // What was refused has changed nothing.
+        // A refused call changes nothing.
         assert_eq!(taken(session, &state), ENTIRE_OK);
     }
     assert_eq!(taken(session_of(c"a mapper", c"wall"), &state), ENTIRE_OK);

@@ -9,21 +9,21 @@ use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading,
 use glam::{Mat4, Vec3};
 use std::mem::size_of;
 
-/// How a frame's camera is given: one of the two `ENTIRE_CAMERA_*` numbers.
+/// Kind of a frame's camera: one of the two `ENTIRE_CAMERA_*` numbers.
 pub type entire_camera = u32;
 /// By entire_frame.arcball.
 pub const ENTIRE_CAMERA_ARCBALL: entire_camera = 1;
 /// By entire_frame.view, volume_center and volume_radius.
 pub const ENTIRE_CAMERA_VIEW: entire_camera = 2;
 
-/// How a camera projects: one of the two `ENTIRE_PROJECTION_*` numbers.
+/// Projection of a camera: one of the two `ENTIRE_PROJECTION_*` numbers.
 pub type entire_projection = u32;
 /// By entire_frame.fov_y; rays leave the eye.
 pub const ENTIRE_PROJECTION_PERSPECTIVE: entire_projection = 1;
 /// By entire_frame.parallel_scale; rays leave the plane through the eye, all along the view (orthographic).
 pub const ENTIRE_PROJECTION_PARALLEL: entire_projection = 2;
 
-/// What is computed at each sample: one of the `ENTIRE_SHADING_*` numbers.
+/// Shading of each sample: one of the `ENTIRE_SHADING_*` numbers.
 pub type entire_shading = u32;
 /// Color and opacity of the transfer function alone.
 pub const ENTIRE_SHADING_NONE: entire_shading = 1;
@@ -32,7 +32,7 @@ pub const ENTIRE_SHADING_LOCAL: entire_shading = 2;
 /// Single scattering: a shadow ray per visible sample.
 pub const ENTIRE_SHADING_SCATTER: entire_shading = 3;
 
-/// How empty space is skipped: one of the `ENTIRE_SKIPPING_*` numbers.
+/// Skipping of empty space: one of the `ENTIRE_SKIPPING_*` numbers.
 pub type entire_skipping = u32;
 /// Every sample is taken.
 pub const ENTIRE_SKIPPING_NONE: entire_skipping = 1;

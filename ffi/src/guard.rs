@@ -13,19 +13,19 @@ use std::ffi::c_char;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
 
-/// What the body of an entry point returns.
+/// Result of the body of an entry point.
 pub(crate) type Outcome = Result<(), Failure>;
 
 /// Longest text of a thread's last failure, its closing NUL included.
 const TEXT_BYTES: usize = 2048;
 
 thread_local! {
-    /// Whether the last call of this thread failed; its text stands in `TEXT`.
+    /// True if the last call of this thread failed; its text is in `TEXT`.
     static FAILED: Cell<bool> = const { Cell::new(false) };
     /// In place: what is dropped with its thread is registered at its first use, for which the C library asks
     /// for memory and ends the process where there is none.
     static TEXT: RefCell<[u8; TEXT_BYTES]> = const { RefCell::new([0; TEXT_BYTES]) };
-    /// How many guards are open on this thread, for the panic hook.
+    /// Number of open guards on this thread, for the panic hook.
     static DEPTH: Cell<u32> = const { Cell::new(0) };
     /// Where and why this thread panicked inside a guard.
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };

@@ -7,7 +7,7 @@ use crate::result::Failure;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// What every handle carries beside its value.
+/// State that every handle has besides its value.
 #[derive(Default)]
 pub(crate) struct Status {
     unusable: AtomicBool,
@@ -16,7 +16,7 @@ pub(crate) struct Status {
 }
 
 impl Status {
-    /// Whether an earlier call panicked half-way through this handle.
+    /// True if an earlier call panicked half-way through this handle.
     #[inline]
     pub(crate) fn is_unusable(&self) -> bool {
         self.unusable.load(Ordering::Acquire)
@@ -51,9 +51,9 @@ impl Status {
 
 /// A noun that C holds by pointer.
 pub(crate) trait Handle: Sized {
-    /// What the handle is for.
+    /// Value of the handle.
     type Value;
-    /// How its pointers are owned.
+    /// Ownership of its pointers.
     type Owner: Owner<Self>;
     /// Its name in messages.
     const NAME: &'static str;
@@ -67,7 +67,7 @@ pub(crate) trait Handle: Sized {
     fn parts_mut(&mut self) -> (&Status, &mut Self::Value);
 }
 
-/// How pointers to a handle are owned.
+/// Ownership of pointers to a handle.
 pub(crate) trait Owner<H> {
     fn into_raw(handle: H) -> *mut H;
     /// Ends the ownership that `into_raw` gave away.

@@ -25,7 +25,7 @@ pub const ENTIRE_MAX_NODES: usize = 1_048_576;
 /// Most tasks times nodes that entire_schedule takes: each task is compared on every node.
 pub const ENTIRE_MAX_TASKS_TIMES_NODES: u64 = 4_294_967_296;
 
-// What the core accepts is what this door lets through.
+// The limits of the core and of this interface agree.
 const _: () = {
     assert!(ENTIRE_MAX_SIDE == entire_core::scene::MAX_VOLUME_EDGE);
     assert!(ENTIRE_MAX_REPEATED_VOXELS as u64 == entire_core::scene::MAX_REPEATED_VOXELS);

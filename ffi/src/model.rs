@@ -24,7 +24,7 @@ use std::mem::size_of;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
+/// Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
 pub type entire_target = u32;
 /// The model has no prediction network.
 pub const ENTIRE_TARGET_NONE: entire_target = 0;
@@ -33,19 +33,19 @@ pub const ENTIRE_TARGET_SECONDS: entire_target = 1;
 /// The natural logarithm of seconds; predictions are seconds all the same.
 pub const ENTIRE_TARGET_LOG_SECONDS: entire_target = 2;
 
-/// What a model is. Set struct_size before the call.
+/// Description of a model. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_model_info {
     /// sizeof(entire_model_info).
     pub struct_size: usize,
-    /// How many numbers entire_model_predict takes; 0 where the file has no prediction network.
+    /// Number of inputs of entire_model_predict; 0 where the file has no prediction network.
     pub input_count: usize,
-    /// How many groups these numbers come in (entire_model_input_group).
+    /// Number of groups of these inputs (entire_model_input_group).
     pub group_count: usize,
-    /// How many scene features the model names (entire_model_scene_feature).
+    /// Number of scene features that the model names (entire_model_scene_feature).
     pub scene_feature_count: usize,
-    /// How many features entire_model_encode writes; 0 where the file has no volume encoder.
+    /// Number of features that entire_model_encode writes; 0 where the file has no volume encoder.
     pub feature_count: usize,
     /// Voxels along each axis of the encoder's input; 0 where the file has no volume encoder.
     pub encoder_edge: usize,
@@ -82,7 +82,7 @@ pub struct entire_input_group {
     pub name: *const c_char,
     /// Index of its first number among the model's inputs.
     pub offset: usize,
-    /// How many numbers.
+    /// Number of values in the group.
     pub size: usize,
 }
 
@@ -391,7 +391,7 @@ pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *co
             let beside = format!("{path}.{}.part", std::process::id());
             std::fs::write(&beside, &loaded.bytes).and_then(|()| std::fs::rename(&beside, path)).map_err(
                 |e| {
-                    // What was begun is of no use; that it cannot be removed either changes nothing.
+                    // A partial file is useless; a failure to remove it is ignored.
                     let _ = std::fs::remove_file(&beside);
                     Failure::new(
                         ENTIRE_IO,

@@ -3,8 +3,8 @@
 use std::cell::UnsafeCell;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// How many calls of entire_model_predict may run on one model at the same time without allocating; each
-/// further one allocates working memory of its own.
+/// Calls of entire_model_predict that may run on one model at the same time without allocating; each further
+/// one allocates its own working memory.
 pub const ENTIRE_CONCURRENT_PREDICTIONS: usize = 16;
 
 const SLOTS: usize = ENTIRE_CONCURRENT_PREDICTIONS;
@@ -98,7 +98,7 @@ mod tests {
 
     const ROUNDS: usize = if cfg!(miri) { 5 } else { 500 };
 
-    /// How many pieces were made, exist, and existed at most at one time.
+    /// Number of pieces made, present, and present at most at one time.
     #[derive(Default)]
     struct Count {
         made: AtomicUsize,

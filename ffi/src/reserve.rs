@@ -34,7 +34,7 @@ struct Reserve {
     memory: Memory,
     /// 1 where a block is held.
     held: [AtomicU8; BLOCKS],
-    /// How many are held.
+    /// Number of held pieces.
     count: AtomicUsize,
 }
 
@@ -165,7 +165,7 @@ unsafe impl GlobalAlloc for Allocator {
     }
 }
 
-/// Whether a call that makes or sets something may begin.
+/// Fails if a call that makes or sets something must not begin.
 ///
 /// # Errors
 /// ENTIRE_OUT_OF_MEMORY where half of the reserve is held.

@@ -5,7 +5,7 @@ use entire_core::{Error, ErrorKind};
 use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
 
-/// What a call came to. The numbers never change; a retired one stays reserved.
+/// Result of a call. The numbers never change; a retired one stays reserved.
 #[repr(u32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum entire_result {
@@ -114,7 +114,7 @@ impl Failure {
     }
 }
 
-/// Whether a number can be the seconds that a frame takes.
+/// True if a number can be the seconds of a frame.
 #[inline]
 pub(crate) fn is_frame_time(seconds: f32) -> bool {
     seconds > 0.0 && seconds < *PREDICTED_SECONDS.end()

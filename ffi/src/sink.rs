@@ -5,7 +5,7 @@ use std::ffi::{CString, c_char, c_void};
 use std::sync::RwLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// How much a log message matters: one of the `ENTIRE_LOG_*` numbers.
+/// Severity of a log message: one of the `ENTIRE_LOG_*` numbers.
 pub type entire_log_level = u32;
 /// Nothing is logged.
 pub const ENTIRE_LOG_OFF: entire_log_level = 0;
@@ -42,7 +42,7 @@ thread_local! {
     static IN_CALLBACK: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether this thread is inside the callback.
+/// True if this thread is inside the callback.
 pub(crate) fn in_callback() -> bool {
     IN_CALLBACK.get()
 }
@@ -54,7 +54,7 @@ pub(crate) fn set(sink: Option<Sink>, level: entire_log_level) {
     *held = sink;
 }
 
-/// Whether a message of this level would reach anyone.
+/// True if a message of this level would reach anyone.
 #[inline]
 pub(crate) fn enabled(level: entire_log_level) -> bool {
     level <= LEVEL.load(Ordering::Relaxed)

@@ -34,7 +34,7 @@ pub struct entire_opacity_node {
     pub opacity: f64,
     /// Where between this node and the next the value is half way, in [0, 1]; 0.5 is the middle.
     pub midpoint: f64,
-    /// How abrupt the change is, in [0, 1]: 0 linear, 1 nearly a step.
+    /// Sharpness of the change, in [0, 1]: 0 linear, 1 nearly a step.
     pub sharpness: f64,
 }
 
@@ -52,7 +52,7 @@ pub struct entire_color_node {
     pub sharpness: f64,
 }
 
-/// What a unit distance is counted in: one of the `ENTIRE_UNIT_*` numbers.
+/// Unit of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
 pub type entire_unit = u32;
 /// Multiples of the reference step, which is the volume's smallest voxel spacing.
 pub const ENTIRE_UNIT_REFERENCE_STEP: entire_unit = 1;

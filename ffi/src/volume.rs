@@ -21,7 +21,7 @@ use std::ffi::{c_char, c_void};
 use std::mem::size_of;
 use std::sync::OnceLock;
 
-/// What a voxel is: one of the `ENTIRE_SCALAR_*` numbers.
+/// Type of a voxel: one of the `ENTIRE_SCALAR_*` numbers.
 pub type entire_scalar_type = u32;
 /// Unsigned 8-bit integers.
 pub const ENTIRE_SCALAR_U8: entire_scalar_type = 1;
@@ -64,7 +64,7 @@ pub struct entire_volume_desc {
     pub struct_size: usize,
     /// The voxels. No default.
     pub voxels: *const c_void,
-    /// How many elements of the scalar type `voxels` points at. No default.
+    /// Number of elements of the scalar type at `voxels`. No default.
     pub voxel_count: usize,
     /// One of ENTIRE_SCALAR_*. No default.
     pub scalar_type: entire_scalar_type,
@@ -143,7 +143,7 @@ unsafe impl ByValue for entire_brick_desc {
     }
 }
 
-/// What the library knows of a volume. Set struct_size before the call.
+/// The library's description of a volume. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_volume_info {

@@ -1,4 +1,4 @@
-//! What must hold for tables, manifests, paths and task lists.
+//! Invariants of tables, manifests, paths and task lists.
 
 use crate::dataset::{Clock, Manifest, feature_table::FeatureTable, noise_floor, parse_table};
 use crate::farm::{By, Farm, Method, parse_tasks, plan, play, times};

@@ -13,7 +13,7 @@ const SEAL: usize = 4;
 /// Frames that are steered after a state was taken up.
 const FRAMES: usize = 12;
 
-/// What the steering aims at, seconds.
+/// Target of the steering, seconds.
 const TARGET: f32 = 0.02;
 
 fn frame(turn: f32) -> Frame {

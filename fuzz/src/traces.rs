@@ -1,4 +1,4 @@
-//! What must hold for traces.
+//! Invariants of traces.
 
 use crate::trace::Trace;
 

@@ -6,13 +6,13 @@ use entire_cli::report::{Column, Table};
 /// A bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// What it is about, without blanks.
+    /// Name of the bar, without blanks.
     pub name: String,
-    /// What was found; `None` where what it is about is missing.
+    /// Measured value; `None` where it could not be measured.
     pub value: Option<f64>,
-    /// What was asked for.
+    /// Limit of the value.
     pub limit: f64,
-    /// Whether it holds; never where nothing was found.
+    /// True if the limit is met; false without a value.
     pub ok: bool,
 }
 

@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 /// Between looks at a running process.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// How a process came to its end.
+/// End of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended {
-    /// What it ended with.
+    /// Exit status.
     pub status: ExitStatus,
-    /// Whether it was asked to end.
+    /// True if it was asked to end.
     pub asked: bool,
 }
 

@@ -81,7 +81,7 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
 /// A predictor with what is known of it, for reports.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
-    /// What it is.
+    /// Name of the predictor.
     pub title: String,
     /// Its errors on calibration frames that it was not fitted to.
     pub held_out: Quality,
@@ -151,7 +151,7 @@ impl Calibrated {
         self.candidates.iter().find(|c| c.chosen).unwrap_or(&self.candidates[0])
     }
 
-    /// What a controller may take as known of it.
+    /// Prior of a controller that uses it.
     pub fn prior(&self) -> Prior {
         Prior::Fitted { log_sd: self.chosen().held_out.log_sd as f32 }
     }

@@ -1,5 +1,5 @@
-//! How long a prediction takes when it is asked for between frames: from camera and transfer function to
-//! seconds, with the caches of the processor filled by something else.
+//! Latency of a prediction between frames: from camera and transfer function to seconds, with the processor's
+//! caches filled by something else.
 
 use anyhow::Result;
 use entire_cli::scenes::SceneDistribution;
@@ -19,7 +19,7 @@ const EVICTED_BYTES: usize = 16 << 20;
 /// Frames that are predicted.
 const FRAMES: u64 = 200;
 
-/// How often they are.
+/// Rounds of measurement.
 const ROUNDS: usize = 5;
 
 /// Seconds of one prediction in one thread, scene features included. Once per volume and once per transfer
@@ -40,7 +40,7 @@ pub struct Latency {
 /// Frames that share a transfer function, where its cost is spread over them.
 const FRAMES_PER_TRANSFER: f64 = 30.0;
 
-/// How far the camera turns from one frame to the next, degrees.
+/// Turn of the camera from one frame to the next, degrees.
 const TURN: f32 = 3.0;
 
 impl Latency {
@@ -125,7 +125,7 @@ impl Bench {
     /// many volume features it takes.
     ///
     /// # Errors
-    /// What `predict` gives.
+    /// Latency of `predict`.
     pub fn latency_of(
         &mut self,
         probe_side: Option<usize>,

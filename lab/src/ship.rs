@@ -14,7 +14,7 @@ use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// How a shipped model did on a split.
+/// Errors of a shipped model on a split.
 struct Figures {
     split: String,
     tables: Vec<String>,

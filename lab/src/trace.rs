@@ -59,7 +59,7 @@ impl TraceVolume {
     }
 }
 
-/// What a recording is told.
+/// Settings of a recording.
 #[derive(Clone, Debug)]
 pub struct Recording<'a> {
     /// A name for reports.
@@ -72,11 +72,11 @@ pub struct Recording<'a> {
     pub hold: u32,
     /// From which frame on images have which scale.
     pub scales: &'a [(u32, f32)],
-    /// How frames are drawn.
+    /// Settings of drawing.
     pub draw: DrawSettings,
     /// Ray steps of the grid at scale 1, ascending; smaller images are drawn beside [`TRACE_STEPS`] alone.
     pub steps: &'a [f32],
-    /// How often every point is drawn.
+    /// Renderings of every point.
     pub repeats: usize,
 }
 
@@ -131,7 +131,7 @@ fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
 }
 
 impl Trace {
-    /// What of it differs from a recording, so that it cannot be gone on with; nothing where it can.
+    /// Differences from a recording that prevent its continuation; empty where there are none.
     pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
         let other = recording.begun();
         let points = |frame: &Vec<TracePoint>| frame.iter().map(|p| (p.step, p.scale)).collect::<Vec<_>>();
@@ -150,7 +150,7 @@ impl Trace {
         .collect()
     }
 
-    /// How frames were drawn.
+    /// Settings of drawing.
     ///
     /// # Errors
     /// When a mode is not known.
@@ -400,7 +400,7 @@ impl Curve {
         self.residuals[(which % self.residuals.len() as u64) as usize]
     }
 
-    /// What an oracle does: the finest step within the limits whose seconds do not exceed the target; the
+    /// Choice of an oracle: the finest step within the limits whose seconds do not exceed the target; the
     /// coarsest where none does.
     pub fn oracle(&self, target: f64, finest: f64, coarsest: f64) -> f64 {
         if self.seconds(finest) <= target {
@@ -417,7 +417,7 @@ impl Curve {
         high.exp()
     }
 
-    /// Whether the target lies between what the limits' steps take.
+    /// True if the target lies between the times of the limits' steps.
     pub fn reaches(&self, target: f64, finest: f64, coarsest: f64) -> bool {
         (self.seconds(coarsest)..=self.seconds(finest)).contains(&target)
     }

@@ -121,7 +121,7 @@ impl Trees {
         self.layout.probe_side()
     }
 
-    /// How many trees there are.
+    /// Number of trees.
     pub fn count(&self) -> usize {
         self.booster.prediction_iteration.unwrap_or(self.booster.trees.len())
     }

@@ -1,5 +1,4 @@
-//! How many probe rays plans need that climb a ladder, and how far their steps lie from those of the finest
-//! probe.
+//! Number of probe rays of adaptive plans, and the distance of their steps from those of the finest probe.
 //!
 //! ```text
 //! cargo run --release -p entire-tests --example probe_ladder -- [--frames N] [--tolerance T] VOLUME…

@@ -84,7 +84,7 @@ impl Parts {
 pub struct Mutants {
     state: u64,
     seeds: Vec<Parts>,
-    /// Whether the file at hand has usable weights and strides wherever no mutation says otherwise.
+    /// True if the file has usable weights and strides except where a mutation changes them.
     calm: bool,
 }
 
@@ -345,7 +345,7 @@ impl Mutants {
     }
 }
 
-/// What became of a mutant.
+/// Outcome of a mutant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outcome {
     /// It was read as a model.

@@ -4,7 +4,7 @@
 use entire_core::nn::Level;
 use libtest_mimic::{Arguments, Failed, Trial};
 
-/// What a user sets.
+/// Variable that a user sets.
 const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 #[allow(unsafe_code, reason = "setting the environment is unsafe; this test is alone in its process")]

@@ -14,7 +14,7 @@ const EDGE: usize = 64;
 /// Largest edge that images grow to.
 const LARGEST_IMAGE: u32 = 4096;
 
-/// How long a probe takes its time.
+/// Options of a probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProbeOptions {
     /// Images grow until their frames take this long, in seconds, so that clocks can tell them apart.
@@ -29,7 +29,7 @@ impl Default for ProbeOptions {
     }
 }
 
-/// What a probe found out.
+/// Results of a probe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Probe {
     /// [`Renderer::device`].
@@ -40,9 +40,9 @@ pub struct Probe {
     pub clock: &'static str,
     /// The device's own limits.
     pub limits: Option<DeviceLimits>,
-    /// How a frame of this renderer agrees with the CPU twin's.
+    /// Agreement of this renderer's frame with the CPU version's.
     pub agreement: Agreement,
-    /// How device timestamps behave; `None` where there are none.
+    /// Quality of device timestamps; `None` where there are none.
     pub timestamps: Option<TimestampQuality>,
     /// A frame in which every ray misses, 64 × 64 pixels: seconds, of whatever a frame costs by itself.
     pub frame_seconds: f64,
@@ -77,9 +77,9 @@ pub struct Agreement {
     pub largest: u8,
     /// Mean difference, of 255.
     pub mean: f64,
-    /// What the renderer counted, where it counts.
+    /// The renderer's counts, where it counts.
     pub counts: Option<WorkCounts>,
-    /// What the twin counted.
+    /// The CPU version's counts.
     pub twin: WorkCounts,
 }
 
@@ -176,7 +176,7 @@ fn agree(renderer: &mut dyn Renderer, view: &VolumeView<'_>) -> Result<Agreement
     })
 }
 
-/// How the device's clock goes with the host's.
+/// Ratio of device to host times, and its spread.
 fn quality(times: &[FrameTime]) -> Option<TimestampQuality> {
     let device: Vec<f64> = times.iter().filter_map(|t| t.device).collect();
     let (low, high) = device.iter().fold((f64::INFINITY, 0.0f64), |(l, h), &t| (l.min(t), h.max(t)));

@@ -1,4 +1,4 @@
-//! What every renderer of this crate can do.
+//! Interface of all renderers of this crate.
 
 use entire_core::scene::{Frame, TransferTable, VolumeView};
 use std::fmt;
@@ -38,7 +38,7 @@ pub struct Image {
     pub rgba: Vec<u8>,
 }
 
-/// How long a frame took, by each clock that there is. A clock that does not exist is `None`, never zero.
+/// Time of a frame by each clock. A clock that does not exist is `None`, never zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameTime {
     /// Between device timestamps around the ray-casting pass, seconds.
@@ -61,7 +61,7 @@ impl FrameTime {
     }
 }
 
-/// What a frame really did. Counted by renderers that can, over the whole image.
+/// Work of a frame, counted over the whole image by renderers that can.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WorkCounts {
     /// Rays that hit the volume's box.
@@ -79,9 +79,9 @@ pub struct WorkCounts {
 pub struct Rendered {
     /// The picture.
     pub image: Image,
-    /// How long it took.
+    /// Time of the frame.
     pub time: FrameTime,
-    /// What it did, where the renderer counts.
+    /// Work of the frame, where the renderer counts.
     pub counts: Option<WorkCounts>,
 }
 
@@ -110,7 +110,7 @@ pub struct DeviceLimits {
     pub driver: String,
     /// Vulkan version, `major.minor.patch`.
     pub api_version: String,
-    /// Whether it is a CPU in truth.
+    /// True if the device is a software implementation.
     pub is_software: bool,
     /// Most texels along an axis of a 3-D texture.
     pub max_image_3d: u32,
@@ -128,7 +128,7 @@ pub struct DeviceLimits {
 
 /// A volume renderer. Set a volume and a transfer function, then render frames.
 pub trait Renderer {
-    /// What renders: device name and driver, for manifests.
+    /// Device name and driver, for manifests.
     fn device(&self) -> String;
 
     /// `vulkan` or `cpu`.
@@ -152,7 +152,7 @@ pub trait Renderer {
         )))
     }
 
-    /// What the device is and how much it takes; `None` where nothing is behind the renderer but the host.
+    /// Kind and limits of the device; `None` where the renderer runs on the host.
     fn limits(&self) -> Option<DeviceLimits> {
         None
     }

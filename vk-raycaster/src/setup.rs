@@ -1,5 +1,5 @@
-//! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a
-//! struct.
+//! Parameters that a frame hands to its rays: the shader reads them as its uniform block, the CPU version as
+//! a struct.
 
 use crate::renderer::{Error, Result};
 use crate::voxels::Geometry;
@@ -163,7 +163,7 @@ pub(crate) fn check(frame: &Frame) -> Result<()> {
     frame.checked().map(drop).map_err(|e| Error::new(e.to_string()))
 }
 
-/// Whether samples of a frame are shaded.
+/// True if samples of a frame are shaded.
 pub(crate) fn is_shaded(frame: &Frame) -> bool {
     frame.shading != Shading::None
 }

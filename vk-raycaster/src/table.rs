@@ -32,8 +32,8 @@ impl Classifier {
         out
     }
 
-    /// Whether samples at table positions `low`…`high` (0…255) are all transparent. A margin of 1/1000 entry
-    /// on both sides makes this hold for values that rounding has pushed over the ends.
+    /// True if all samples at table positions `low`…`high` (0…255) are transparent. A margin of 1/1000 entry
+    /// on both sides covers values that rounding has pushed over the ends.
     pub(crate) fn is_empty(&self, low: f32, high: f32) -> bool {
         let first = (low - 1e-3).floor().clamp(0.0, 255.0) as usize;
         let last = (high + 1e-3).ceil().clamp(0.0, 255.0) as usize;

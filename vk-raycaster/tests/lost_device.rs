@@ -14,7 +14,7 @@ use std::time::Duration;
 
 type Outcome = Result<(), Failed>;
 
-/// What the device of a thread does from a call on.
+/// Fault of a thread's device from a call on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     Sound,
@@ -24,7 +24,7 @@ enum Fault {
     Hangs(usize),
 }
 
-/// How long these tests let a submission run: what the mock gets to see, not what anybody waits.
+/// Time limit of a submission in these tests: the mock sees it, but nobody waits for it.
 const WAIT: Duration = Duration::from_secs(20);
 
 thread_local! {
@@ -60,7 +60,7 @@ fn settle() {
     });
 }
 
-/// What a call answers in place of the device.
+/// Result of a call instead of the device's.
 fn fault(waits: bool) -> Option<vk::Result> {
     let (calls, waited) = CALLS.get();
     CALLS.set((calls + 1, waited + usize::from(waits)));

@@ -39,7 +39,7 @@ impl Design {
         Self { vectors, inverse, width, taken }
     }
 
-    /// What a frame would add to ln det of the information.
+    /// Gain of a frame in ln det of the information matrix.
     fn gain(&self, i: usize) -> f64 {
         let v = &self.vectors[i];
         let quadratic: f64 =
@@ -228,7 +228,7 @@ mod tests {
         assert!(!chosen.contains(&3));
         let spent: f64 = chosen.iter().map(|&i| seconds[i]).sum();
         assert!((0.9..=1.06).contains(&spent), "{spent}");
-        // What was taken is not taken again.
+        // A chosen frame is not chosen again.
         let again = design.choose(&pool, &seconds, 1.0, 100);
         assert!(again.iter().all(|i| !chosen.contains(i)));
     }

@@ -42,13 +42,13 @@ struct Visit {
     disturbed: bool,
 }
 
-/// What was measured.
+/// Measured frames of a calibration.
 pub struct Measured {
     /// Every frame with its repeats; of frames that were seen undisturbed, those repeats alone.
     pub frames: Vec<TimedFrame>,
     /// Passes that the repeats of each frame, by number, come in.
     pub passes: HashMap<u64, usize>,
-    /// What else used the machine.
+    /// Load of other programs.
     pub others: Others,
     /// Batches.
     pub rounds: usize,
@@ -129,7 +129,7 @@ impl<'a> Measuring<'a> {
     /// When a volume cannot be read or the renderer fails.
     pub fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, self.pool.prior.costs());
-        // What the prior expects is of another machine: a small batch says by how much it is off here.
+        // The prior's seconds are of another machine: a small batch measures the factor here.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
             let groups = self.groups();
@@ -242,7 +242,7 @@ impl<'a> Measuring<'a> {
         let place = || format!("{}, calibration frame {i}", scene.volume);
         let frame = scene.to_frame().with_context(place)?;
         self.renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
-        // What was seen of the frame tells better than what is expected of it.
+        // A measured time of the frame is better than its expected one.
         let seen = self.visits.get(&i).and_then(|v| v.first()?.repeats.first()?.wall);
         let (mut discard, timed) = match self.visits.get(&i) {
             Some(v) => (usize::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),
@@ -264,7 +264,7 @@ impl<'a> Measuring<'a> {
         Ok(Some(repeats))
     }
 
-    /// How far medians of a batch's frames scatter; infinite where that is not known.
+    /// Scatter of the medians of a batch's frames; infinite where it is unknown.
     fn spread(&self, batch: &[usize]) -> f64 {
         let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
         noise_floor(&frames, self.settings.clock, |f| self.passes(f.number as usize))
@@ -300,7 +300,7 @@ impl<'a> Measuring<'a> {
         (!repeats.is_empty()).then_some(TimedFrame { table: 0, number: i as u64, scene, repeats })
     }
 
-    /// What came of it.
+    /// Result of the measurement.
     pub fn finish(&self) -> Measured {
         let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
         let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();

@@ -38,16 +38,16 @@ const FIT_SECONDS: f64 = 6.0;
 /// Share of the time in which pictures are compared.
 const PICTURES_SHARE: f64 = 0.08;
 
-/// What is calibrated, and how long it may take.
+/// Settings and time limit of a calibration.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Volumes whose frames are rendered.
     pub volumes: Vec<PathBuf>,
     /// Options of their reading.
     pub reading: Reading,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which rays stop.
     pub termination: f32,
@@ -71,7 +71,7 @@ pub struct Settings {
 pub struct Calibrated {
     /// The model file.
     pub file: ModelFile,
-    /// What it was made of, and what error to expect.
+    /// Inputs of the fit, and its error on held-out volumes.
     pub report: Report,
     /// Every frame with its repeats.
     pub frames: Vec<TimedFrame>,
@@ -80,7 +80,7 @@ pub struct Calibrated {
 /// A model that a calibration may start from, by its name.
 pub type NamedPrior = (String, ModelFile);
 
-/// Whether a model can state the clock.
+/// Checks that a model can state the clock.
 ///
 /// # Errors
 /// For [`Clock::Auto`].

@@ -1,4 +1,4 @@
-//! What else uses the processor while frames are timed.
+//! Processor use by other programs while frames are timed.
 
 use std::time::Instant;
 
@@ -53,7 +53,7 @@ fn own_seconds(text: &str) -> Option<f64> {
     Some((fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?) / TICKS)
 }
 
-/// How busy the machine was over a calibration.
+/// Load of other programs over a calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Others {
     /// Wall seconds watched.
@@ -77,7 +77,7 @@ impl Others {
         self.seconds += wall;
     }
 
-    /// Whether more than a fifth of the time was disturbed.
+    /// True if more than a fifth of the time was disturbed.
     pub fn busy(&self) -> bool {
         self.disturbed > 0.2 * self.seconds
     }

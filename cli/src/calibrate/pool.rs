@@ -36,13 +36,13 @@ pub struct Candidate {
     pub volume: usize,
     /// Its enlargement.
     pub factor: usize,
-    /// What is shown.
+    /// Scene of the frame.
     pub scene: Scene,
     /// Inputs of the prior's factor, in its order; empty where it has none.
     pub row: Vec<f32>,
     /// Estimated work: 1, then the counts.
     pub work: [f64; COSTS],
-    /// Whether it is one of those that are drawn as users draw.
+    /// True if it is a random candidate, drawn as `entire collect` draws.
     pub random: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What a calibration says of itself, to people and in the model file.
+//! Report of a calibration, printed and stored in the model file.
 
 use super::measuring::PictureError;
 use super::others::Others;
@@ -23,7 +23,7 @@ const DRIFT: f64 = 0.05;
 /// ln of the least upper bound over a prediction of a model that was calibrated on a busy machine.
 const BUSY_LOG_FACTOR: f32 = 0.5;
 
-/// What came of a calibration.
+/// Report of a calibration.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// Shading mode.
@@ -52,17 +52,17 @@ pub struct Report {
     pub median_error_interval: Option<(f64, f64)>,
     /// RMSE over the standard deviation on the same.
     pub rmse_over_sd: f64,
-    /// How far repeats scatter.
+    /// Noise of repeats.
     pub noise: Option<NoiseFloor>,
-    /// What else used the machine.
+    /// Load of other programs.
     pub others: Others,
-    /// What coarser steps and smaller images cost pictures; `None` where too few were compared.
+    /// Quality law of pictures; `None` where too few were compared.
     pub pictures: Option<Pictures>,
     /// Files of the volumes, by the volumes' names; empty where that is not known.
     pub files: BTreeMap<String, Vec<Identity>>,
 }
 
-/// What compared pictures said.
+/// Fit of the quality law to compared pictures.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Pictures {
     /// Error measure between a picture and the one at full quality.
@@ -235,11 +235,12 @@ impl Report {
         let residuals = bound::log_residuals(crossed, &measured);
         let mut upper = UpperBound::from_groups(residuals.into_iter().zip(observed.iter().map(|f| f.group)));
         if self.others.busy() {
-            // What a busy machine's frames say of a quiet one is open: a session believes what it observes.
+            // A busy machine's bound does not hold on a quiet one: a wide bound lets a session trust its
+            // observations.
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         upper.store(file)?;
-        // What the prior knows is of another machine's pictures.
+        // The prior's quality law is of another machine's pictures.
         file.metadata.remove(Key::Quality.name());
         if let Some(pictures) = &self.pictures {
             pictures.fitted.quality.store(file)?;

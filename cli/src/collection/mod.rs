@@ -20,7 +20,7 @@ use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::path::Path;
 
-/// What came of a collection.
+/// Result of a collection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outcome {
     /// Frames that are written down now; where there are several passes, those of each.
@@ -29,14 +29,14 @@ pub struct Outcome {
     pub total: u64,
     /// Warm-up renderings that were discarded in this run.
     pub discarded: u64,
-    /// Whether it was stopped before the end.
+    /// True if it was stopped before the end.
     pub interrupted: bool,
 }
 
 /// A scene's repeats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedScene {
-    /// What each took; `None` where it was stopped before the last.
+    /// Times of each repeat; `None` where collection stopped before the last.
     pub repeats: Option<Vec<Timing>>,
     /// Renderings that were discarded first.
     pub discarded: u64,

@@ -1,4 +1,4 @@
-//! What is collected and how, as a manifest keeps it.
+//! Protocol of a collection, as a manifest stores it.
 
 use crate::dataset::{MANIFEST_FORMAT, Manifest, Scene, parse_shading, parse_skipping};
 use crate::enlarge::{enlarge, resample};
@@ -26,7 +26,7 @@ pub struct Job {
 }
 
 impl Job {
-    /// What can be read off a path: `…/m01/t0012.nrrd` is time step 12 of member `m01`.
+    /// Parses a path: `…/m01/t0012.nrrd` is time step 12 of member `m01`.
     pub fn from_path(path: &Path) -> Self {
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let stem = name.split('.').next().unwrap_or_default();
@@ -59,14 +59,14 @@ impl Job {
     }
 }
 
-/// How frames are drawn and rendered.
+/// Settings by which frames are drawn and rendered.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Protocol {
     /// Frames per volume.
     pub frames: u32,
     /// Repeats per frame and pass.
     pub repeats: u32,
-    /// How often all volumes are gone through.
+    /// Number of passes over all volumes.
     pub passes: u32,
     /// Renderings discarded after each volume change.
     pub warm_up: u32,
@@ -74,11 +74,11 @@ pub struct Protocol {
     pub warm_up_repeats: u32,
     /// Seed.
     pub seed: u64,
-    /// What scenes are drawn from.
+    /// Distribution of the scenes.
     pub scenes: SceneDistribution,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Where rays stop.
     pub termination: f32,
@@ -91,7 +91,7 @@ pub struct Protocol {
 }
 
 impl Protocol {
-    /// What the manifest of a table says that `entire collect` made, and the table's volumes.
+    /// Protocol and volumes of a table by `entire collect`, from its manifest.
     ///
     /// # Errors
     /// When a setting is missing or is nothing that this version knows; names it.
@@ -249,7 +249,7 @@ impl Protocol {
         settings
     }
 
-    /// What [`super::Outcome`] counts.
+    /// Unit that [`super::Outcome`] counts in.
     pub fn counted(&self) -> &'static str {
         if self.passes > 1 { "frames of all passes" } else { "frames" }
     }

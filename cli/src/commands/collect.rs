@@ -112,7 +112,7 @@ fn parse_lobe_range(text: &str) -> std::result::Result<(u32, u32), String> {
     }
 }
 
-/// What the options say.
+/// Protocol from the options.
 fn protocol(options: &Options) -> Protocol {
     Protocol {
         frames: options.frames,

@@ -173,7 +173,7 @@ fn fit_size(
     Ok(draw)
 }
 
-/// What the run shows of prediction against reaction at switches, in a sentence.
+/// Comparison of predicting and reactive controllers at switches, in a sentence.
 fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     let at = |name: &str| {
         let i = names.iter().position(|n| n == name)?;

@@ -1,4 +1,4 @@
-//! `entire explore`: a window on a volume whose frame time stays where it is put.
+//! `entire explore`: a window on a volume that holds a target frame time.
 
 #[cfg(feature = "explore")]
 mod surroundings;

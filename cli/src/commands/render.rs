@@ -124,7 +124,7 @@ pub fn run(options: &Options) -> Result<()> {
         renderer.count_work(true);
         counts = renderer.render(&frame)?.counts;
     }
-    // What is seen over black, which premultiplied colors already are.
+    // Blends over black; premultiplied colors already are.
     write_whole(&options.out, &encode_png(&image)?).context("check --out")?;
 
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();

@@ -66,7 +66,7 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     let (speeds, out) = (&farm.speeds, &options.out);
     let deciding = times(tasks, options.by)?;
     let plan = plan(options.method, &deciding, speeds)?;
-    // What is expected: predictions where there are any.
+    // Expected seconds: predictions where there are any.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, farm)?;
     let [low, middle, high] = eta(&plan, &expected, tasks, farm)?;

@@ -346,7 +346,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// What compared pictures say.
+/// Fits the quality law to compared pictures.
 fn fitted_pictures(path: &Path) -> Result<FittedQuality> {
     fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string())
 }

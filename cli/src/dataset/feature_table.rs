@@ -1,5 +1,5 @@
-//! What the core computes about the frames of a timing table, kept beside it, so that training and evaluation
-//! need no volumes: `NAME.csv` → `NAME.features.csv.gz`.
+//! Scene features of the frames of a timing table, kept beside it so that training and evaluation need no
+//! volumes: `NAME.csv` → `NAME.features.csv.gz`.
 //!
 //! The first line, `# entire-features 1 schema HASH table HASH frames N`, tells what the features are and of
 //! what they were made: a hash of the names of the core's quantities and of [`VERSION`] (names that were
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 /// are refused then.
 pub const VERSION: u32 = 4;
 
-/// What the first line begins with.
+/// Start of the first line.
 const MARK: &str = "# entire-features 1";
 
 /// Features of frames, by frame number.
@@ -46,8 +46,8 @@ fn schema() -> u64 {
     schema_of(SceneQuantity::ALL.len())
 }
 
-/// Whether features of this schema mean what this version's do: new quantities come last, so that tables made
-/// before are good for the others. What a model asks for and a table lacks is computed from the volumes.
+/// True if features of this schema have the same meaning in this version: new quantities come last, so older
+/// tables stay valid for the others. Features that a table lacks are computed from the volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }

@@ -1,4 +1,4 @@
-//! What a table was measured with and how.
+//! Manifest of a table: machine, renderer and settings of its measurement.
 
 use super::feature_table::stem;
 use crate::files::{read_text, write_whole};
@@ -15,7 +15,7 @@ pub const MANIFEST_FORMAT: &str = "entire-timings-1";
 /// Largest manifest that is read, in bytes.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
-/// What was measured, with what and how. Written beside the table as `NAME.manifest.json`.
+/// Machine, renderer and settings of a measurement. Written beside the table as `NAME.manifest.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// [`MANIFEST_FORMAT`].
@@ -37,12 +37,12 @@ pub struct Manifest {
     pub seed: u64,
     /// Repeats per frame.
     pub repeats: u32,
-    /// What one reference step is.
+    /// Length of one reference step.
     pub step_reference: String,
     /// Everything else that the collector was told, free form.
     #[serde(default)]
     pub settings: serde_json::Value,
-    /// What the volumes' files were, by the volumes' names in the table; empty where that was not kept.
+    /// Identities of the volumes' files, by the volumes' names in the table; empty where they were not kept.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, Vec<Identity>>,
     /// Keys that this version does not know, kept as they are.
@@ -69,8 +69,8 @@ impl Manifest {
         write_whole(&path, text.as_bytes())
     }
 
-    /// What tells a volume's files now from those that the frames were measured with, if anything; nothing where
-    /// the manifest does not say what they were.
+    /// Difference between a volume's files and those that the frames were measured with; `None` for the same
+    /// files, and where the manifest does not have them.
     ///
     /// # Errors
     /// When a file cannot be read.

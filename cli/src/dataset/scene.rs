@@ -1,4 +1,4 @@
-//! What a frame shows, and its modes and transfer function as text.
+//! Scene of a frame, with its modes and transfer function as text.
 
 use anyhow::{Result, anyhow, bail, ensure};
 use entire_core::scene::{
@@ -6,7 +6,7 @@ use entire_core::scene::{
 };
 use std::fmt::Write as _;
 
-/// What a frame shows: everything that is known before it is drawn.
+/// Scene of a frame: all that is known before it is drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// The volume file, as the collector was given it.
@@ -27,9 +27,9 @@ pub struct Scene {
     pub height: u32,
     /// Ray step in reference steps.
     pub step: f32,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which a ray stops.
     pub termination: f32,

@@ -50,7 +50,7 @@ pub struct Table {
     pub frames: Vec<TimedFrame>,
     /// FNV-1a hash of the CSV's bytes, decompressed.
     pub hash: u64,
-    /// What was computed about its frames, where that is kept beside it.
+    /// Scene features of its frames, where they are kept beside it.
     pub features: Option<FeatureTable>,
     /// Where its volume names start from, where it is neither the working folder nor the table's.
     pub root: Option<PathBuf>,
@@ -91,7 +91,7 @@ impl Table {
         })
     }
 
-    /// How many passes the repeats of its frames come in, as its manifest says; 1 where it says nothing.
+    /// Number of passes of its repeats, from the manifest; 1 where it does not say.
     pub fn passes(&self) -> usize {
         let stated = self.manifest.as_ref().and_then(|m| m.settings.get("passes")?.as_u64());
         stated.and_then(|p| usize::try_from(p).ok()).unwrap_or(1).max(1)

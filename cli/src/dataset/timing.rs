@@ -1,4 +1,4 @@
-//! How long frames took: repeats by every clock, their median, and how far they scatter.
+//! Times of frames: repeats by every clock, their median, and their scatter.
 
 #[cfg(test)]
 use super::parse_lobes;
@@ -21,7 +21,7 @@ pub struct Timing {
     pub wall: Option<f64>,
     /// CPU time of the process, all threads, seconds.
     pub cpu: Option<f64>,
-    /// What the frame did, where the renderer counted.
+    /// Work counts of the frame, where the renderer counted.
     pub counts: Option<WorkCounts>,
 }
 
@@ -93,7 +93,7 @@ pub struct TimedFrame {
     pub table: usize,
     /// Its number in that table.
     pub number: u64,
-    /// What it shows.
+    /// The scene.
     pub scene: Scene,
     /// Every repeat, in file order.
     pub repeats: Vec<Timing>,
@@ -176,8 +176,8 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
     Ok(frames)
 }
 
-/// What is to be said of the frames that [`timed`] leaves out because they have no seconds by the clock; `None`
-/// where it leaves out none of them, or all.
+/// Note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` where it leaves
+/// out none of them, or all.
 pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Option<String> {
     let frames: Vec<&TimedFrame> = tables
         .iter()
@@ -205,8 +205,8 @@ pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Opt
     ))
 }
 
-/// How far repeats of one frame scatter: the floor under every predictor's error. Robust: every number is a
-/// median, so that no tail of disturbed repeats lifts it.
+/// Scatter of repeats of one frame, which is the floor of every predictor's error. Every number is a median,
+/// and so robust to disturbed repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a

@@ -37,8 +37,8 @@ impl Writer {
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
 
-    /// Whether a file holds no frame yet: it is not there, or was cut off within its first line or right
-    /// after it.
+    /// True if a file holds no frame: it does not exist, or was cut off within its first line or right after
+    /// it.
     ///
     /// # Errors
     /// When it cannot be read.

@@ -31,7 +31,7 @@ impl Placeholders {
     }
 }
 
-/// What an argument is made of.
+/// Parts of an argument.
 enum Part<'a> {
     Text(&'a str),
     Brace(char),

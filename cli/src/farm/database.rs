@@ -25,7 +25,7 @@ pub struct Database<'a> {
     pub(super) job: &'a Job,
     pub(super) journal: Journal,
     pub(super) numbers: HashMap<u64, u32>,
-    /// What is known of every task that is done.
+    /// Results of finished tasks.
     pub(super) done: HashMap<u32, Row>,
     pub(super) quarantined: HashMap<u32, String>,
     pub(super) run: u64,
@@ -291,7 +291,7 @@ pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
     Ok(out.into_iter().collect())
 }
 
-/// Whether volumes are loaded apart from rendering.
+/// True if volumes are loaded separately from rendering.
 fn tells_loads(job: &Job) -> bool {
     !matches!(job.renderer, super::job::Renderer::Command { .. })
 }

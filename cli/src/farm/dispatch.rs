@@ -18,7 +18,7 @@ const CUTS: f64 = 4.0;
 pub struct Ask<'a> {
     /// The volume that it holds.
     pub held: Option<usize>,
-    /// Whether it keeps a volume from one bundle to the next.
+    /// True if it keeps a volume from one bundle to the next.
     pub keeps: bool,
     /// Seconds to load a volume that it does not hold.
     pub load: &'a dyn Fn(usize) -> f64,
@@ -28,7 +28,7 @@ pub struct Ask<'a> {
     pub slots: usize,
     /// Expected seconds that a bundle may not exceed, unless it is a single task.
     pub limit: f64,
-    /// Whether nothing is known of how long tasks take: bundles are a share of their number then.
+    /// True if task times are unknown: bundles are then a share of the number of tasks.
     pub blind: bool,
 }
 
@@ -70,7 +70,7 @@ pub struct Dispatcher {
     sent: Vec<u32>,
     /// Every so many questions are answered with a task for the sake of learning; 0 for never.
     explore: u32,
-    /// Whether loading costs enough to heed it, and at which question that was looked at.
+    /// True if loading costs enough to be considered, and the request at which that was decided.
     loading: bool,
     looked: u32,
     uniform: bool,
@@ -360,7 +360,7 @@ impl Dispatcher {
         let Some(held) = held else {
             let v = best?;
             let load = (ask.load)(v);
-            // What is left for the one who joins, after all have worked on while it loads.
+            // Work left for a joining node, after the others worked on while it loads.
             let left = self.work[v] - f64::from(self.holders[v]) * load;
             let shortest = f64::from(self.seconds[*self.lanes[v].first()? as usize]);
             return (self.holders[v] == 0 || left > shortest).then_some(v);

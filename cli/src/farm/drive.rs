@@ -14,9 +14,9 @@ use std::collections::{HashMap, HashSet};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-/// How often the expected end is worked out anew.
+/// Interval between estimates of the end.
 const ETA_EVERY: Duration = Duration::from_millis(1000);
-/// How often the database's table is written while the farm works.
+/// Interval between writings of the database's table during a run.
 const TABLE_EVERY: Duration = Duration::from_secs(30);
 /// Times that an engine is started again without a task done in between.
 const RESTARTS: u32 = 3;
@@ -25,26 +25,26 @@ const UPPER: f64 = 0.99;
 /// In a preview one view of so many comes first.
 const PREVIEW: usize = 8;
 
-/// How a job is run.
+/// Options of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Whether an earlier run goes on.
+    /// True to continue an earlier run.
     pub resume: bool,
-    /// Whether quarantined tasks are tried again.
+    /// True to retry quarantined tasks.
     pub retry_quarantined: bool,
-    /// Whether images that are there are read and compared with their checksums.
+    /// True to read existing images and compare them with their checksums.
     pub verify: bool,
-    /// Whether a coarse subset comes first.
+    /// True to render a coarse subset first.
     pub preview: bool,
     /// Order in which tasks are sent.
     pub order: super::dispatch::Order,
-    /// Whether all tasks are taken for equally long and stay so: to compare with.
+    /// True to take all tasks as equally long throughout, for comparison.
     pub uniform: bool,
     /// Seconds that a bundle costs, instead of the engine's own figure.
     pub overhead: Option<f64>,
 }
 
-/// What a run did.
+/// Result of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     /// Images of the database.
@@ -57,7 +57,7 @@ pub struct Summary {
     pub now: usize,
     /// Seconds of this run.
     pub seconds: f64,
-    /// What was said of the end: seconds from the run's beginning, share done, end at 5, 50, 95 percent.
+    /// Estimates of the end: seconds since the run's start, share done, end at 5, 50, 95 percent.
     pub said: Vec<(f64, f64, [f64; 3])>,
 }
 
@@ -505,7 +505,7 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// What a bundle costs where slots are not known by name: what they were not busy with.
+    /// Measures a bundle's overhead where slots have no names: the time in which they were not busy.
     fn measure_overhead(&mut self, now: f64) {
         let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
         if self.planner.pending() == 0 {

@@ -31,9 +31,9 @@ struct UnderWay<'a> {
 impl Planner {
     /// Seconds until all is done: 5, 50 and 95 percent of draws.
     ///
-    /// What a running task has taken so far is known: its time is drawn from those that are longer, and a draw
-    /// of the model counts by how probable it makes that all of them still run. Without this, the tasks of a
-    /// first round that are done, which are its shortest, would stand for all.
+    /// A running task takes at least the time it has run: its time is drawn from longer ones, and a draw of
+    /// the model is weighted by the probability that all running tasks still run. Without this, the finished
+    /// tasks of the first round, which are its shortest, would stand for all.
     pub fn eta(&self, now: f64) -> [f64; 3] {
         // The times that came in last are of tasks that took long: they belong to what is known.
         if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
@@ -129,7 +129,7 @@ impl Planner {
         ((first / u.speed - run).max(0.0) + others, probable)
     }
 
-    /// What loading and sending bundles add to a plain queue, by playing the plan on expected times.
+    /// Overhead of loading and dispatch over a plain queue, found by simulating the plan with expected times.
     fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
         if all == 0 {
             return 0.0;

@@ -34,7 +34,7 @@ pub struct VolumeFile {
     pub bytes: u64,
     /// Options of its reading.
     pub reading: Reading,
-    /// What its files are: it and the data files that its header names.
+    /// Identities of the volume file and of the data files that its header names.
     pub files: Vec<Identity>,
 }
 
@@ -43,7 +43,7 @@ pub struct VolumeFile {
 pub struct NamedTransfer {
     /// Its name.
     pub name: String,
-    /// What it is.
+    /// The transfer function.
     pub transfer: Transfer,
 }
 
@@ -86,7 +86,7 @@ pub struct Job {
     pub renderer: Renderer,
     /// Where expected times come from.
     pub predict: Predict,
-    /// What happens to tasks that fail.
+    /// Retries of failed tasks.
     pub retry: Retry,
     folder: PathBuf,
     hashes: [Vec<u64>; 5],
@@ -315,7 +315,7 @@ impl Job {
     }
 }
 
-/// What a renderer is told of a volume beside its file.
+/// Parameters that a renderer gets with a volume's file.
 struct Told {
     name: bool,
     time: bool,
@@ -334,8 +334,8 @@ impl Told {
     }
 }
 
-/// What volumes are for the ids of their tasks. Files that are the same are told apart by their order alone:
-/// their pictures are the same too.
+/// Hashes of the volumes, for the ids of their tasks. Identical files differ only by their order: their
+/// pictures are the same.
 fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     let mut same: HashMap<String, usize> = HashMap::new();
     let text = |v: &VolumeFile| {
@@ -351,7 +351,7 @@ fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     volumes.iter().map(text).map(number).collect()
 }
 
-/// What of a renderer decides pictures.
+/// Settings of a renderer that change pictures.
 fn settings(renderer: &Renderer) -> Result<String> {
     let mut renderer = renderer.clone();
     let mut script_key = String::new();

@@ -21,7 +21,7 @@ pub struct JobFile {
     /// Ray steps in reference steps.
     #[serde(default = "default_steps")]
     pub steps: Vec<f32>,
-    /// What is rendered.
+    /// Volumes to render.
     pub volumes: Vec<VolumesEntry>,
     /// From where.
     pub cameras: Vec<CamerasEntry>,
@@ -32,7 +32,7 @@ pub struct JobFile {
     /// Where expected times come from.
     #[serde(default)]
     pub predict: Predict,
-    /// What happens to tasks that fail.
+    /// Retries of failed tasks.
     #[serde(default)]
     pub retry: Retry,
 }
@@ -53,7 +53,7 @@ pub struct VolumesEntry {
     pub name: Option<String>,
     /// Files or glob patterns, sorted by name with numbers in them by value (see [`super::natural::sort`]).
     pub files: Vec<String>,
-    /// Whether the files are time steps of one volume.
+    /// True if the files are time steps of one volume.
     #[serde(default)]
     pub series: bool,
     /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for the voxels' own.
@@ -214,14 +214,14 @@ pub struct Predict {
     pub model: Option<PathBuf>,
     /// A task list with `task` (an id) and `predicted_s`.
     pub list: Option<PathBuf>,
-    /// Whether the analytic model looks at the volumes where no model is given. Without it, times are taken
-    /// to go with pixels over step until tasks have been measured.
+    /// True if the analytic model predicts from the volumes where no model is given. Without it, expected
+    /// times are proportional to pixels over step until tasks have been measured.
     pub analytic: Option<bool>,
     /// Rays along each side of the probe of the analytic model.
     pub probe_side: Option<usize>,
 }
 
-/// What happens to tasks that fail.
+/// Retries of failed tasks.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Retry {

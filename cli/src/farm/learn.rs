@@ -1,4 +1,4 @@
-//! What tasks will take, corrected by what tasks took.
+//! Expected times of tasks, corrected by measured ones.
 //!
 //! ln(seconds / base) of a task is taken for x·β + u + ε: x are numbers of the task (logarithms of base,
 //! pixels, step and distance, the view direction, which transfer function), u belongs to the volume, ε to the
@@ -71,7 +71,7 @@ impl Shape {
         Self { constant: sd, ..self }
     }
 
-    /// Whether the base seconds tell how long tasks take.
+    /// True if the base seconds come from a model or list, not from pixels over step.
     pub fn is_told(&self) -> bool {
         self.constant < UNKNOWN
     }
@@ -155,7 +155,7 @@ impl Shape {
         self.base.len()
     }
 
-    /// Whether there is no task.
+    /// True if there is no task.
     pub fn is_empty(&self) -> bool {
         self.base.is_empty()
     }
@@ -187,7 +187,7 @@ pub struct Learner {
     mean_base: f64,
     seen: Vec<Seen>,
     refit_at: usize,
-    /// How many observations it is fitted to.
+    /// Number of observations in the fit.
     fitted: usize,
     beta: Vec<f64>,
     /// Lower triangular factor L of the precision of β: L·Lᵀ.
@@ -247,7 +247,7 @@ impl Learner {
         &self.shape
     }
 
-    /// How many times were observed.
+    /// Number of observed times.
     pub fn observed(&self) -> usize {
         self.seen.len()
     }
@@ -262,7 +262,7 @@ impl Learner {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
 
-    /// How much smaller than on average a task's own error is: its standard deviation is that of the model over
+    /// Factor by which a task's own error is below the average: its standard deviation is the model's over
     /// this.
     fn calm(&self, task: usize) -> f64 {
         if !self.shape.is_told() {
@@ -322,7 +322,7 @@ impl Learner {
         due
     }
 
-    /// Whether it is fitted to everything that was observed.
+    /// True if the fit includes all observations.
     pub fn is_fresh(&self) -> bool {
         self.fitted == self.seen.len()
     }
@@ -461,7 +461,7 @@ impl Learner {
         if self.nodes.len() < 2 {
             return;
         }
-        // How far nodes differ beyond what their tasks' own errors explain. One time per node says nothing of it.
+        // Variance of nodes beyond their tasks' own errors. One time per node does not determine it.
         let of_nodes: f64 =
             sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
         let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);
@@ -492,8 +492,7 @@ impl Learner {
             .collect();
         let stride = n.div_ceil(KEPT).max(1);
         self.residuals = errors.iter().step_by(stride).map(|e| *e as f32).collect();
-        // How far the machine itself wanders: means of consecutive eighths beyond what their tasks' own
-        // errors explain.
+        // Drift of the machine: variance of means of consecutive eighths beyond their tasks' own errors.
         const PARTS: usize = 8;
         self.drift = 0.0;
         if n >= 4 * PARTS {
@@ -551,7 +550,7 @@ impl Learner {
             f64::from(self.shape.base[task]) + self.log_of(&draw.beta, &draw.effects, task) + draw.drift;
         let calm = self.calm(task);
         let least = (seconds.ln() - log) * calm;
-        // What nothing in the model explains is still possible.
+        // Floor of the probability that the model does not explain.
         const LEAST: f64 = 1e-3;
         let probable = if self.residuals.len() >= 50 {
             let beyond = self.residuals.iter().filter(|r| f64::from(**r) > least).count();

@@ -1,5 +1,5 @@
-//! What it takes to load volumes: an affine law of their size, for those that a node reads for the first time
-//! (cold) and for those that it has read before (warm), and per volume what was measured.
+//! Loading times of volumes: an affine law of their size, for a node's first reading (cold) and later ones
+//! (warm), and measured times per volume.
 
 /// Bytes per second that are taken for true before anything was measured.
 const BEFORE: [f64; 2] = [200e6, 1000e6];
@@ -78,7 +78,7 @@ impl Loads {
         self.laws
     }
 
-    /// How many loads were seen, cold and warm.
+    /// Number of observed loads, cold and warm.
     pub fn counts(&self) -> [u32; 2] {
         [0, 1].map(|k| self.seen.iter().map(|s| s[k].1).sum())
     }

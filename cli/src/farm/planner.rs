@@ -29,13 +29,13 @@ pub enum State {
     Quarantined,
 }
 
-/// How a run is planned.
+/// Settings of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
     /// Slots that work at once.
     pub slots: usize,
-    /// Whether each slot is asked for by name and keeps its volume; else bundles go to whoever is free and
-    /// each loads its volume.
+    /// True if slots have names and each keeps its volume; else bundles go to any free slot and each loads
+    /// its volume.
     pub bound: bool,
     /// Seconds that sending a bundle costs a slot.
     pub overhead: f64,
@@ -43,7 +43,7 @@ pub struct Setting {
     pub limit: Option<f64>,
     /// Order in which tasks are sent.
     pub order: Order,
-    /// Whether expected times are corrected by measured ones.
+    /// True if expected times are corrected by measured ones.
     pub learn: bool,
 }
 
@@ -220,7 +220,7 @@ impl Planner {
         self.running.len()
     }
 
-    /// Whether everything is over.
+    /// True if all tasks are finished.
     pub fn is_over(&self) -> bool {
         self.pending() == 0 && self.running.is_empty()
     }
@@ -333,7 +333,7 @@ impl Planner {
     pub fn ended(&mut self, bundle: u64, now: f64) {
         let Some(r) = self.running.remove(&bundle) else { return };
         if self.setting.bound && r.open.is_empty() {
-            // What the slot was busy without rendering or loading.
+            // Time in which the slot neither rendered nor loaded.
             let gap = (now - r.at - r.busy).clamp(0.0, 60.0);
             self.overheads += 1;
             let weight = f64::from(self.overheads.min(50)).recip();

@@ -1,4 +1,4 @@
-//! What goes between driver, workers and journal, one JSON object per line.
+//! Messages between driver, workers and journal, one JSON object per line.
 
 use crate::identity::Identity;
 use crate::path::Transfer;
@@ -37,7 +37,7 @@ pub struct Order {
     pub image: String,
     /// Seconds that it is expected to take.
     pub predicted_s: f64,
-    /// What the volume's files are: the picture must be of no others.
+    /// Identities of the volume's files: the picture must be of these.
     #[serde(default)]
     pub files: Vec<Identity>,
 }
@@ -53,7 +53,7 @@ pub struct BundleOrder {
     pub tasks: Vec<Order>,
 }
 
-/// What became of a task.
+/// Result of a task.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// The task's id.
@@ -80,7 +80,7 @@ pub struct Answer {
     /// Why there is no image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// Whether that was a full disk.
+    /// True if the cause was a full disk.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub disk_full: bool,
 }
@@ -117,19 +117,19 @@ pub enum Entry {
         date: String,
         /// Engine that runs the tasks.
         engine: String,
-        /// How many at once.
+        /// Number of slots.
         slots: usize,
         /// When, seconds since 1970.
         at: f64,
     },
-    /// What the volumes' files are from here on, by path.
+    /// Identities of the volumes' files from here on, by path.
     Inputs {
         /// The files.
         files: BTreeMap<String, Vec<Identity>>,
     },
     /// A task is done, its image in place.
     Done {
-        /// What was measured.
+        /// Measured times and result.
         answer: Answer,
         /// Seconds that were expected when it was sent.
         predicted_s: f64,
@@ -157,7 +157,7 @@ pub enum Entry {
         /// Where its log is, relative to the database.
         log: String,
     },
-    /// What was said of the end: for the report.
+    /// Estimate of the end, for the report.
     Eta {
         /// When, seconds since 1970.
         at: f64,

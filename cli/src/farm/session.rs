@@ -31,7 +31,7 @@ pub(super) struct Session {
     limit: Option<Duration>,
     running: Option<Running>,
     fresh: bool,
-    /// Whether the program ended during the last task.
+    /// True if the program ended during the last task.
     ended: bool,
 }
 
@@ -91,7 +91,7 @@ impl Session {
             *load_s = Some((clock.elapsed().as_secs_f64() - *seconds).max(load_s.unwrap_or(0.0)));
         }
         if result.is_err() {
-            // What state it is in is not known: the next task gets a new one.
+            // The program's state is unknown: the next task gets a new one.
             self.running = None;
         }
         let reply = result?;

@@ -1,4 +1,4 @@
-//! What a farm shows while it works: a bar with rate and end on a terminal, else a line now and then.
+//! Progress display of a farm: a bar with rate and end on a terminal, else a line at intervals.
 
 use crate::progress::templated_bar;
 use crate::quiet::is_quiet;
@@ -6,12 +6,12 @@ use indicatif::ProgressBar;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// How often a line is printed where there is no terminal.
+/// Interval between lines where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(30);
 /// Nodes whose state is shown.
 const NODES: usize = 8;
 
-/// What there is to show.
+/// Contents of the display.
 #[derive(Clone, Debug, Default)]
 pub struct View {
     /// Tasks that are done.
@@ -26,7 +26,7 @@ pub struct View {
     pub elapsed: f64,
     /// The end at 5, 50 and 95 percent, seconds since the run began.
     pub eta: [f64; 3],
-    /// What nodes do.
+    /// Activity of the nodes.
     pub nodes: Vec<String>,
     /// Bundles that take too long.
     pub stragglers: Vec<String>,
@@ -38,7 +38,7 @@ pub struct Show {
     lines: bool,
     line_at: Instant,
     named: Vec<String>,
-    /// What it took to work out what is shown, which bounds how often that is done.
+    /// Time to compute the display, which bounds how often it is updated.
     pub cost: Duration,
 }
 

@@ -7,7 +7,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
 
-/// What happens, and how long it takes.
+/// The simulated world: durations, speeds and failures.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
     /// True seconds of the tasks on a node of speed 1.
@@ -24,7 +24,7 @@ pub struct World {
     pub latency: f64,
     /// Seconds of the engine that each bundle costs; it sends one after the other.
     pub dispatch: f64,
-    /// Whether slots are asked for by name and keep their volume.
+    /// True if slots have names and keep their volume.
     pub bound: bool,
     /// Failures of a slot per hour; its bundle is lost.
     pub failures_per_hour: f64,
@@ -47,7 +47,7 @@ pub struct Ran {
     pub end: f64,
 }
 
-/// What was said of the end during a run.
+/// An estimate of the end during a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Said {
     /// Seconds from the beginning.
@@ -56,7 +56,7 @@ pub struct Said {
     pub end: [f64; 3],
 }
 
-/// What a simulated run did.
+/// Result of a simulated run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// When the last task was done.
@@ -69,7 +69,7 @@ pub struct Outcome {
     pub loads: usize,
     /// Bundles that were lost.
     pub lost: usize,
-    /// What was said of the end when these shares of all true work were done.
+    /// Estimates of the end when these shares of the true work were done.
     pub said: Vec<Said>,
 }
 

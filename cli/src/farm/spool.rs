@@ -62,7 +62,7 @@ impl Spool {
         self.open.entry(bundle).or_default();
     }
 
-    /// What was added since the last look.
+    /// Lines added since the last call.
     ///
     /// # Errors
     /// When a file cannot be read.

@@ -1,5 +1,5 @@
-//! What a job will take, before anything runs: the end on several numbers of nodes, node hours and money, the
-//! cheapest number of nodes for a deadline.
+//! Forecast of a job before it runs: the end on several numbers of nodes, node hours and money, the cheapest
+//! number of nodes for a deadline.
 
 use super::job::Job;
 use super::planner::{Planner, Setting};
@@ -21,7 +21,7 @@ pub struct Offer {
     pub node_hours: f64,
 }
 
-/// What comes of a number of nodes: `plan` gives a plan for that many.
+/// Forecast for a number of nodes: `plan` gives a plan for that many.
 pub fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
     let end = plan(nodes).eta(0.0);
     Offer { nodes, end, node_hours: nodes as f64 * end[1] / 3600.0 }

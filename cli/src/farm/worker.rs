@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-/// How the raycaster draws: shading, skipping, termination, device.
+/// Draw settings of the raycaster: shading, skipping, termination, device.
 ///
 /// # Errors
 /// Names the word that is unknown and those that are accepted.
@@ -48,7 +48,7 @@ pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Dev
     Ok((shade.into(), skip.into(), *termination, word("device", device)?))
 }
 
-/// What renders tasks in this process.
+/// Renderer of tasks in this process.
 enum Painter {
     /// The raycaster, with the volume that it holds.
     Own(Box<Own>),
@@ -65,7 +65,7 @@ struct Own {
     transfer: Option<crate::path::Transfer>,
 }
 
-/// What a painter says of an image.
+/// A painter's report on an image.
 struct Painted {
     load_s: f64,
     render_s: Option<f64>,
@@ -358,7 +358,7 @@ pub(super) fn tail(log: &Path) -> String {
         .collect()
 }
 
-/// Whether bytes are a whole PNG file of this size.
+/// Checks that bytes are a whole PNG file of this size.
 fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
     let whole = bytes.len() >= 33 && bytes.starts_with(b"\x89PNG\r\n\x1a\n") && bytes[12..16] == *b"IHDR";
     ensure!(whole, "the renderer wrote {} bytes that are no PNG image", bytes.len());

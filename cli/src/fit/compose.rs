@@ -40,7 +40,7 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     Ok(out)
 }
 
-/// How many standard deviations below its mean the carried estimate stays exact.
+/// Range below its mean, in standard deviations, in which the carried estimate is exact.
 const CARRY_RANGE: f32 = 12.0;
 
 /// Adds the logarithm of an estimate, as a last input with the given mean and deviation, to what a network on

@@ -1,4 +1,4 @@
-//! How predictors are made from measured frames.
+//! Fitting of predictors to measured frames.
 //!
 //! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one
 //!   dense layer on counts that gives seconds.
@@ -28,7 +28,7 @@ use indicatif::ProgressBar;
 use rayon::ThreadPool;
 use std::borrow::Cow;
 
-/// What fitting and prediction work with: the data and the machine.
+/// Context of fitting and prediction: the data and the machine.
 pub struct FitContext<'a> {
     /// The tables that the frames are of.
     pub tables: &'a [Table],
@@ -47,7 +47,7 @@ pub struct FittedModel {
     pub file: ModelFile,
     /// One line on what it is.
     pub what: String,
-    /// What it was made with.
+    /// Settings of the fit.
     pub settings: serde_json::Value,
     /// Every epoch of a network.
     pub history: Vec<EpochRecord>,

@@ -73,7 +73,7 @@ impl DtypeChoice {
     }
 }
 
-/// How a predictor is made. What is left away has the value of [`Recipe::default`].
+/// Recipe of a predictor. Omitted fields have the values of [`Recipe::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Recipe {
@@ -92,7 +92,7 @@ pub struct Recipe {
     pub probe_side: Option<usize>,
     /// Networks of other seeds whose mean is taken; stored as one network, each beside the others.
     pub ensemble: usize,
-    /// What a network gives.
+    /// Output quantity of a network.
     pub target: TargetChoice,
     /// `mse`, `relative`, `huber:DELTA` or `pinball:QUANTILE`.
     pub loss: String,
@@ -114,7 +114,7 @@ pub struct Recipe {
     pub volumenet: Option<PathBuf>,
     /// Start from this model instead of random weights.
     pub fine_tune: Option<PathBuf>,
-    /// Whether Gaussian lobes go in by ascending center.
+    /// True if Gaussian lobes go in by ascending center.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub sorted_lobes: bool,
     /// A model file that is taken as it is; nothing else counts then.
@@ -173,7 +173,7 @@ pub fn parse_loss(text: &str) -> Result<Loss> {
     }
 }
 
-/// What frames took over what was estimated for them.
+/// Measured over estimated seconds of each frame.
 fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
 }
@@ -265,7 +265,7 @@ impl Recipe {
         }
     }
 
-    /// Whether the ray step is among what it is made from, by itself or in counts of samples.
+    /// True if the ray step is an input, by itself or in counts of samples.
     ///
     /// # Errors
     /// For a group or feature that is not known.

@@ -93,7 +93,7 @@ pub struct Keyframe {
     /// The transfer function, where this keyframe gives it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<Transfer>,
-    /// Whether it takes effect at once.
+    /// True if it takes effect at once.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub switch: bool,
 }
@@ -129,9 +129,9 @@ pub enum Transfer {
 pub struct Lobe {
     /// Where it peaks.
     pub center: f32,
-    /// How wide it is.
+    /// Width of the lobe.
     pub width: f32,
-    /// How high it is.
+    /// Height of the lobe.
     pub height: f32,
 }
 
@@ -235,7 +235,7 @@ pub struct TransferAt {
     keys: Arc<[(u32, bool, Transfer)]>,
     /// The keyframe at or before the frame.
     key: usize,
-    /// How far it lies on the way to the next keyframe.
+    /// Share of the way to the next keyframe.
     share: f32,
 }
 
@@ -276,16 +276,16 @@ pub struct PathFrame {
     pub parallel_scale: Option<f32>,
     /// The transfer function.
     pub transfer: TransferAt,
-    /// Whether the transfer function differs from the frame before (true for the first).
+    /// True if the transfer function differs from the frame before (true for the first).
     pub transfer_changed: bool,
-    /// Whether the transfer function switched abruptly here.
+    /// True if the transfer function switched abruptly here.
     pub transfer_switched: bool,
-    /// Whether the camera jumped here.
+    /// True if the camera jumped here.
     pub camera_switched: bool,
 }
 
 impl PathFrame {
-    /// Whether anything switched abruptly here.
+    /// True if anything switched abruptly here.
     pub fn switched(&self) -> bool {
         self.transfer_switched || self.camera_switched
     }
@@ -316,7 +316,7 @@ impl PathFile {
     /// Reads a path file's text.
     ///
     /// # Errors
-    /// What is wrong, with line and column where it is the JSON.
+    /// The error in the text, with line and column where it is in the JSON.
     pub fn parse(text: &str) -> Result<Self> {
         let file: Self = serde_json::from_str(text).map_err(|e| anyhow!("{e}"))?;
         ensure!(

@@ -82,7 +82,8 @@ impl<'a> TimedFrames<'a> {
         (pick(true), pick(false))
     }
 
-    /// What may not be torn apart: ensemble members, or volumes where there are fewer members than needed.
+    /// Groups that a split keeps together: ensemble members, or volumes where there are fewer than `needed`
+    /// members.
     pub fn groups_at_least(&self, needed: usize) -> GroupBy {
         let members: BTreeSet<String> = self.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
         if members.len() < needed { GroupBy::Volume } else { GroupBy::Member }

@@ -53,7 +53,7 @@ impl GroupBy {
 /// Which groups serve what.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Split {
-    /// What a group is.
+    /// Kind of the groups.
     pub by: GroupBy,
     /// Learned from.
     pub training: BTreeSet<String>,

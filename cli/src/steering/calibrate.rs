@@ -22,7 +22,7 @@ pub const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
 pub struct Sample {
     /// The scene's number.
     pub scene: usize,
-    /// What the core knows of the frame.
+    /// Scene features of the frame.
     pub features: FrameFeatures,
     /// Step, size and modes.
     pub setting: Setting,
@@ -35,7 +35,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// What a predictor is told of it, with the volume's features where there are any.
+    /// A predictor's inputs for the sample, with the volume's features where there are any.
     pub fn predictor_inputs<'a>(&'a self, volume_features: Option<&'a [f32]>) -> Inputs<'a> {
         Inputs {
             features: &self.features,
@@ -143,7 +143,7 @@ pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
         .collect()
 }
 
-/// How well predictions do on samples.
+/// Errors of predictions on samples.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Quality {
     /// Frames judged.

@@ -9,7 +9,7 @@ use entire_core::control::Prior;
 use entire_core::control::{Controller, Hybrid, HybridOptions, Session, StepLimits};
 use entire_core::predict::Predictor;
 
-/// What a controller acts on. Its decision's `step` is the ray step, or an image's share of the work.
+/// Quantity that a controller sets. Its decision's `step` is the ray step, or an image's share of the work.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ActsOn {
     /// The ray step.
@@ -31,7 +31,7 @@ impl ActsOn {
         }
     }
 
-    /// What may be chosen, where the ray step has these limits.
+    /// Limits of the quantity, where the ray step has these limits.
     pub const fn limits(self, of_step: StepLimits) -> StepLimits {
         match self {
             Self::RayStep => of_step,
@@ -115,8 +115,8 @@ impl ControllerKind {
         }
     }
 
-    /// What it acts on, in the range of the original: image sample distances up to 10 (VTK) and 20 (vtk.js),
-    /// half of every side (Unreal and Filament).
+    /// Quantity that the rule sets, in the range of the original: image sample distances up to 10 (VTK) and
+    /// 20 (vtk.js), half of every side (Unreal and Filament).
     pub const fn acts_on(self) -> ActsOn {
         match self {
             Self::VtkFixedPoint => ActsOn::ImageResolution { coarsest: 100.0 },

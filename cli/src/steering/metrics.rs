@@ -1,4 +1,4 @@
-//! How well a controller held its target.
+//! Measures of a controller's frame times against its target.
 
 use crate::pictures::BEST_PSNR;
 use serde::Serialize;
@@ -22,7 +22,7 @@ pub struct Played {
     pub coarsest: f64,
     /// Likeness to the picture at the reference step, decibels; `None` where no reference was drawn.
     pub psnr: Option<f64>,
-    /// Whether something switched abruptly at this frame.
+    /// True if something switched abruptly at this frame.
     pub switched: bool,
 }
 
@@ -32,8 +32,8 @@ impl Played {
         (self.seconds - self.target) / self.target
     }
 
-    /// Whether the frame is where it should be: within a quarter of the target; or faster than that with the
-    /// finest step, or slower with the coarsest, where nothing more could be done.
+    /// True if the frame is on target: within a quarter of it, or faster with the finest step, or slower with
+    /// the coarsest.
     pub fn on_target(&self) -> bool {
         let (finest, coarsest) = (self.step <= self.finest * 1.001, self.step >= self.coarsest * 0.999);
         (self.error() <= 0.25 || coarsest) && (self.error() >= -0.25 || finest)

@@ -44,7 +44,7 @@ impl SteeringModel {
         Ok(load(&self.model)?)
     }
 
-    /// What it is, for people.
+    /// Name of the model in printed output.
     pub fn title(&self) -> &str {
         &self.title
     }

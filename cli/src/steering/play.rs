@@ -15,16 +15,16 @@ use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
 
-/// How frames are drawn.
+/// Settings of drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrawSettings {
     /// Image width, pixels.
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which rays stop.
     pub termination: f32,
@@ -33,7 +33,7 @@ pub struct DrawSettings {
 }
 
 impl DrawSettings {
-    /// What the options say.
+    /// Settings from the options.
     pub fn new((width, height): (u32, u32), render: &RenderArgs, clock: Clock) -> Self {
         Self {
             width,
@@ -76,9 +76,9 @@ pub struct Contender {
     pub name: String,
     /// Its render loop.
     pub session: Session,
-    /// Whether it may choose the image sample distance beside the step, where the task allows any.
+    /// True if it may choose the image sample distance as well as the step, where the task allows any.
     pub chooses_image_sample_distance: bool,
-    /// What its decisions are about.
+    /// Quantity that its decisions set.
     pub acts_on: ActsOn,
 }
 
@@ -121,7 +121,7 @@ pub struct Reference {
 pub struct Playback {
     /// The controllers' names.
     pub names: Vec<String>,
-    /// What each acts on.
+    /// Quantity that each controller sets.
     pub acts_on: Vec<ActsOn>,
     /// Per controller and frame.
     pub records: Vec<Vec<Record>>,
@@ -140,7 +140,7 @@ pub struct Playback {
 }
 
 impl Playback {
-    /// What the metrics see of a controller's frames.
+    /// A controller's frames, as the metrics need them.
     pub fn played(&self, controller: usize) -> Vec<Played> {
         let acts_on = self.acts_on[controller];
         let limits = acts_on.limits(self.limits);
@@ -178,7 +178,7 @@ pub struct Shown<'a> {
     pub summary: &'a VolumeSummary,
 }
 
-/// What of a path is played against.
+/// A path, with the target and limits that it is played with.
 #[derive(Clone, Copy, Debug)]
 pub struct Task<'a> {
     /// The volume, or those of a series in order.
@@ -211,8 +211,8 @@ impl Task<'_> {
     }
 }
 
-/// What coarser steps and smaller images cost the raycaster's pictures where the model states nothing: as `entire
-/// calibrate` finds it of the volumes in data/, unshaded.
+/// Quality law of the raycaster's pictures, for models that state none: as `entire calibrate` fits it to the
+/// volumes in data/, unshaded.
 pub const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
@@ -545,7 +545,7 @@ mod tests {
         let whole = playback.references[0].seconds - law.fixed;
         assert_eq!(fixed_point[0].image_sample_distance, 5.0);
         assert!((work(&fixed_point[0]) / whole * 25.0 - 1.0).abs() < 1e-3);
-        // What is allowed, and what was chosen, is of image resolution.
+        // Limits and decisions are of image resolution.
         let played = playback.played(0);
         assert_eq!((played[0].step, played[0].finest, played[0].coarsest), (25.0, 1.0, 100.0));
         assert!(playback.metrics()[0].mean_step > 1.1);

@@ -23,7 +23,7 @@ use entire_vk_raycaster::Renderer;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// What is raced.
+/// Settings of a comparison of controllers.
 #[derive(Clone, Debug)]
 pub struct Race<'a> {
     /// The volume.
@@ -43,7 +43,7 @@ pub struct Race<'a> {
     pub seed_name: &'a str,
     /// Seed of the random scenes.
     pub seed: u64,
-    /// How frames are drawn.
+    /// Settings of drawing.
     pub draw: DrawSettings,
     /// Random scenes of the volume, and how often each is rendered at each step.
     pub scenes: (usize, usize),
@@ -62,7 +62,7 @@ pub struct Race<'a> {
 /// The predictor of a race, for people.
 #[derive(Clone, Debug, Serialize)]
 pub struct Steers {
-    /// What it is.
+    /// Name of the predictor.
     pub title: String,
     /// Its errors on the random frames of the volume, none of which it was fitted to.
     pub on_this_volume: Quality,
@@ -200,7 +200,7 @@ pub struct Prepared {
     pub target: f64,
     /// Median seconds of the random scenes at the reference step.
     pub full_quality: f64,
-    /// How that was chosen; empty where it was given.
+    /// Origin of the target; empty where it was given.
     pub target_reason: String,
     /// The fixed controller's step.
     pub fixed_step: f32,

@@ -1,4 +1,4 @@
-//! What is written of a playback: tables, CSV, JSON, and the page.
+//! Output of a playback: tables, CSV, JSON, and the page.
 
 use super::calibrate::{Sample, response_pairs};
 use super::contenders::{ActsOn, ControllerKind};
@@ -52,7 +52,7 @@ pub struct Story {
     pub title: String,
     /// The sentence below it.
     pub lead: String,
-    /// How the target was chosen.
+    /// Origin of the target.
     pub target: String,
     /// The volume, for people.
     pub volume: String,
@@ -152,7 +152,7 @@ pub fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     table
 }
 
-/// What a picture was drawn with, for people.
+/// A picture's step and image size, as text.
 fn setting(r: &Record) -> String {
     match r.image_sample_distance {
         1.0 => format!("step {:.2}", r.step),
@@ -160,7 +160,7 @@ fn setting(r: &Record) -> String {
     }
 }
 
-/// What the table's columns mean.
+/// Legend of the table's columns.
 pub fn table_caption() -> String {
     format!(
         "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the \

@@ -1,4 +1,4 @@
-//! What training makes small.
+//! Loss functions of training.
 
 use super::Real;
 use anyhow::{Result, bail};

@@ -26,7 +26,7 @@ pub fn cosine_learning_rate(first: f64, last: f64, step: u64, steps: u64) -> f64
     last + 0.5 * (first - last) * (1.0 + libm::cos(std::f64::consts::PI * t))
 }
 
-/// What one step did.
+/// Result of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
     /// Mean loss over the batch, before the step.

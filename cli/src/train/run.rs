@@ -65,7 +65,8 @@ impl Samples<'_> {
     }
 }
 
-/// How a run goes. The default is the paper's, with batches of 256 and patience 50, which it does not state.
+/// Settings of a run. The default is the paper's, with batches of 256 and patience 50, which it does not
+/// state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
@@ -81,7 +82,7 @@ pub struct Settings {
     pub clip_norm: f64,
     /// Epochs without a better validation loss after which training stops.
     pub patience: usize,
-    /// What is made small.
+    /// Loss function.
     pub loss: Loss,
     /// Output quantity of the network.
     pub target: Target,
@@ -174,7 +175,7 @@ impl Standardization {
         Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
     }
 
-    /// What a model brings: its normalization where it has one, else none.
+    /// Standardization of a model where it has one, else none.
     pub fn of(parts: &PredNetParts) -> Self {
         let mut out = Self::identity(parts.layers.first().map_or(0, |layer| layer.inputs));
         if let Some(Normalization { mean, std }) = &parts.input {
@@ -297,14 +298,14 @@ pub enum Stop {
     Diverged,
 }
 
-/// What a run gives.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub struct Trained<T> {
     /// The weights with the lowest validation loss.
     pub network: Network<T>,
     /// To be stored beside them.
     pub standardization: Standardization,
-    /// What the output means.
+    /// Meaning of the output.
     pub target: Target,
     /// Every epoch that ended.
     pub history: Vec<EpochRecord>,
@@ -317,7 +318,7 @@ pub struct Trained<T> {
 }
 
 impl<T: Real> Trained<T> {
-    /// What a model file holds, weights as F32.
+    /// Contents of a model file, weights as F32.
     pub fn to_parts(&self) -> PredNetParts {
         let single = |values: &[T]| values.iter().map(|v| v.wide() as f32).collect();
         let s = &self.standardization;

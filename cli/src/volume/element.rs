@@ -164,8 +164,8 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
     Ok(())
 }
 
-/// What stands behind the voxels: nothing; fewer bytes than the voxels have, which are left out with a note; or
-/// at least as many.
+/// Checks the bytes after the voxels: none; fewer than the voxels have, which are left out with a note; or at
+/// least as many, which is an error.
 ///
 /// # Errors
 /// When there are at least as many: then sizes or type in the header do not fit the data, or a second volume

@@ -90,7 +90,7 @@ fn voxels(
         Err(_) if !header.binary => {
             bail!("MetaImage HeaderSize -1 is for binary data alone; state the number of bytes")
         }
-        // What follows the header, or the whole other file, is compressed.
+        // The rest of the file, or the whole data file, is compressed.
         Err(_) if header.compressed => {}
         Err(_) => {
             let expected = byte_count(dims, element)?;

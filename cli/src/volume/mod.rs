@@ -83,7 +83,7 @@ impl VolumeData {
         }
     }
 
-    /// Whether there is no voxel.
+    /// True if there is no voxel.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -172,13 +172,13 @@ impl Format {
     }
 }
 
-/// What a format's reader found, before it is checked as a whole.
+/// Result of a format's reader, before the checks that all formats share.
 pub(crate) struct Parts {
     pub(crate) data: VolumeData,
     pub(crate) dims: [usize; 3],
     pub(crate) spacing: [f64; 3],
     pub(crate) name: Option<String>,
-    /// What a user should know of how it was read.
+    /// Notes to the user about the reading.
     pub(crate) notes: Vec<String>,
 }
 
@@ -363,7 +363,7 @@ impl Volume {
         &self.name
     }
 
-    /// What a user should know of how the file was read: a line each, without the file's name.
+    /// Notes to the user about the reading: a line each, without the file's name.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }

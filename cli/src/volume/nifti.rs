@@ -17,7 +17,7 @@ use std::io::Read;
 const NIFTI1_BYTES: usize = 348;
 const NIFTI2_BYTES: usize = 540;
 
-/// What is used of either header.
+/// Fields of either header.
 struct Header {
     endian: Endian,
     axes: i64,

@@ -444,7 +444,7 @@ mod tests {
         let gzip = PLAIN.replace("raw", "gzip");
         assert_eq!(open(&with(&gzip, &pack(&[7; 24]))).unwrap().data(), &VolumeData::U8(vec![7; 24]));
         assert!(message(&with(&gzip, &pack(&[7; 1 << 24]))).contains("the data has 48 or more"));
-        // What the end is looked for in is held no longer than it is needed.
+        // The buffer in which the end is searched is freed as soon as possible.
         let end: Vec<u8> = (0..1 << 22).map(|i| (i % 251) as u8).collect();
         let last = open(&with(&format!("{gzip}byte skip: -3\n"), &pack(&end))).unwrap();
         assert_eq!(last.data(), &VolumeData::U8(end[end.len() - 26..end.len() - 2].to_vec()));

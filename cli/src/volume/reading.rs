@@ -30,7 +30,7 @@ impl Reading {
         match self.range {
             Range::Given(low, high) => Some((low, high)),
             Range::Data => Some(view.own_range()),
-            // What is taken as data counts.
+            // Values that are taken as data count.
             Range::Default => (!bytes && self.fill != Fill::Found).then(|| view.own_range()),
         }
     }

@@ -17,7 +17,7 @@ const DEFLATE_GROWTH: u64 = 1032;
 /// takes more than 14 bytes.
 const BZIP2_GROWTH: u64 = 1 << 22;
 
-/// What some editors put before UTF-8 text.
+/// Byte order mark that some editors put before UTF-8 text.
 const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
 
 /// Text without the byte order mark before it, if it has one.
@@ -25,7 +25,7 @@ pub fn without_mark(text: &[u8]) -> &[u8] {
     text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
 }
 
-/// How many bytes a stream still holds.
+/// Number of bytes that a stream still holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Remaining {
     /// Exactly so many.
@@ -269,8 +269,8 @@ impl<'a> Stream<'a> {
         Stream { reader: Box::new(reader), remaining: Remaining::AtMost(digits / 2), read: 0, label }
     }
 
-    /// What is left but for all before the last `count` bytes and the `behind` bytes that follow them; memory
-    /// grows with the bytes that really arrive.
+    /// The rest of the stream, of which only the last `count` bytes are kept, followed by `behind` bytes;
+    /// memory grows with the bytes that arrive.
     ///
     /// # Errors
     /// When less is left.
@@ -449,7 +449,7 @@ pub trait Companions {
     /// When there is none of that name.
     fn open(&self, name: &str) -> Result<Stream<'_>>;
 
-    /// Whether there is a file of that name.
+    /// True if there is a file of that name.
     fn exists(&self, name: &str) -> bool;
 
     /// Tells which files a header names, where it names several, before the first of them is opened.

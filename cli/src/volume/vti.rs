@@ -271,9 +271,9 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
 }
 
 impl Section {
-    /// Whether an array may be the volume without being asked for.
+    /// True if an array may be chosen as the volume by default.
     fn offers(&self, array: &Array) -> bool {
-        // What begins with vtk and a capital is VTK's own.
+        // Names that begin with vtk and a capital letter are VTK's own.
         let own = |name: &String| {
             name.strip_prefix("vtk").is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_uppercase()))
                 || self.ids.contains(name)
@@ -457,7 +457,7 @@ fn parse(bytes: &[u8]) -> Result<File> {
                     }
                     _ => bail!("AppendedData does not begin with an underscore; is the file cut short?"),
                 }
-                // What follows is not XML.
+                // Binary data follow, not XML.
                 break;
             }
             _ => {}

@@ -76,7 +76,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
         assert!(!text.contains(&format!("\"{}", at.display())), "a path of this machine: {text}");
     }
 
-    // What was measured is a table; the model is judged on it by its own clock, and by no other.
+    // The measured frames are a table; the model is evaluated on it by its own clock, and by no other.
     let judged = run(at, &["evaluate", "--model", path.to_str().unwrap(), "--data", "frames.csv", "--quiet"]);
     assert!(judged.status.success(), "{}", stderr(&judged));
     let arguments =

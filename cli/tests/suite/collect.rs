@@ -221,7 +221,7 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     }
     assert_eq!(frames(&out), whole[..5]);
 
-    // What reads the volumes again refuses them too.
+    // Commands that read the volumes again refuse them too.
     let program = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
         command.current_dir(dir.path()).args(arguments).output().unwrap()

@@ -32,7 +32,7 @@ fn images(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         for file in std::fs::read_dir(part.unwrap().path()).unwrap() {
             let path = file.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            // What a killed writer left in part is not an image.
+            // A partial file of a killed writer is not an image.
             if name.ends_with(".png") {
                 let bytes = std::fs::read(&path).unwrap();
                 out.insert(path.strip_prefix(folder).unwrap().to_owned(), bytes);
@@ -92,7 +92,7 @@ fn a_database_is_rendered_and_its_table_names_every_image() {
     );
     let (one, other) = (dir.path().join("one.png"), dir.path().join("db.cdb").join(&row["FILE"]));
     assert_eq!(std::fs::read(one).unwrap(), std::fs::read(other).unwrap());
-    // What is done is neither begun anew nor done twice.
+    // Finished tasks are neither restarted nor done twice.
     refuses(dir.path(), &["farm", "job.toml", "--quiet"], &["--resume"]);
     let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--quiet"]);
     assert!(said.contains("40 of 40 images, 0 of them"), "{said}");
@@ -306,7 +306,7 @@ fn write_job(folder: &Path, text: &str) {
     std::fs::write(folder.join("job.toml"), text).unwrap();
 }
 
-/// What a database shows: the parameters of every row, and the bytes of its picture.
+/// Contents of a database: the parameters of every row, and the bytes of its picture.
 fn shown(folder: &Path, database: &str) -> Vec<(String, Vec<u8>)> {
     let mut reader = csv::Reader::from_path(folder.join(database).join("data.csv")).unwrap();
     let rows = reader.deserialize().map(|r| r.unwrap()).map(|row: BTreeMap<String, String>| {
@@ -404,7 +404,7 @@ fn a_resumed_database_follows_the_settings() {
         write_job(dir.path(), &text);
         let (said, _) = resumed_is_fresh(dir.path(), to);
         assert!(said.contains(&format!("images, {now} of them")), "{to}: {said}");
-        // What was there comes back without being rendered.
+        // Earlier pictures come back without rendering.
         write_job(dir.path(), &job);
         let (said, _) = resumed_is_fresh(dir.path(), from);
         assert!(said.contains("4 of 4 images, 0 of them"), "{from}: {said}");

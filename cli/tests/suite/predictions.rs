@@ -1,6 +1,6 @@
-//! What shipped models predict over every committed table, and over a hundred thousand random inputs, ordinary
-//! and hostile: never zero, negative or no number at the predictor, and of the networks' own outputs no more
-//! than are known.
+//! Predictions of shipped models over every committed table, and over a hundred thousand random inputs,
+//! ordinary and hostile: never zero, negative or NaN at the predictor, and no more such outputs of the
+//! networks than are known.
 
 use entire_cli::dataset::{Table, TimedFrame};
 use entire_cli::fit::predict_rows;
@@ -54,7 +54,7 @@ fn known(model: &str) -> (usize, usize) {
     KNOWN.iter().find(|k| k.0 == model).map_or((0, 0), |k| (k.1, k.2))
 }
 
-/// Whether a network's output was zero, negative, or shorter than any frame.
+/// True if a network's output was zero, negative, or shorter than any frame.
 fn brought_up(seconds: f64) -> bool {
     seconds <= f64::from(*PREDICTED_SECONDS.start())
 }

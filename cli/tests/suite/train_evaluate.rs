@@ -332,7 +332,7 @@ fn compared_pictures_put_their_law_into_the_model() {
         assert!((own / wanted - 1.0).abs() < 0.02, "{found:?}");
     }
 
-    // What holds for a renderer must name it.
+    // A quality law that is bound to a renderer must name it.
     let told = entire(&arguments);
     assert!(String::from_utf8_lossy(&told.stderr).contains("no manifest stands beside the frames"));
 

@@ -7,7 +7,7 @@ fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes")
 }
 
-/// What a voxel of that stored type becomes, by the table in the module's documentation.
+/// Value of a voxel of that stored type, by the table in the module's documentation.
 fn expected(kind: &str) -> VolumeData {
     let whole = |bits: u32, signed: bool| {
         let spread = (1u128 << bits) / 385;

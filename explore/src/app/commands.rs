@@ -1,4 +1,4 @@
-//! What a person or a script asks for.
+//! Commands of a person or a script.
 
 use super::{App, Waiting};
 use crate::camera::Axis;

@@ -286,7 +286,7 @@ fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
 fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);
-        // What lies beyond the part in use must not be blended in.
+        // Pixels beyond the part in use must not be blended in.
         if pictures.used == pictures.size { 1.0 } else { (used - 0.5) / all }
     });
     primitives.retain(|primitive| {

@@ -1,4 +1,4 @@
-//! What is done between frames: refinement at rest, screenshots, counts, the next volume of a series.
+//! Work between frames: refinement at rest, screenshots, counts, the next volume of a series.
 
 use super::{App, FULL, STEERED, Waiting};
 use crate::loading::Job;
@@ -12,10 +12,10 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use winit::event_loop::ControlFlow;
 
-/// How long nothing must change before the picture is refined.
+/// Time without changes after which the picture is refined.
 const REST: Duration = Duration::from_millis(150);
 
-/// How often the window shows how far a wait is.
+/// Interval between updates of a progress display.
 const SHOW_EVERY: Duration = Duration::from_millis(250);
 
 /// The share of the target that a slice is planned with: the rest is for what a slice finds dearer than the

@@ -22,7 +22,7 @@ use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
 /// Pictures that can be shown at a time.
 const MOST_PICTURES: u32 = 16;
 
-/// How long the device may take for the interface, nanoseconds.
+/// Time limit of the device for the interface, nanoseconds.
 const LONGEST_WAIT: u64 = 60_000_000_000;
 
 /// The instance extensions that windows of a display need.
@@ -37,10 +37,10 @@ pub(crate) fn surface_extensions(display: &impl HasDisplayHandle) -> Result<Vec<
     Ok(names.iter().map(|n| unsafe { CStr::from_ptr(*n) }.to_owned()).collect())
 }
 
-/// What a frame's showing took.
+/// Times of presenting a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Presented {
-    /// Whether it was shown; not where the window had just changed its size.
+    /// True if it was shown; false where the window had just changed its size.
     pub(crate) shown: bool,
     /// Seconds that were spent waiting for the display to take a picture.
     pub(crate) display: f64,
@@ -216,7 +216,7 @@ impl Presenter {
         Ok(true)
     }
 
-    /// Whether showing a picture waits for the display's next refresh.
+    /// True if presenting waits for the display's next refresh.
     pub(crate) fn waits_for_display(&self) -> bool {
         self.swapchain.as_ref().is_some_and(|s| s.waits)
     }
@@ -318,7 +318,7 @@ impl Presenter {
     }
 }
 
-/// What went wrong while drawing the interface.
+/// The error in drawing the interface.
 fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
     match e {
         RendererError::Vulkan(result) => device.error("drawing the interface", *result).into(),

@@ -4,7 +4,7 @@ use anyhow::Result;
 use ash::vk;
 use entire_vk_raycaster::SharedDevice;
 
-/// What is made for one picture of the display.
+/// Resources of one picture of the display.
 struct Frame {
     view: vk::ImageView,
     framebuffer: vk::Framebuffer,
@@ -22,9 +22,9 @@ pub(super) struct Swapchain {
     /// The size that was asked for, which the surface may have bounded.
     pub(super) asked: [u32; 2],
     pub(super) format: vk::SurfaceFormatKHR,
-    /// Whether pictures wait for the display's refresh.
+    /// True if pictures wait for the display's refresh.
     pub(super) waits: bool,
-    /// Whether the surface has changed since.
+    /// True if the surface has changed since.
     pub(super) stale: bool,
     device: SharedDevice,
 }
@@ -181,7 +181,7 @@ impl Swapchain {
         Ok(Some(this))
     }
 
-    /// Whether what is written is taken for linear and encoded.
+    /// True if the display takes written values as linear and encodes them.
     pub(super) fn is_srgb(&self) -> bool {
         matches!(self.format.format, vk::Format::B8G8R8A8_SRGB | vk::Format::R8G8B8A8_SRGB)
     }

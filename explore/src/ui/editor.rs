@@ -146,7 +146,7 @@ fn handles(state: &State, axes: Axes) -> Vec<(Handle, Pos2)> {
     }
 }
 
-/// What the mouse does to the curve.
+/// Edits the curve by the mouse.
 fn edit(ui: &Ui, state: &mut State, response: &egui::Response, axes: Axes, handles: &[(Handle, Pos2)]) {
     let near = |at: Pos2| {
         handles

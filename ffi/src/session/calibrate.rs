@@ -12,7 +12,7 @@ use entire_core::calibrate::{HeldOut, Picture};
 use entire_core::nn::Executor;
 use std::mem::size_of;
 
-/// What a calibration left out in turn to find what error to expect: one of the `ENTIRE_HELD_OUT_*` numbers.
+/// Part that a calibration held out in turn to estimate its error: one of the `ENTIRE_HELD_OUT_*` numbers.
 pub type entire_held_out = u32;
 /// Nothing, there were too few frames: the error is that of frames that the model was fitted to.
 pub const ENTIRE_HELD_OUT_NOTHING: entire_held_out = 0;
@@ -30,7 +30,7 @@ const _: () = assert!(
         && HeldOut::Stretches as u32 == ENTIRE_HELD_OUT_STRETCHES
 );
 
-/// What is known of a model that entire_session_calibrate made. Set struct_size before the call.
+/// Report on a model that entire_session_calibrate made. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_calibration_report {
@@ -44,7 +44,7 @@ pub struct entire_calibration_report {
     pub rmse_over_sd: f64,
     /// Upper bound over prediction: nineteen of twenty frames take no longer.
     pub upper_factor: f64,
-    /// What was left out: one of ENTIRE_HELD_OUT_*.
+    /// Held-out parts: one of ENTIRE_HELD_OUT_*.
     pub held_out: entire_held_out,
     /// Scenes of entire_session_record_picture that the model's quality was fitted to; 0 where they were too few,
     /// and the model states nothing of pictures.
@@ -178,7 +178,7 @@ pub unsafe extern "C" fn entire_session_record_picture(
     }
 }
 
-/// How many frames are kept since entire_session_record; 0 before it.
+/// Number of frames kept since entire_session_record; 0 before it.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -35,7 +35,7 @@ pub(crate) struct Loop {
     model: Option<Arc<entire_model>>,
     /// Spacing and bounding-sphere radius of the volume that is set.
     volume: Option<(Vec3, f32)>,
-    /// What the session was made with.
+    /// Options that the session was made with.
     options: entire_session_options,
 }
 

@@ -1,4 +1,4 @@
-//! How long planned frames took.
+//! Measured times of planned frames.
 
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
@@ -13,7 +13,7 @@ const _: () = {
     assert!(ENTIRE_VERDICT_IGNORED == Verdict::Ignored as u32);
 };
 
-/// What became of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
+/// Effect of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
 pub type entire_verdict = u32;
 /// Learned from.
 pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;

@@ -1,4 +1,4 @@
-//! How a session steers: its options and their checks.
+//! Options of a session, and their checks.
 
 use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
@@ -8,7 +8,7 @@ use entire_core::control::{HybridOptions, StepLimits};
 use entire_core::features::PROBE_SIDE;
 use std::mem::size_of;
 
-/// How a session steers. Fill with entire_session_options_init, then set what differs.
+/// Options of a session. Fill with entire_session_options_init, then set what differs.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_session_options {
@@ -21,8 +21,8 @@ pub struct entire_session_options {
     /// Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed
     /// the target by more than `tolerance`, since not every bound reaches so far.
     pub miss_rate: f32,
-    /// How far over the target a frame may be before it counts as missed, as a share of the target, not
-    /// negative; default 0.1.
+    /// Excess over the target above which a frame counts as missed, as a share of the target, not negative;
+    /// default 0.1.
     pub tolerance: f32,
     /// Out-of-range score from which recent frames decide instead of the prediction, positive; default 2.
     pub trust_limit: f32,

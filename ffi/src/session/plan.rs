@@ -47,7 +47,7 @@ pub const ENTIRE_ABSENT_UPPER: u32 = 2;
 /// In `absent`: no training range is known; out_of_range is NaN.
 pub const ENTIRE_ABSENT_OUT_OF_RANGE: u32 = 4;
 
-/// How many settings entire_session_choose takes at most.
+/// Maximum number of settings of entire_session_choose.
 pub const ENTIRE_MAX_SETTINGS: usize = 64;
 
 const _: () = {
@@ -65,7 +65,7 @@ const _: () = {
     assert!(ENTIRE_SOURCE_HISTORY == Source::History as u32);
 };
 
-/// What to draw, and what to expect of it. Set struct_size before the call.
+/// Settings of a frame to draw, and its expected time. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_plan {

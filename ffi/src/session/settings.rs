@@ -1,4 +1,4 @@
-//! What a session steers: volume, transfer function, limits, and what the caller knows to have changed.
+//! Inputs of a session: volume, transfer function, limits, and changes that the caller announces.
 
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
@@ -178,10 +178,10 @@ pub unsafe extern "C" fn entire_session_set_quality(
     }
 }
 
-/// What plans coarsen by: the numbers of entire_session_set_quality, else those that the model states of the
-/// renderer's pictures (entire_session_record_picture, `entire calibrate`), where the renderer that
-/// entire_session_set_timing_source names is the one that it was calibrated with, or none is named. All are 0
-/// where nothing is known.
+/// Quality law by which plans coarsen: the numbers of entire_session_set_quality, else those that the model
+/// states of the renderer's pictures (entire_session_record_picture, `entire calibrate`), where the renderer
+/// that entire_session_set_timing_source names is the one that it was calibrated with, or none is named. All
+/// are 0 where none is known.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

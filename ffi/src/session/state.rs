@@ -1,4 +1,4 @@
-//! What a session learned, saved and taken up again.
+//! Saved states of a session.
 
 use super::entire_session;
 use crate::abi::{check_pointer, slice, text, write};

@@ -17,9 +17,9 @@ use std::sync::OnceLock;
 /// before. Sessions learn of it by entire_session_set_time_step; the volume must be in no other call
 /// meanwhile.
 ///
-/// What changed is found in one pass over the voxels, much faster than the scan of a volume, and only that is
-/// scanned again. The first time step that is handed over is scanned whole: what later ones are compared with
-/// (some 50 bytes for each 8 x 8 x 8 voxels) is not kept of volumes that never change.
+/// Changes are found in one pass over the voxels, much faster than the scan of a volume, and only changed
+/// cells are scanned again. The first time step is scanned whole: the data for comparisons (some 50 bytes for
+/// each 8 x 8 x 8 voxels) are not kept of volumes that never change.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
 /// ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from

@@ -100,7 +100,7 @@ fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     calibrated
 }
 
-/// What a draw gave.
+/// Result of a draw.
 struct Found {
     frames: usize,
     error: f64,

@@ -124,7 +124,7 @@ fn json(path: &Path) -> Option<Value> {
     serde_json::from_str(&read_text(path, 1 << 24).ok()?).ok()
 }
 
-/// What a folder holds.
+/// Results in a folder.
 fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     let mut tables = Vec::new();
     let mut evaluations = Vec::new();

@@ -164,7 +164,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// What an interrupted recording left, with --resume.
+/// Trace of an interrupted recording, with --resume.
 fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> {
     if !options.resume || !options.out.exists() {
         return Ok(None);

@@ -186,7 +186,7 @@ impl Options {
     }
 }
 
-/// What every path costs before and after.
+/// Costs of every path before and after.
 fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
     let mut columns = vec![Column::text("path"), Column::number("cost"), Column::number("… after")];
     for what in [

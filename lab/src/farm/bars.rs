@@ -40,7 +40,7 @@ pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> P
     planner
 }
 
-/// How a plan of equal, named slots without costs is made.
+/// Settings of a plan with equal, named slots without costs.
 pub fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
 }
@@ -94,7 +94,7 @@ pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
     Ok(out.makespan / best)
 }
 
-/// What was foretold after a tenth of the work, over runs: median error of the median, and the share of ends
+/// Predicted ends after a tenth of the work, over runs: median error of the median, and the share of ends
 /// within the 90 % interval.
 ///
 /// # Errors

@@ -19,9 +19,9 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What a second measurement would reach in place of a prediction: longest first on the medians of all
-/// repeats but one, judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and
-/// most over the repeats.
+/// Result of a second measurement instead of a prediction: longest first on the medians of all repeats but
+/// one, judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and most over
+/// the repeats.
 ///
 /// # Errors
 /// When a time is not finite and positive.
@@ -73,7 +73,7 @@ fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
     Ok(sum / RANDOM_ORDERS as f64)
 }
 
-/// What a comparison is told.
+/// Inputs of a comparison.
 #[derive(Clone, Debug)]
 pub struct Comparison<'a> {
     /// The tasks, with both times.
@@ -84,7 +84,7 @@ pub struct Comparison<'a> {
     pub dispatch: f64,
     /// Queue entries that a node searches for a task on its loaded volume.
     pub window: usize,
-    /// What [`second_measurement`] found.
+    /// Result of [`second_measurement`].
     pub noise: Option<(f64, f64)>,
 }
 
@@ -221,7 +221,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     ])
 }
 
-/// What the plain case lacks: nodes of different speeds, and volumes that take time to load.
+/// The cases beyond the plain one: nodes of different speeds, and volumes that take time to load.
 fn mixed(tasks: &[Task], measured: &[f64], window: usize, page: &mut Page) -> Result<()> {
     page.heading("Unequal nodes, and volumes that must be loaded");
     let mut table = Table::new(vec![

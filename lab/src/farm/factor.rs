@@ -77,7 +77,7 @@ impl Factor {
         for k in 0..TERMS {
             out.mean[k] = rows.iter().map(|r| r.0[k]).sum::<f64>() / n;
             let variance = rows.iter().map(|r| (r.0[k] - out.mean[k]).powi(2)).sum::<f64>() / n;
-            // What never changed says nothing.
+            // A constant input carries no information.
             out.sd[k] = if variance > 1e-12 { variance.sqrt() } else { f64::INFINITY };
         }
         out.offset = rows.iter().map(|r| r.1).sum::<f64>() / n;

@@ -1,5 +1,5 @@
-//! What a scheduler could reach that knows the measured times and has time: local search from many random
-//! starts, with loading costs.
+//! Reference for schedulers: a local search from many random starts that knows the measured times, with
+//! loading costs.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -41,13 +41,13 @@ impl<'a> State<'a> {
         node * self.problem.load.len() + self.problem.volume[task]
     }
 
-    /// What a task would add to a node.
+    /// Seconds that a task would add to a node.
     fn adds(&self, node: usize, task: usize) -> f64 {
         let load = self.problem.load[self.problem.volume[task]];
         self.problem.seconds[task] + if self.count[self.cell(node, task)] == 0 { load } else { 0.0 }
     }
 
-    /// What a task's leaving would take from its node.
+    /// Seconds that removing a task would save on its node.
     fn frees(&self, task: usize) -> f64 {
         let load = self.problem.load[self.problem.volume[task]];
         let alone = self.count[self.cell(self.node_of[task], task)] == 1;

@@ -27,7 +27,7 @@ pub struct Composited {
     pub seconds: f64,
 }
 
-/// What compositing takes.
+/// Costs of compositing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compositing {
     /// Seconds of a message.
@@ -171,7 +171,7 @@ impl Part {
     }
 }
 
-/// What is rendered.
+/// Scene of the frames.
 pub struct Scene<'a> {
     /// The volume.
     pub volume: VolumeView<'a>,
@@ -196,7 +196,7 @@ pub struct Parts {
     pub predicted: Vec<Vec<f64>>,
     /// Bytes of the largest part.
     pub bytes: u64,
-    /// How many views the model was fitted to; they come first.
+    /// Number of views that the model was fitted to; they come first.
     pub fitted: usize,
     /// Samples of each view, all parts together, where the renderer counts.
     pub samples: Vec<u64>,

@@ -14,7 +14,7 @@ use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCo
 use entire_core::scene::{Scalars, Skipping, VolumeView};
 use std::path::PathBuf;
 
-/// What the predictor of tasks is fitted to.
+/// Frames that the predictor of tasks is fitted to.
 #[derive(Clone, Copy, Debug)]
 pub struct Fitting<'a> {
     /// Timing tables, where there is no `training`.
@@ -74,7 +74,7 @@ impl Recorded {
         Ok((model, Factor::fit(&pairs)))
     }
 
-    /// How the model alone and the model with the factor do on every volume when fitted to the others.
+    /// Errors of the model alone and of the model with the factor on every volume, when fitted to the others.
     fn leave_one_out(&self) -> Result<Option<[Quality; 2]>> {
         let volumes: std::collections::BTreeSet<usize> = self.volumes.iter().copied().collect();
         if volumes.len() < 2 {
@@ -97,7 +97,7 @@ fn predicted(model: &mut AnalyticModel, s: &Sample) -> Result<f64> {
     Ok(f64::from(model.predict(&s.predictor_inputs(None))?.seconds))
 }
 
-/// What predicts the tasks of a recorded path.
+/// Predictor of a recorded path's tasks.
 struct TaskPredictor {
     predictor: Box<dyn Predictor + Send>,
     volume_features: Option<Vec<f32>>,

@@ -11,7 +11,7 @@ use entire_cli::files::{read_text, write_json};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// How a step ended.
+/// State of a step at its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum State {
@@ -39,18 +39,18 @@ impl State {
         }
     }
 
-    /// Whether the step needs to run no more.
+    /// True if the step need not run again.
     pub fn is_over(self) -> bool {
         matches!(self, Self::Done | Self::CutShort)
     }
 }
 
-/// What became of a step.
+/// Outcome of a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
     /// The step's name.
     pub step: String,
-    /// How it ended.
+    /// Its state at the end.
     pub state: State,
     /// Wall seconds that it took.
     pub seconds: f64,
@@ -78,7 +78,7 @@ impl Outcomes {
             .with_context(|| format!("{} is damaged; remove it to begin anew", path.display()))
     }
 
-    /// Whether a step needs to run no more.
+    /// True if a step need not run again.
     pub fn has(&self, step: &str) -> bool {
         self.0.iter().any(|o| o.step == step && o.state.is_over())
     }

@@ -14,12 +14,12 @@ use std::path::{Path, PathBuf};
 const CAMERAS: [(f32, f32, f32); 4] =
     [(0.0, 0.0, 2.5), (25.0, 40.0, 1.6), (-60.0, 130.0, 3.0), (10.0, -75.0, 0.4)];
 
-/// How far a picture is off.
+/// Difference of a picture from the CPU version's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
     /// The volume file's name.
     pub volume: String,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: String,
     /// The camera's number.
     pub camera: usize,
@@ -27,7 +27,7 @@ pub struct Difference {
     pub largest: u8,
     /// The mean difference of the channels, of 255.
     pub mean: f64,
-    /// Whether device and twin count the same samples; `None` where one of them does not count.
+    /// True if device and CPU version count the same samples; `None` where one of them does not count.
     pub same_samples: Option<bool>,
 }
 

@@ -12,11 +12,11 @@ use serde_json::Value;
 /// The shading modes, in the order of their cost.
 pub const MODES: [&str; 3] = ["none", "local", "scatter"];
 
-/// What a run found; what is missing was not made.
+/// Results of a run; missing ones were not made.
 pub struct Found {
-    /// How every step ended.
+    /// Outcomes of the steps.
     pub outcomes: Outcomes,
-    /// What `entire probe --json` printed.
+    /// Output of `entire probe --json`.
     pub probe: Option<Value>,
     /// Pictures beside the twin's.
     pub pictures: Vec<Difference>,
@@ -24,7 +24,7 @@ pub struct Found {
     pub tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
     /// Evaluations: kind, mode, what `entire evaluate` wrote.
     pub evaluations: Vec<(&'static str, &'static str, Value)>,
-    /// What `entire steer` wrote.
+    /// Output of `entire steer`.
     pub switches: Option<Value>,
     /// The clock whose seconds are told.
     pub clock: Clock,
@@ -44,7 +44,7 @@ fn shown(value: Option<f64>, factor: f64, digits: usize) -> Cell {
 }
 
 impl Found {
-    /// How every step ended.
+    /// Outcomes of the steps, as a table.
     pub fn steps(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("step"),
@@ -113,7 +113,7 @@ impl Found {
         table
     }
 
-    /// How each rule held its frames.
+    /// Frame times of each controller against the target.
     pub fn held(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("controller"),
@@ -135,7 +135,7 @@ impl Found {
         table
     }
 
-    /// How many steps failed, were left out or are unfinished.
+    /// Number of steps that failed, were skipped or are unfinished.
     pub fn missing(&self) -> usize {
         self.outcomes.0.iter().filter(|o| !o.state.is_over()).count()
     }

@@ -12,17 +12,17 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-/// What a command has to end by itself after it was asked to.
+/// Time for a command to end by itself after it was asked to.
 const GRACE: Duration = Duration::from_secs(10);
 
-/// How much is done.
+/// Size of the study.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Frames per volume of the tables.
     pub frames: u32,
     /// Longest image side of the tables, pixels.
     pub max_size: u32,
-    /// How much volumes are enlarged, along each axis.
+    /// Enlargement of volumes along each axis.
     pub enlarge: u32,
     /// … in the tables of large volumes; 0 for no such tables.
     pub enlarge_large: u32,
@@ -82,11 +82,11 @@ impl Extent {
 pub struct Step {
     /// Its name, and that of its log.
     pub name: String,
-    /// What the command is given.
+    /// Arguments of the command.
     pub arguments: Vec<String>,
     /// Wall seconds that it may take.
     pub seconds: f64,
-    /// Whether what it has when it is ended is of use.
+    /// True if a partial result is of use.
     pub partial: bool,
     /// The file that its standard output goes to, beside the logs.
     pub output: Option<String>,
@@ -182,7 +182,7 @@ pub fn of_mode(
     steps
 }
 
-/// What the device needs for each part of a frame.
+/// Measures the device's rates.
 pub fn probe(device: &str) -> Step {
     let arguments = words(&["probe", "--json", "--device", device]);
     Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }

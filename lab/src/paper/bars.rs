@@ -1,4 +1,4 @@
-//! What the study says about its bars.
+//! Bars of the paper's study.
 
 use super::description::{Panel, Paper, YT};
 use super::encode::{ALL, Encoder, Record};
@@ -10,12 +10,12 @@ use crate::bars::Bar;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What is known about an encoder's reconstruction of held-out volumes.
+/// Errors of an encoder's reconstruction of held-out volumes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reconstruction {
     /// The encoder.
     pub encoder: Encoder,
-    /// What its training wrote down.
+    /// Record of its training.
     pub record: Record,
 }
 
@@ -86,7 +86,7 @@ pub fn bars(
     out
 }
 
-/// Whether the frames of the training volumes are as many as the description asks for.
+/// True if the training volumes have as many frames as the description requires.
 fn complete(results: &Results) -> bool {
     let times = results.facts.iter().find(|f| f.name == "times");
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();

@@ -75,7 +75,7 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
         } else if !section.pictures.is_empty() {
             out += "\nThe pictures above.\n";
         }
-        // What was said is not said again.
+        // Notes are not repeated.
         for note in section.notes.iter().chain((!label.note.is_empty()).then_some(&label.note)) {
             if told.insert(note.clone()) {
                 let _ = write!(out, "\n{note}\n");

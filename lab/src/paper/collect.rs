@@ -34,7 +34,7 @@ pub fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> P
     out.join("tables").join(format!("{set}-{mode}{kind}{low}.csv"))
 }
 
-/// How the frames of a mode are rendered.
+/// Protocol of a mode's frames.
 ///
 /// # Errors
 /// For a mode that is none.
@@ -182,7 +182,7 @@ impl Open {
     }
 }
 
-/// What is missing of a data set: its tables, each with the frames that it lacks.
+/// Missing tables of a data set, each with the frames that it lacks.
 fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Vec<Open>> {
     let paper = work.paper;
     let mut tables = Vec::new();

@@ -34,9 +34,9 @@ const OURS: &str = "ours";
 struct Drawing {
     title: &'static str,
     axis: &'static str,
-    /// What a controller did.
+    /// The controller's value.
     value: fn(&Row) -> f64,
-    /// What that is to be held against: the target, or the best possible controller.
+    /// Reference of the value: the target, or the best possible controller.
     beside: &'static str,
     best: fn(&Row) -> f64,
 }
@@ -72,13 +72,13 @@ const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
 /// Side of a compared picture, pixels.
 const SIDE: u32 = 128;
 
-/// What was replayed of a data set's paths.
+/// Replayed paths of a data set.
 pub struct Played<'a> {
     /// The recorded paths.
     pub traces: &'a [PathBuf],
-    /// What `entire-lab replay` wrote with the paper's network.
+    /// Output of `entire-lab replay` with the paper's network.
     pub network: &'a Path,
-    /// What it wrote for the hybrid controller with its own predictor.
+    /// Output for the hybrid controller with its own predictor.
     pub ours: &'a Path,
     /// The calibration table, whose curves are behind G.
     pub calibration: &'a Path,
@@ -311,7 +311,7 @@ fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     Ok(out)
 }
 
-/// What the table of controllers shows: a figure of the scores, its title, and whether it is a share.
+/// Columns of the table of controllers: a figure of the scores, its title, and true if it is a share.
 const COLUMNS: [(&str, &str, bool); 7] = [
     ("all deviation", "mean distance from the target", true),
     ("all missed", "frames over 1.1 × target", true),

@@ -1,4 +1,4 @@
-//! What the study of the paper is asked for: its JSON file.
+//! Description of the paper's study: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::files::read_text;
@@ -20,7 +20,7 @@ pub struct Paper {
     pub seed: u64,
     /// Frames per volume.
     pub frames: FrameCounts,
-    /// How often each frame is rendered.
+    /// Renderings of each frame.
     pub repeats: u32,
     /// Renderings thrown away after each volume is loaded.
     pub warm_up: u32,
@@ -28,9 +28,9 @@ pub struct Paper {
     pub enlarge: usize,
     /// Edge of the volumes behind the low-resolution proxy (LVRP), voxels.
     pub proxy: usize,
-    /// What scenes are drawn from.
+    /// Distribution of the scenes.
     pub scenes: SceneDistribution,
-    /// What is otherwise in a mode, whose frames take far longer.
+    /// Differences of a mode whose frames take far longer.
     #[serde(default)]
     pub in_mode: BTreeMap<String, InMode>,
     /// Data sets.
@@ -61,15 +61,15 @@ pub struct Paper {
     pub panels: BTreeMap<Panel, Vec<(String, String)>>,
     /// The paper's tables and figures.
     pub labels: Vec<Label>,
-    /// What the bars ask for.
+    /// Limits of the bars.
     pub limits: Limits,
 }
 
-/// What is otherwise in a mode.
+/// Differences of a mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InMode {
-    /// How often each frame is rendered.
+    /// Renderings of each frame.
     pub repeats: Option<u32>,
     /// Longest image side, pixels.
     pub max_size: Option<u32>,
@@ -95,12 +95,12 @@ pub struct DataSet {
     pub name: String,
     /// The name in reports.
     pub title: String,
-    /// What it is in the paper, where it is there.
+    /// Name of the data set in the paper, if it is there.
     #[serde(default)]
     pub paper: Option<String>,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
     pub modes: Vec<String>,
-    /// Whether it only tests what was learned from the others: volumes of another kind.
+    /// True if it only tests models of the others: volumes of another kind.
     #[serde(default)]
     pub only_tests: bool,
     /// The harder split.
@@ -119,13 +119,13 @@ pub struct MemberSplit {
     pub test: BTreeSet<String>,
 }
 
-/// How yt's frames are collected.
+/// Collection of yt's frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct YtFrames {
     /// The collector.
     pub script: PathBuf,
-    /// How often each frame is drawn.
+    /// Renderings of each frame.
     pub repeats: u32,
     /// Shortest image side, pixels.
     pub min_size: u32,
@@ -241,7 +241,7 @@ impl Panel {
 pub struct Label {
     /// The paper's label.
     pub label: String,
-    /// What it shows.
+    /// Title of the table or figure.
     pub title: String,
     /// The part that makes its counterpart.
     pub panel: Panel,
@@ -253,7 +253,7 @@ pub struct Label {
     /// A picture of ours that is kept elsewhere.
     #[serde(default)]
     pub picture: Option<PathBuf>,
-    /// What differs from the paper by nature.
+    /// Inherent difference from the paper.
     #[serde(default)]
     pub note: String,
 }
@@ -268,7 +268,7 @@ pub struct Numbers {
     pub rows: Vec<(String, Vec<Option<f64>>)>,
 }
 
-/// What the bars ask for.
+/// Limits of the bars.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {

@@ -14,14 +14,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-/// What a training has to end by itself after it was asked to: it ends its batch, judges every volume by its
-/// best weights and writes them. One that is killed goes on from its last epoch.
+/// Time for a training to end by itself after it was asked to: it ends its batch, evaluates every volume with
+/// its best weights and writes them. A killed one continues from its last epoch.
 const GRACE: Duration = Duration::from_secs(600);
 
 /// The name of the encoder of all data sets.
 pub const ALL: &str = "all";
 
-/// What is to be trained.
+/// An encoder to train.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Encoder {
     /// A data set, or [`ALL`].
@@ -43,7 +43,7 @@ impl Encoder {
         out.join("volumenet").join(format!("{set}-{size}f{features}{widths}.safetensors"))
     }
 
-    /// What the script wrote down about it, where it is trained.
+    /// The script's record, if the encoder is trained.
     ///
     /// # Errors
     /// When the record cannot be read.
@@ -57,12 +57,12 @@ impl Encoder {
     }
 }
 
-/// What the training script writes beside a model.
+/// Record that the training script writes beside a model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
-    /// What it was made of.
+    /// Inputs of the training.
     pub provenance: Provenance,
-    /// How long it took.
+    /// Seconds of the training.
     pub seconds: f64,
 }
 
@@ -84,7 +84,7 @@ pub struct Provenance {
 }
 
 impl Record {
-    /// Whether the training came to its end.
+    /// True if the training was completed.
     pub fn complete(&self) -> bool {
         !self.provenance.stopped.starts_with("interrupted")
     }

@@ -30,7 +30,7 @@ pub(super) const LVRP: &str = "LVRP";
 
 /// A data set and mode at work.
 pub(super) struct At<'a> {
-    /// What every step works with.
+    /// Context of every step.
     pub(super) work: &'a Work<'a>,
     /// The data set.
     pub(super) place: &'a Place,
@@ -42,11 +42,11 @@ pub(super) struct At<'a> {
     pub(super) clock: Clock,
     /// Makes models and keeps them.
     pub(super) runner: &'a Runner<'a>,
-    /// What fitting works with.
+    /// Context of fitting.
     pub(super) context: FitContext<'a>,
 }
 
-/// What a predictor is made as.
+/// A method by which a predictor is made.
 pub(super) struct Method<'a> {
     /// Its name in tables and in the names of model files.
     pub(super) name: &'a str,
@@ -94,7 +94,7 @@ impl At<'_> {
         made.iter().map(|(file, _)| Ok(file.to_model()?)).collect()
     }
 
-    /// What every model predicts for some frames.
+    /// Predictions of every model for some frames.
     pub(super) fn predictions(&self, models: &[Model], frames: &[&TimedFrame]) -> Result<Vec<Vec<f64>>> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
@@ -110,7 +110,7 @@ impl At<'_> {
         (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
     }
 
-    /// What the proxy predicts; `None` where it has not all of the frames.
+    /// Predictions of the proxy; `None` where it lacks some of the frames.
     pub(super) fn by_proxy(&self, line: Option<Line>, frames: &[&TimedFrame]) -> Option<Vec<f64>> {
         let line = line?;
         frames.iter().map(|f| Some(line.at(*self.loaded.low.get(&(f.table, f.number))?))).collect()
@@ -133,7 +133,7 @@ pub(super) struct Judge<'a> {
     frames: &'a TimedFrames<'a>,
     constant: Option<f64>,
     lvrp: Option<f64>,
-    /// What was found.
+    /// Results.
     pub(super) rows: Vec<Row>,
 }
 

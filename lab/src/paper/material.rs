@@ -1,4 +1,4 @@
-//! What the report is made of, and the one file that keeps all of it.
+//! Inputs of the report, and the one file that keeps all of them.
 
 use super::bars::Reconstruction;
 use super::description::Paper;
@@ -10,12 +10,12 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What the report is made of.
+/// Inputs of the report.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Material {
-    /// What was found.
+    /// Results of all parts.
     pub all: Vec<Results>,
-    /// How well encoders reconstruct.
+    /// Reconstruction errors of encoders.
     pub reconstructions: Vec<Reconstruction>,
     /// PNG files by name.
     #[serde(with = "base64_files")]

@@ -30,9 +30,9 @@ pub use volumes::{Place, Selection, places};
 
 use std::time::Instant;
 
-/// What every step of the study works with.
+/// Context of every step of the study.
 pub struct Work<'a> {
-    /// What is asked for.
+    /// Description of the study.
     pub paper: &'a Paper,
     /// Which part of it.
     pub selection: &'a Selection,
@@ -46,12 +46,12 @@ pub struct Work<'a> {
     pub pool: &'a rayon::ThreadPool,
     /// When to stop, where that was asked for.
     pub deadline: Option<Instant>,
-    /// Whether the user asked to stop.
+    /// Returns true if the user asked to stop.
     pub interrupted: &'a dyn Fn() -> bool,
 }
 
 impl Work<'_> {
-    /// Whether to stop: the user asked, or the time is over.
+    /// True if the study must stop: the user asked, or the time is over.
     pub fn stop(&self) -> bool {
         (self.interrupted)() || self.deadline.is_some_and(|d| Instant::now() >= d)
     }

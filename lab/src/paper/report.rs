@@ -20,7 +20,7 @@ use std::time::Instant;
 pub struct Shown {
     /// The paper's label.
     pub label: String,
-    /// Whether there is a table or figure of ours.
+    /// True if there is a table or figure of ours.
     pub there: bool,
     /// The command that makes it.
     pub command: String,

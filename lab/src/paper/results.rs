@@ -1,4 +1,4 @@
-//! What the study found, in one small file for every part of it, data set and mode.
+//! Results of the study, in one small file for every part of it, data set and mode.
 
 use super::description::Panel;
 use anyhow::{Context, Result};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// How a predictor did on some frames.
+/// Errors of a predictor on some frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// The predictor.
@@ -48,9 +48,9 @@ pub struct Row {
 pub struct Curve {
     /// The chart that it belongs to.
     pub chart: String,
-    /// What it is.
+    /// Name of the curve.
     pub name: String,
-    /// What runs along x.
+    /// Quantity along x.
     pub x: String,
     /// (x, y).
     pub points: Vec<(f64, f64)>,
@@ -62,19 +62,19 @@ pub(super) const ORBIT_CHART: &str = "orbit";
 pub(super) const DRAWN_CHART: &str = "orbit, drawn transfer functions";
 /// The curve of what was measured.
 pub(super) const MEASURED: &str = "measured";
-/// What runs along x where a curve has a point per frame.
+/// Quantity along x where a curve has a point per frame.
 pub(super) const SORTED: &str = "frames, by their measured time";
 
 /// Named numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fact {
-    /// What they are of.
+    /// Name of the group of numbers.
     pub name: String,
     /// By name.
     pub values: BTreeMap<String, f64>,
 }
 
-/// What one part of the study found for one data set and mode.
+/// Results of one part of the study for one data set and mode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Results {
     /// Tells apart what it was made of.
@@ -89,7 +89,7 @@ pub struct Results {
     pub frames: BTreeMap<String, [usize; 3]>,
     /// The encoder behind the network.
     pub encoder: String,
-    /// What the frames were measured on.
+    /// Device that the frames were measured on.
     pub device: String,
     /// Its machine.
     pub machine: String,

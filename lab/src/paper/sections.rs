@@ -12,7 +12,7 @@ use super::volumes::{BY_MODALITY, BY_VOLUMES};
 use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
 use std::collections::BTreeSet;
 
-/// What stands in the report under a label.
+/// Section of the report under a label.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Section {
     /// Tables with captions.
@@ -28,7 +28,7 @@ pub(super) struct Section {
 }
 
 impl Section {
-    /// Whether there is a table or figure.
+    /// True if there is a table or figure.
     pub(super) fn there(&self) -> bool {
         !self.tables.is_empty() || !self.charts.is_empty() || !self.pictures.is_empty()
     }

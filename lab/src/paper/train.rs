@@ -79,7 +79,7 @@ pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
                 let started = Instant::now();
                 let mut results = Results::new(panel, &place.set.name, mode, mark);
                 let made = at.make(panel, &mut results);
-                // What was stopped says so, whatever it failed with.
+                // A stopped part says so, whatever error it ended with.
                 if work.stop() {
                     bail!("{}", work.stopped());
                 }
@@ -256,7 +256,7 @@ impl At<'_> {
         Ok(())
     }
 
-    /// What the main encoder and the one that ships say about every volume, a line per ensemble member.
+    /// Feature vectors of every volume by the main encoder and the shipped one, a line per ensemble member.
     fn code_curves(&self, results: &mut Results) -> Result<()> {
         let features = self.loaded.tables[0].features.as_ref().context("no features")?;
         let encoders = [

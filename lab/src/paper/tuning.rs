@@ -51,7 +51,7 @@ struct Pretrained<'a> {
     work: &'a Work<'a>,
     runner: &'a Runner<'a>,
     context: &'a FitContext<'a>,
-    /// How the network is trained.
+    /// Recipe of the network.
     recipe: &'a Recipe,
     /// The network's file.
     network: PathBuf,
@@ -290,7 +290,7 @@ impl Pretrained<'_> {
     }
 }
 
-/// What rendered a table's frames.
+/// Device that rendered a table's frames.
 fn machine(table: &Table) -> Option<&str> {
     table.manifest.as_ref().map(|m| m.machine.as_str())
 }

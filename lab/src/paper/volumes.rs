@@ -17,12 +17,12 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// Whether a data set is asked for.
+    /// True if a data set is selected.
     pub fn has(&self, set: &str) -> bool {
         self.data_sets.is_empty() || self.data_sets.iter().any(|n| n == set)
     }
 
-    /// Whether a mode is asked for.
+    /// True if a mode is selected.
     pub fn has_mode(&self, mode: &str) -> bool {
         self.modes.is_empty() || self.modes.iter().any(|n| n == mode)
     }
@@ -51,13 +51,13 @@ pub(super) const BY_MODALITY: &str = "modality";
 /// A data set where it lies.
 #[derive(Clone, Debug)]
 pub struct Place {
-    /// What it is.
+    /// The data set.
     pub set: DataSet,
     /// The folder that its volumes' names start from.
     pub root: PathBuf,
     /// Its volumes in order: a volume's place here numbers its frames. Paths start from `root`.
     pub jobs: Vec<Job>,
-    /// How they are split; none where it only tests.
+    /// Splits of the volumes; empty where the set is only for tests.
     pub splits: Vec<Parts>,
 }
 

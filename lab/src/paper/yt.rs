@@ -108,7 +108,7 @@ fn put_together(work: &Work<'_>, place: &Place) -> Result<()> {
             for frame in table.frames {
                 let number = j as u64 * each + frame.number;
                 let scene = match scenes.get(&number) {
-                    // What one reference step comes to in samples is rounded anew for every grid.
+                    // The reference step in samples is rounded for every grid.
                     Some(full) => {
                         let here = Scene { dims: full.dims, step: full.step, ..frame.scene.clone() };
                         ensure!(here == *full, "{}: frame {} is another one", path.display(), frame.number);

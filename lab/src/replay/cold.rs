@@ -12,7 +12,7 @@ use std::ops::Range;
 /// Frames between two sessions that begin on the way.
 const EVERY: usize = 8;
 
-/// What is promised of the second frame: the share that stays inside the upper bound of its plan.
+/// Promise for the second frame: the share that stays below the upper bound of its plan.
 const PROMISED: f64 = 0.95;
 
 /// The frames of sessions of `frames` frames each that begin on a path of `n`.

@@ -1,4 +1,4 @@
-//! How much others on a machine slow frames down, over time: recorded once, replayed under any controller.
+//! Slowdown of frames over time by other programs: recorded once, replayed under any controller.
 
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};

@@ -5,8 +5,8 @@ use crate::trace::{TRACE_SCALES, TracePoint};
 use entire_cli::metrics::median;
 use entire_core::calibrate::{FittedQuality, Picture, fit_quality};
 
-/// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to:
-/// mean structural similarity of what each way picks among settings that meet the target.
+/// Mean structural similarity of the settings that each rule picks among those that meet the target, on
+/// traces that the quality law was not fitted to.
 pub struct Frontier {
     pub(super) law: FittedQuality,
     frames: usize,

@@ -81,7 +81,7 @@ impl Replayable {
         self
     }
 
-    /// What answers a controller's decisions, and what it may choose: its own range, as far as it was recorded.
+    /// Curves that answer a controller's decisions, and its limits: its own range, as far as it was recorded.
     ///
     /// # Errors
     /// When the trace holds no smaller images and they are what the controller acts on.
@@ -110,7 +110,7 @@ pub struct Replayed {
     pub predicted: f64,
     /// Its upper bound; NaN where there was none.
     pub upper: f64,
-    /// What was chosen: the ray step, or s of [`ActsOn::ImageResolution`].
+    /// Decision: the ray step, or s of [`ActsOn::ImageResolution`].
     pub step: f64,
     /// The finest that could have been chosen instead, without noise: as the oracle's step, but of what the
     /// controller acts on.
@@ -127,14 +127,14 @@ pub struct Replayed {
     pub ssim: f64,
     /// The oracle's.
     pub oracle_ssim: f64,
-    /// Whether the coarsest step meets the target.
+    /// True if the coarsest step meets the target.
     pub feasible: bool,
-    /// Whether some allowed step takes exactly the target.
+    /// True if some allowed step takes exactly the target.
     pub reachable: bool,
-    /// Whether something, or the target, changed abruptly here.
+    /// True if something, or the target, changed abruptly here.
     pub switched: bool,
-    /// Whether nothing but the camera has changed in this frame and the [`SETTLING`] before, nor the path
-    /// begun.
+    /// True if only the camera changed in this frame and the [`SETTLING`] before, and the path did not start
+    /// there.
     pub calm: bool,
     /// Why the step.
     #[serde(serialize_with = "reason_name")]

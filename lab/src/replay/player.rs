@@ -10,7 +10,7 @@ use entire_cli::steering::contenders::{ActsOn, ControllerKind};
 pub struct Player {
     /// Which.
     pub kind: ControllerKind,
-    /// What answers its decisions.
+    /// Curves that answer its decisions.
     pub acts_on: ActsOn,
 }
 
@@ -46,12 +46,12 @@ impl Player {
         players
     }
 
-    /// Whether it is played on the ray step in place of what it acts on.
+    /// True if it plays on the ray step instead of its own quantity.
     pub fn stands_in(&self) -> bool {
         self.acts_on != self.kind.acts_on()
     }
 
-    /// What it acts on, for tables.
+    /// Name of its quantity, for tables.
     pub const fn acts_on_name(&self) -> &'static str {
         match (self.acts_on, self.kind.acts_on()) {
             (ActsOn::RayStep, ActsOn::ImageResolution { .. }) => "ray step instead",

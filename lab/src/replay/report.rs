@@ -1,4 +1,4 @@
-//! What was replayed, as tables, charts and files.
+//! Output of a replay: tables, charts and files.
 
 use super::frontier::Frontier;
 use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial};
@@ -24,7 +24,7 @@ pub struct Results<'a> {
     pub traces: &'a [Replayable],
     /// Against what.
     pub trials: &'a [Trial],
-    /// What came of each trial.
+    /// Outcome of each trial.
     pub outcomes: &'a [Outcome],
     /// Scores over all trials, per controller.
     pub scores: &'a [Score],
@@ -35,7 +35,7 @@ fn percent(v: f64) -> Option<String> {
 }
 
 impl Results<'_> {
-    /// What the oracle would score: misses are then the frames' noise alone.
+    /// Score of the oracle: its misses are the frames' noise alone.
     pub fn oracle(&self) -> Score {
         let mut total = Tally::default();
         for frames in self.outcomes.iter().filter_map(|o| o.frames.first()) {

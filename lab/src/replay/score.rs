@@ -1,4 +1,4 @@
-//! How well a controller held its targets, beside the oracle.
+//! Scores of controllers against their targets, beside the oracle.
 
 use super::Replayed;
 use serde::Serialize;

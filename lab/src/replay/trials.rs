@@ -19,7 +19,7 @@ pub struct Trial {
     pub targets: Vec<f64>,
 }
 
-/// What came of a trial, per controller.
+/// Outcome of a trial, per controller.
 pub struct Outcome {
     /// Which trial.
     pub trial: usize,

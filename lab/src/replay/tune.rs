@@ -27,7 +27,7 @@ const SURE: f64 = 2.0;
 /// Multiples of a constant that are tried.
 const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 
-/// What is promised of distance, quality and jumps, and of misses: the limits of the steering bars.
+/// Promises for distance, quality and jumps, and for misses: the limits of the steering bars.
 const PROMISED: f64 = 0.08;
 const PROMISED_MISSES: f64 = 0.03;
 
@@ -76,7 +76,7 @@ const WITHOUT: [(&str, f64); 10] = [
     ("clip_below", 3.0),
 ];
 
-/// What a constant is worth.
+/// Effect of a constant.
 #[derive(Clone, Debug, Serialize)]
 pub struct Removed {
     /// Which.
@@ -91,7 +91,7 @@ pub struct Removed {
     pub standard_error: f64,
 }
 
-/// What each constant is worth: the paths' cost without it, the others as they are.
+/// Effect of each constant: the paths' cost without it, with the others unchanged.
 ///
 /// # Errors
 /// As [`Course::cost`].
@@ -159,7 +159,7 @@ pub struct Course<'a> {
     limits: StepLimits,
 }
 
-/// What a path costs.
+/// Cost of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Cost {
     /// With a fitted predictor.
@@ -209,9 +209,9 @@ impl Coarse {
 pub struct Taken {
     /// Which.
     pub name: &'static str,
-    /// What it was.
+    /// Value before.
     pub from: f64,
-    /// What it is.
+    /// Value after.
     pub to: f64,
     /// Mean cost of the paths before and after.
     pub cost: [f64; 2],
@@ -231,12 +231,12 @@ impl<'a> Course<'a> {
         Self { recorded, calibrated, trials, limits }
     }
 
-    /// Whether no target is worth playing on the path as it was recorded.
+    /// True if no target is met by an allowed step in half of the path's frames.
     pub fn is_empty(&self) -> bool {
         self.trials[0].is_empty()
     }
 
-    /// What the path costs with these constants.
+    /// Cost of the path with these constants.
     ///
     /// # Errors
     /// When a prediction fails.
@@ -283,7 +283,7 @@ impl<'a> Course<'a> {
     }
 }
 
-/// What every path costs with these constants.
+/// Cost of every path with these constants.
 ///
 /// # Errors
 /// As [`Course::cost`].
@@ -348,5 +348,5 @@ pub fn search(
     Ok((constants, now, taken))
 }
 
-/// How many values of a constant a round of the search tries.
+/// Number of values of a constant that a round of the search tries.
 pub const TRIED: usize = FACTORS.len();

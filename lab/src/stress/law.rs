@@ -12,7 +12,7 @@ const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;
 const COARSEST: f32 = 32.0;
 
-/// What a method hears of a frame's time.
+/// Time that a method is given for a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Heard {
     /// The truth.

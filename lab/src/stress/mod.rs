@@ -20,9 +20,9 @@ use serde::Serialize;
 pub struct Scene {
     /// Its number in the list.
     pub number: usize,
-    /// What happens.
+    /// Description of the scene.
     pub title: &'static str,
-    /// What passes.
+    /// Rule for passing.
     pub rule: &'static str,
 }
 
@@ -201,21 +201,21 @@ pub struct Seen {
     pub step: f64,
     /// The step that takes the target, clamped to the limits.
     pub oracle: f64,
-    /// Whether the coarsest step meets the target.
+    /// True if the coarsest step meets the target.
     pub feasible: bool,
     /// Upper bound; NaN from methods without one.
     pub upper: f64,
-    /// What was expected; NaN from methods that expect nothing.
+    /// Expected seconds; NaN from methods that expect nothing.
     pub predicted: f64,
-    /// Whether it is the first frame of an announced change.
+    /// True if it is the first frame of an announced change.
     pub first: bool,
-    /// Whether the judge looks away (a pipeline is built, say).
+    /// True if the rule ignores the frame (a pipeline is built, say).
     pub excused: bool,
     /// A part of the script, for rules that tell parts apart.
     pub part: usize,
 }
 
-/// What a rule may ask for.
+/// Limits of a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Largest share of feasible frames over 1.1 targets.
@@ -235,14 +235,14 @@ impl Limits {
     }
 }
 
-/// What a method made of a scene.
+/// Result of a method in a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verdict {
     /// The scene's number.
     pub scene: usize,
     /// The method.
     pub method: &'static str,
-    /// What failed and how; empty where it passed.
+    /// Failures, in words; empty where it passed.
     pub failures: Vec<String>,
     /// Share of feasible frames over 1.1 targets.
     pub missed: f64,
@@ -255,12 +255,12 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Whether it is of our method; all others are rivals.
+    /// True if the method is entire's; all others are rivals.
     pub fn is_ours(&self) -> bool {
         self.method == ControllerKind::Hybrid.name()
     }
 
-    /// Whether it passed.
+    /// True if it passed.
     pub fn passed(&self) -> bool {
         self.failures.is_empty()
     }
@@ -378,7 +378,7 @@ pub fn run_real(
     Ok(out)
 }
 
-/// How many of these scenes ours passed, of all of them: one that was not played was not passed.
+/// Number of these scenes that entire passed, of all of them: a scene that was not played was not passed.
 fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
     let mut ours: Vec<&Verdict> = verdicts.iter().filter(|v| v.is_ours()).collect();
     ours.sort_by_key(|v| v.scene);
@@ -387,8 +387,8 @@ fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
     Bar::at_least(name, (!ours.is_empty()).then_some(passed as f64), all as f64)
 }
 
-/// What scripted verdicts say about all scenes: ours passes each of them, and each fails for at least one
-/// other method, or it tests nothing. A scene that was not played is passed by nobody and fails for nobody.
+/// Bars of scripted verdicts over all scenes: entire passes each of them, and each fails for at least one
+/// other method, or it tests nothing. A scene that was not played is passed by no method and fails for none.
 pub fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
     let harmless = harmless(verdicts);
     vec![
@@ -397,7 +397,7 @@ pub fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
     ]
 }
 
-/// What verdicts on a real renderer say about all scenes that make sense there.
+/// Bars of verdicts on a real renderer over all scenes that can be played there.
 pub fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
     vec![passed("stress-scenes-passed-on-device", verdicts, world::REAL.len())]
 }

@@ -1,4 +1,4 @@
-//! What a study says about its bars.
+//! Bars of a study.
 
 use super::description::SELECTED;
 use super::{CONSTANT, Findings, PROXY, SplitResult, Study, shipped};
@@ -37,9 +37,8 @@ fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) 
     }
 }
 
-/// What a study says about its bars: one for every limit of its sets, short where what it is about is
-/// missing. Most are about the predictor that the rule selects, about the best on the test frames where it selects
-/// none.
+/// Bars of a study: one for every limit of its sets, short where it could not be measured. Most are about the
+/// predictor that the rule selects, or about the best on the test frames where it selects none.
 pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();
     let mut at_most = |name: String, value: Option<f64>, limit: f64| {

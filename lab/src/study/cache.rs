@@ -1,4 +1,4 @@
-//! What a study made before: told apart by all that it was made of, and taken again.
+//! Cache of a study's models: a model is used again if all its inputs are the same.
 
 use anyhow::{Context, Result};
 use entire_cli::bound;

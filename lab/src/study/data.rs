@@ -53,7 +53,7 @@ pub(super) struct Learned<'a> {
 
 /// The parts of a cross-validation: ensemble members, or volumes, some of which are left out together.
 pub(super) struct Folds {
-    /// What a group is.
+    /// Kind of the groups.
     pub(super) by: GroupBy,
     /// The groups of each part.
     pub(super) groups: Vec<BTreeSet<String>>,
@@ -71,7 +71,7 @@ impl Folds {
         frames.parted(|f| self.groups[k].contains(&self.by.group(&f.scene))).0
     }
 
-    /// What is learned from without the parts that are held out: training and validation frames.
+    /// Frames to learn from without the held-out parts: training and validation frames.
     pub(super) fn without<'a>(
         &self,
         held: &[usize],

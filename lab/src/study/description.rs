@@ -1,4 +1,4 @@
-//! What a study is asked for: its JSON file.
+//! Description of a study: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::Clock;
@@ -21,7 +21,7 @@ pub struct Study {
     pub sets: Vec<Set>,
     /// Predictors, each made for every set.
     pub predictors: Vec<Named>,
-    /// What `entire-lab study --ship` writes for every set.
+    /// Files that `entire-lab study --ship` writes for every set.
     #[serde(default)]
     pub ship: Vec<Ship>,
     /// Volume on which latencies are measured, and its enlargement.
@@ -32,7 +32,7 @@ fn cpu() -> String {
     Clock::Cpu.name().into()
 }
 
-/// What [`Ship`] calls the predictor that the rule selects.
+/// Name of the selected predictor in [`Ship`].
 pub(crate) const SELECTED: &str = "selected";
 
 /// A predictor to ship.
@@ -41,7 +41,7 @@ pub(crate) const SELECTED: &str = "selected";
 pub struct Ship {
     /// Its name, or `selected` for the one that the rule selects.
     pub predictor: String,
-    /// How its weights are stored.
+    /// Storage format of its weights.
     #[serde(default)]
     pub dtype: DtypeChoice,
 }
@@ -86,12 +86,12 @@ pub struct SplitTables {
     pub name: String,
     /// Its tables.
     pub tables: Vec<PathBuf>,
-    /// Whether the main bars are about it.
+    /// True if the main bars are about it.
     #[serde(default)]
     pub main: bool,
 }
 
-/// What the bars ask for.
+/// Limits of the bars.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
@@ -101,9 +101,9 @@ pub struct Limits {
     pub constant_over_paper: Option<f64>,
     /// Least ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
     pub proxy_over_paper: Option<f64>,
-    /// Whether the bars of the calibration split apply.
+    /// True if the bars of the calibration split apply.
     pub modality: bool,
-    /// Whether the bars on latency apply.
+    /// True if the bars on latency apply.
     pub latency: bool,
 }
 
@@ -113,10 +113,10 @@ pub struct Limits {
 pub struct Named {
     /// Its name in every table; `paper` has bars of its own.
     pub name: String,
-    /// How it is made.
+    /// Recipe of the predictor.
     #[serde(default)]
     pub recipe: Recipe,
-    /// Whether it is boosted trees on the recipe's inputs instead: a yardstick that no model file holds.
+    /// True for boosted trees on the recipe's inputs: a reference that no model file can hold.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trees: bool,
     /// Sets that it is made for; all unless given.
@@ -128,9 +128,8 @@ pub struct Named {
     /// Which table it belongs to: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub panel: String,
-    /// Whether it is made again without one ensemble member after another, to be judged on that member: which
-    /// predictor is selected and what its upper bound is follow from these errors. For the table `main`
-    /// alone.
+    /// True if it is trained again without one ensemble member after another and evaluated on that member:
+    /// the selection and the upper bounds follow from these errors. For the table `main` only.
     #[serde(default = "yes")]
     pub cross_validated: bool,
 }
@@ -141,7 +140,7 @@ impl Named {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }
 
-    /// How it is made for a set.
+    /// Recipe for a set.
     pub fn recipe_for(&self, set: &str) -> &Recipe {
         self.in_set.get(set).unwrap_or(&self.recipe)
     }

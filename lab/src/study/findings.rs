@@ -1,4 +1,4 @@
-//! What a study found: errors, latencies and curves, by set, split and predictor.
+//! Results of a study: errors, latencies and curves, by set, split and predictor.
 
 use crate::latency::Latency;
 use entire_cli::bound;
@@ -57,8 +57,8 @@ impl Intervals {
     }
 }
 
-/// How a predictor did on the frames that it was made of, and on those of the training tables when it was
-/// made without their ensemble member.
+/// Errors of a predictor on its training frames, and on frames of the training tables when trained without
+/// their ensemble member.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fit {
     /// Set and predictor.
@@ -73,7 +73,7 @@ pub struct Fit {
     pub crossed: Option<Metrics>,
     /// Intervals of these.
     pub crossed_intervals: Option<Intervals>,
-    /// How often.
+    /// Number of folds.
     pub folds: usize,
     /// Numbers that were fitted: weights, biases, and unit costs.
     pub numbers: usize,
@@ -81,7 +81,7 @@ pub struct Fit {
     pub probe_side: usize,
 }
 
-/// How a predictor did on a split.
+/// Errors of a predictor on a split.
 #[derive(Clone, Debug, Serialize)]
 pub struct SplitResult {
     /// Set, split and predictor.
@@ -157,8 +157,8 @@ impl Findings {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
     }
 
-    /// What repeats leave as median absolute relative error of a predictor that knows the truth: 0.6745
-    /// standard deviations of a frame's median.
+    /// Median absolute relative error of a perfect predictor, due to the noise of repeats: 0.6745 standard
+    /// deviations of a frame's median.
     pub fn noise_mdape(&self, set: &str, split: &str) -> f64 {
         self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| n.2.mdape())
     }

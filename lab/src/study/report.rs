@@ -10,7 +10,7 @@ use entire_cli::metrics::BoundMetrics;
 use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::Path;
 
-/// What intervals are of.
+/// Definition of the intervals.
 pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement: a few \
                                     frames carry most of the squared error.";
 

@@ -30,8 +30,8 @@ fn choose(contenders: &[Contender]) -> Option<usize> {
     contenders.iter().enumerate().filter(|c| good(&c)).min_by_key(|c| c.1.size).map(|c| c.0)
 }
 
-/// Whether the rule may choose it in a set: it is cross-validated, a model file holds it, and it was made
-/// from the set's training frames alone.
+/// True if the rule may select it in a set: it is cross-validated, a model file can hold it, and it was
+/// trained on the set's training frames only.
 fn may_choose(named: &Named, set: &str) -> bool {
     named.cross_validated
         && named.is_of(set)

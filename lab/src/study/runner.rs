@@ -28,7 +28,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// What an upper bound follows from.
+/// Frames that an upper bound follows from.
 pub(crate) enum Bounds<'a> {
     /// Frames; the validation frames where there are none.
     Frames(&'a TimedFrames<'a>),
@@ -108,12 +108,12 @@ pub(super) struct OnSet<'a> {
     pub(super) set: &'a Set,
     /// Its frames.
     pub(super) data: &'a SetData<'a>,
-    /// What fitting works with.
+    /// Context of fitting.
     pub(super) context: &'a FitContext<'a>,
 }
 
 impl<'a> OnSet<'a> {
-    /// What a recipe learns from. The paper's inputs say nothing of the step.
+    /// Training frames of a recipe. The paper's inputs do not contain the step.
     ///
     /// # Errors
     /// For inputs that are not known.
@@ -122,7 +122,7 @@ impl<'a> OnSet<'a> {
     }
 }
 
-/// What a study works with besides its description.
+/// Context of a study besides its description.
 pub struct Runner<'a> {
     /// Threads.
     pub pool: &'a rayon::ThreadPool,
@@ -372,7 +372,7 @@ impl Runner<'_> {
     }
 }
 
-/// What eight-bit weights add to a network's error on the main split.
+/// Error that eight-bit weights add on the main split.
 fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> Result<()> {
     let OnSet { set, data, context, .. } = *on;
     for (split, part) in set.splits.iter().zip(&data.splits).filter(|(split, _)| split.main) {

@@ -27,7 +27,7 @@ pub struct TraceVolume {
     pub files: Vec<Identity>,
 }
 
-/// How frames were drawn.
+/// Settings of drawing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TraceDraw {
@@ -77,7 +77,7 @@ pub struct Trace {
     pub hold: u32,
     /// From which frame on images have which scale of their full size.
     pub scales: Vec<(u32, f32)>,
-    /// How frames were drawn.
+    /// Settings of drawing.
     pub draw: TraceDraw,
     /// Per frame, every point of the grid; scale 1 first, steps ascending. Smaller images beside them where they
     /// were recorded.
@@ -148,7 +148,7 @@ impl Trace {
     /// Reads and checks a trace's text, which may hold the first frames of its path only.
     ///
     /// # Errors
-    /// What is wrong, with line and column where it is the JSON.
+    /// The error in the text, with line and column where it is in the JSON.
     pub fn parse(text: &str) -> Result<Self> {
         let trace: Self = serde_json::from_str(text)?;
         trace.check()?;
@@ -196,7 +196,7 @@ impl Trace {
         Ok(())
     }
 
-    /// Whether every frame of the path was recorded.
+    /// True if every frame of the path was recorded.
     pub fn is_complete(&self) -> bool {
         self.frames.len() == self.path.frames as usize
     }

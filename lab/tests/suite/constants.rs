@@ -25,7 +25,7 @@ fn the_book_lists_every_constant_with_its_value() {
     assert_eq!(listed, rows, "docs/src/steering.md lists constants that are not searched");
 }
 
-/// What the probe's ladder takes for granted (`TURN`, `APPROACH`).
+/// Assumptions of the adaptive probe (`TURN`, `APPROACH`).
 #[test]
 fn frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_granted() {
     const FRAMES: usize = 4;

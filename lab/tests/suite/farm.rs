@@ -38,7 +38,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         (output.status.code(), text + &String::from_utf8_lossy(&output.stderr))
     };
-    // What repeats say of each other is told beside every method.
+    // The limit by noise is printed with every method.
     let (code, text) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
     assert_eq!(code, Some(0), "{text}");
     for word in [

@@ -214,7 +214,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let html = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(html.contains("Not measured.") && html.contains("tab:prednet_select_1") && html.contains("<svg"));
 
-    // What was kept makes the same rows without the folder.
+    // The kept results give the same rows without the folder.
     let (_, said) = paper(at, "report", &["--out", "elsewhere", "--kept", "kept.json.gz"]);
     let again: Vec<Value> = serde_json::from_str(
         &std::fs::read_to_string(at.join("elsewhere/rows.json")).unwrap_or_else(|e| panic!("{e} {said}")),

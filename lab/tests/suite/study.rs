@@ -110,7 +110,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(report.contains("small/member/paper-rmse-over-lvrp") && report.contains("<svg"));
 
-    // What was made is taken again: not a byte changes. Without --bars the status tells that it ran.
+    // Kept models are used again: not a byte changes. Without --bars the status only says that the study ran.
     let before = models(at);
     assert!(!before.is_empty());
     let (output, _) = study(at, &[]);

@@ -178,7 +178,7 @@ impl Calibration {
 /// A model file's bytes, and its calibration's report.
 pub(crate) type Fitted<'py> = (Bound<'py, PyBytes>, Bound<'py, PyDict>);
 
-/// What a calibration made, for Python.
+/// Result of a calibration, for Python.
 pub(crate) fn as_python<'py>(py: Python<'py>, bytes: &[u8], fitted: &Calibrated) -> PyResult<Fitted<'py>> {
     let report = PyDict::new(py);
     report.set_item("frames", fitted.frames)?;

@@ -17,7 +17,7 @@ pub(crate) struct Camera {
     lens: Lens,
 }
 
-/// How a camera projects.
+/// Projection of a camera.
 #[derive(Clone, Copy, PartialEq)]
 enum Lens {
     /// Vertical field of view, degrees.
@@ -71,7 +71,7 @@ pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32, scale: Option<f6
     Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, Lens::new(fov, scale, 1.0))
 }
 
-/// Whether a renderer that goes from one camera to another jumps: see [`Camera::jumps_from`].
+/// True if a renderer that goes from one camera to another jumps: see [`Camera::jumps_from`].
 pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
     let (now, then) = (camera.view(), before.view());
     let turned = (now.row(2) - then.row(2)).abs();
@@ -326,7 +326,7 @@ impl Camera {
         from_view(volume, rows, fov as f32, scale)
     }
 
-    /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
+    /// True if a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
     /// angle, changes its distance (or its scale) by half, or its projection.
     ///
     /// Parameters

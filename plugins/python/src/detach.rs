@@ -16,10 +16,10 @@ static ENDING: OnceLock<ThreadId> = OnceLock::new();
 /// Threads in long calls or in Python's code that will ask for the lock.
 static AWAY: AtomicUsize = AtomicUsize::new(0);
 
-/// How long the end waits for threads that are just about to ask for the lock.
+/// Time that the end waits for threads that are about to ask for the lock.
 const GRACE: Duration = Duration::from_millis(500);
 
-/// Whether the interpreter is about to end, by another thread than this one.
+/// True if another thread is about to end the interpreter.
 fn is_ending() -> bool {
     ENDING.get().is_some_and(|by| *by != std::thread::current().id())
 }

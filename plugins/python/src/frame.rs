@@ -8,7 +8,7 @@ use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-/// What a frame is beside its camera.
+/// Parameters of a frame besides its camera.
 #[derive(Clone, Copy)]
 pub(crate) struct Shape {
     pub(crate) size: (u32, u32),

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-/// How many frames are kept.
+/// Number of frames that are kept.
 pub(crate) const KEPT: usize = 4096;
 
 /// One observed frame.

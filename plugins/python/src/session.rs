@@ -559,7 +559,7 @@ impl Session {
         self.state(py)?.core.record(prior.as_ref(), frames).map_err(raise)
     }
 
-    /// How many frames are kept since :meth:`record`; ``None`` before it.
+    /// Number of frames kept since :meth:`record`; ``None`` before it.
     #[getter]
     fn recorded(&self, py: Python<'_>) -> PyResult<Option<usize>> {
         Ok(self.state(py)?.core.recorded())
@@ -636,7 +636,7 @@ impl Session {
         Ok(self.state(py)?.core.model_clock().map(Into::into))
     }
 
-    /// What was learned, as bytes for :meth:`load_state`.
+    /// The learned state, as bytes for :meth:`load_state`.
     fn save_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &self.state(py)?.core.save_state()))
     }

@@ -1,4 +1,4 @@
-//! What a session keeps between calls.
+//! State of a session between calls.
 
 use crate::errors::{NotReadyError, raise};
 use crate::history::{Entry, History};

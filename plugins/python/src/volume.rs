@@ -24,14 +24,14 @@ pub(crate) struct Data {
     fill: Vec<f32>,
     /// Axes of the array along x, y, z.
     order: [usize; 3],
-    /// What time steps share, and the number of this one.
+    /// State that time steps share, and the number of this one.
     series: Arc<Guarded<Series>>,
     step: u64,
     /// Keeps the memory alive that `view` looks at.
     owner: Py<PyAny>,
 }
 
-/// What is kept of the time step that was made last.
+/// Data of the time step that was made last.
 #[derive(Default)]
 struct Series {
     kept: Option<Box<SummarySeries>>,
@@ -43,7 +43,7 @@ impl Data {
         &self.view
     }
 
-    /// What prediction keeps of the voxels; scanned at the first call, with the interpreter let go of.
+    /// Summary of the voxels; scanned at the first call, with the interpreter lock released.
     pub(crate) fn summary(&self, py: Python<'_>) -> PyResult<&VolumeSummary> {
         if let Some(summary) = self.summary.get() {
             return Ok(summary);
@@ -53,7 +53,7 @@ impl Data {
         Ok(self.summary.get_or_init(|| summary))
     }
 
-    /// Whether this is another time step of a volume.
+    /// True if this is another time step of a volume.
     pub(crate) fn follows(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.series, &other.series) && self.step != other.step
     }
@@ -152,7 +152,7 @@ fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, P
     Ok(made?.cast_into::<PyUntypedArray>()?)
 }
 
-/// How an array of this type is kept: as it is, or as another type.
+/// Type in which an array is stored: its own, or another one.
 fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'static str>)> {
     let dtype = array.dtype();
     let native = dtype.is_native_byteorder() != Some(false);
@@ -367,7 +367,7 @@ impl Volume {
                 return Ok(data);
             }
         }
-        // What is said to be data counts in the range, however far it lies.
+        // Declared values count in the range, however far they lie.
         let view = match (range, fill) {
             (None, Fill::Values(_)) if !matches!(scalars, Scalars::U8(_)) => {
                 let options = VolumeOptions { range: Some(detached(py, || view.own_range())), ..options };
@@ -458,7 +458,7 @@ impl Volume {
         let mut data = Self::look_at(py, array, spacing, before.origin, before.order, range, &fill)?;
         data.series = before.series.clone();
         let mut series = before.series.lock(py)?;
-        // What changed since another time step nobody said.
+        // Changes since another time step were not given.
         let changed = changed.filter(|_| before.step == series.step || series.kept.is_none());
         let changed = changed.map(|axes| before.order.map(|axis| axes[axis].0..axes[axis].1));
         let mut kept = match series.kept.take() {

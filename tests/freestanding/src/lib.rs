@@ -1,4 +1,4 @@
-//! What the freestanding program computes and prints, shared with the test that compares it with a hosted
+//! Computation and output of the freestanding program, shared with the test that compares it with a hosted
 //! build.
 #![no_std]
 

@@ -144,7 +144,7 @@ fn product(place: &Path) -> Vec<(PathBuf, TokenStream)> {
     code
 }
 
-/// What follows `root::` anywhere in the tokens, macros and grouped imports included.
+/// Names that follow `root::` anywhere in the tokens, macros and grouped imports included.
 fn names_below(root: &str, tokens: &TokenStream) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     collect_names(root, tokens.clone(), &mut found);
@@ -382,7 +382,7 @@ fn rooms_of(source: &Path) -> Vec<String> {
     found
 }
 
-/// What in a crate points back.
+/// Uses in a crate that point backward.
 fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     let mut wrong = Vec::new();
     for (room, allowed) in rooms {
@@ -490,7 +490,7 @@ fn unsafe_stays_behind_its_fences() {
     );
 }
 
-/// What stands behind a test module counts, tests do not, and no way of naming a room escapes.
+/// Code after a test module counts, tests do not, and no way of naming a module escapes.
 #[test]
 fn the_rules_read_all_of_a_file_and_nothing_but_the_product() {
     let text = r#"

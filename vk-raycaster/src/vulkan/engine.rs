@@ -46,17 +46,17 @@ pub(crate) const MAX_BRICKS: usize = 64;
 
 /// A tile to cast.
 pub(crate) struct Cast<'a> {
-    /// What errors call it.
+    /// Name of the pass in errors.
     pub(crate) pass: &'a str,
     pub(crate) key: ShaderKey,
     pub(crate) tile: Tile,
-    /// Whether rays go on where an earlier dispatch left them.
+    /// True if rays continue where an earlier dispatch left them.
     pub(crate) windowed: bool,
     /// The brick of the volume.
     pub(crate) brick: usize,
 }
 
-/// What a dispatch runs, and on what.
+/// Pipeline and descriptors of a dispatch.
 type Shader = (vk::Pipeline, vk::DescriptorSet);
 
 /// A finished tile.
@@ -68,7 +68,7 @@ pub(crate) struct CastTile<'a> {
     pub(crate) work: &'a [u8],
 }
 
-/// What one submission uses for itself, so that another may run meanwhile.
+/// Resources of one submission, so that another may run meanwhile.
 struct Slot {
     descriptors: Owned<vk::DescriptorPool>,
     /// For each brick of the volume, where made: the set that points at everything that a dispatch uses.
@@ -80,7 +80,7 @@ struct Slot {
     setup: Buffer,
     table_staging: Buffer,
     tile: Option<TileBuffers>,
-    /// Whether the fence was submitted and not reset since.
+    /// True if the fence was submitted and not reset since.
     pending: bool,
     running: Option<Running>,
 }
@@ -93,7 +93,7 @@ struct Running {
     counting: bool,
 }
 
-/// What [`Engine::start`] started, for [`Engine::finish`].
+/// A submission of [`Engine::start`], for [`Engine::finish`].
 pub(crate) struct Ticket {
     slot: usize,
     number: u64,

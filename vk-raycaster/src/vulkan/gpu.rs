@@ -11,9 +11,9 @@ use std::time::Duration;
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-/// How long a submission may run on a GPU before the device counts as hanging: 30 s. A submission is one tile
-/// or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does not
-/// answer for 2 to 10 s, so that a sound device is far below this.
+/// Time limit of a submission on a GPU, after which the device counts as hanging: 30 s. A submission is one
+/// tile or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does
+/// not answer for 2 to 10 s, so that a sound device is far below this.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
 /// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. They work through the largest
@@ -25,7 +25,7 @@ pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 
 /// Which device, and whether under the validation layer.
 pub(crate) struct GpuOptions<'a> {
-    /// How long a submission may run; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
+    /// Time limit of a submission; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
     pub(crate) longest_wait: Option<Duration>,
     /// Part of a device's name, in any case, or its index among all devices.
     pub(crate) device: Option<&'a str>,
@@ -35,7 +35,7 @@ pub(crate) struct GpuOptions<'a> {
     pub(crate) surface_extensions: &'a [CString],
 }
 
-/// How device timestamps become seconds.
+/// Conversion of device timestamps to seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TimestampClock {
     /// Significant bits of a timestamp, 1…64.
@@ -53,7 +53,7 @@ impl TimestampClock {
     }
 }
 
-/// What the validation layer said.
+/// Messages of the validation layer.
 #[derive(Default)]
 struct Messages(Mutex<Vec<String>>);
 
@@ -70,7 +70,7 @@ pub(crate) struct Gpu {
     /// Largest single allocation, bytes.
     pub(crate) max_allocation: u64,
     pub(crate) is_cpu: bool,
-    /// Whether compute shaders may compute minima and maxima over a subgroup.
+    /// True if compute shaders may compute minima and maxima over a subgroup.
     pub(crate) subgroup_arithmetic: bool,
     pub(crate) subgroup_size: u32,
     pub(crate) api_version: u32,
@@ -78,11 +78,12 @@ pub(crate) struct Gpu {
     pub(crate) memory: u64,
     pub(crate) name: String,
     pub(crate) driver: String,
-    /// How long a submission may run.
+    /// Time limit of a submission.
     pub(crate) longest_wait: Duration,
-    /// Whether a call has answered that the device is lost: nothing runs on it, and nothing can be submitted.
+    /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device, and nothing can be
+    /// submitted.
     lost: AtomicBool,
-    /// Whether a submission never ended: what the device may still use is never freed.
+    /// True if a submission never ended: resources that the device may still use are never freed.
     abandoned: AtomicBool,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
     debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
@@ -237,7 +238,7 @@ impl Gpu {
         })
     }
 
-    /// What the validation layer has said so far, warnings and errors.
+    /// Warnings and errors of the validation layer so far.
     pub(crate) fn messages(&self) -> Vec<String> {
         self.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -268,12 +269,12 @@ impl Gpu {
         Ok(())
     }
 
-    /// Whether a call has answered that the device is lost.
+    /// True if a call has returned `VK_ERROR_DEVICE_LOST`.
     pub(crate) fn is_lost(&self) -> bool {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Whether a submission may still use what was made from the device, and will for ever.
+    /// True if a submission never ended and may still use the device's resources.
     pub(crate) fn is_abandoned(&self) -> bool {
         self.abandoned.load(Ordering::Relaxed)
     }
@@ -283,7 +284,7 @@ impl Gpu {
         self.abandoned.store(true, Ordering::Relaxed);
     }
 
-    /// Whether optimally tiled images of a format can be sampled, and with a linear filter.
+    /// True if optimally tiled images of a format can be sampled; true if they can with a linear filter.
     pub(crate) fn sampling(&self, format: vk::Format) -> (bool, bool) {
         // SAFETY: the physical device belongs to this instance.
         let properties =

@@ -57,7 +57,7 @@ pub enum VoxelFetch {
     Packed,
 }
 
-/// How to open a [`VulkanRaycaster`].
+/// Options of opening a [`VulkanRaycaster`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct VulkanOptions {
     /// Part of the device's name, in any case, or its index. `None` takes the best: discrete, then
@@ -74,8 +74,7 @@ pub struct VulkanOptions {
     /// Most voxels along an axis of one texture; larger volumes are cut into bricks. `None` is the device's
     /// limit.
     pub largest_texture: Option<u32>,
-    /// How long the device may take for one submission (a tile, a copy) before it counts as hanging. `None`
-    /// is
+    /// Time limit of one submission (a tile, a copy), after which the device counts as hanging. `None` is
     /// [`LONGEST_WAIT`], on software devices [`LONGEST_WAIT_SOFTWARE`].
     pub longest_wait: Option<Duration>,
     /// Instance extensions of a window system (`VK_KHR_surface` and the like). With any, the device is opened
@@ -157,7 +156,7 @@ struct Enqueued {
     counting: bool,
 }
 
-/// What all dispatches of a frame share.
+/// Parameters that all dispatches of a frame share.
 struct Plan {
     setup: FrameSetup,
     class: usize,
@@ -169,12 +168,12 @@ struct Plan {
     table: Option<Vec<u8>>,
 }
 
-/// What the host keeps of a volume that is on the device.
+/// The host's record of a volume on the device.
 struct DeviceVolume {
     geometry: Geometry,
     blocks: BlockMap,
     fetch: VoxelFetch,
-    /// What each texture holds; one where all of it fits.
+    /// Part of the volume in each texture; one where all of it fits.
     bricks: Vec<Brick>,
     /// Bricks along each axis.
     grid: [usize; 3],
@@ -237,17 +236,17 @@ impl VulkanRaycaster {
         })
     }
 
-    /// What the validation layer has said so far; empty without validation.
+    /// Messages of the validation layer so far; empty without validation.
     pub fn validation_messages(&self) -> Vec<String> {
         self.engine.gpu().messages()
     }
 
-    /// Whether frames have device times.
+    /// True if frames have device times.
     pub fn has_timestamps(&self) -> bool {
         self.engine.gpu().timestamps.is_some()
     }
 
-    /// Whether the device is a CPU in truth (llvmpipe, SwiftShader).
+    /// True if the device is a software implementation (llvmpipe, SwiftShader).
     pub fn is_software(&self) -> bool {
         self.engine.gpu().is_cpu
     }
@@ -340,7 +339,7 @@ impl VulkanRaycaster {
         Ok(Some(Rendered { image, time, counts: counting.then_some(counts) }))
     }
 
-    /// What the dispatches of a frame have in common.
+    /// Parameters that the dispatches of a frame share.
     fn plan(&self, frame: &Frame) -> Result<Plan> {
         check(frame)?;
         let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
@@ -554,9 +553,8 @@ fn longest_ray(step: f64) -> f64 {
     (2.0 / step).ceil() + 1.0
 }
 
-/// How many samples of a ray one dispatch may take on a software device, so that all loops together stay
-/// below
-/// [`LOOP_LIMIT`].
+/// Number of samples of a ray that one dispatch may take on a software device, so that all loops together
+/// stay below [`LOOP_LIMIT`].
 fn window(step: f64, shading: Shading) -> f32 {
     let shadow = longest_ray(step * f64::from(crate::setup::SHADOW_STEP));
     // A sample costs a turn of its loop and at most one of the loops around; so does each shadow sample.

@@ -50,7 +50,7 @@ impl Region {
 pub struct Picture {
     device: SharedDevice,
     image: Image,
-    /// Whether nothing was drawn into it.
+    /// True if nothing was drawn into it.
     pub(super) fresh: bool,
 }
 
@@ -87,7 +87,7 @@ impl Picture {
         self.image.view()
     }
 
-    /// Whether nothing was drawn into it, so that it must not be shown.
+    /// True if nothing was drawn into it, so that it must not be shown.
     pub fn is_fresh(&self) -> bool {
         self.fresh
     }

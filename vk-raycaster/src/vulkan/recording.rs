@@ -1,4 +1,4 @@
-//! What a submission does, as plain data that can be looked at without a device. The engine plays it.
+//! Commands of a submission, as plain data that can be tested without a device. The engine plays them.
 
 use crate::setup::FrameSetup;
 use ash::vk;

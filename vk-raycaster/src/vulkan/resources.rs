@@ -151,17 +151,17 @@ pub(crate) struct Shape {
     /// Texels along each axis; a depth of 0 makes the image 2-D.
     pub(crate) extent: [u32; 3],
     pub(crate) format: vk::Format,
-    /// Whether shaders load from it as a storage image, else as a sampled one.
+    /// True if shaders load from it as a storage image, else as a sampled one.
     pub(crate) storage: bool,
 }
 
 impl Shape {
-    /// Whether the image is 2-D.
+    /// True if the image is 2-D.
     pub(crate) fn is_flat(&self) -> bool {
         self.extent[2] == 0
     }
 
-    /// What copies go by: slices of a 3-D image, rows of a 2-D one. Their number and the texels in each.
+    /// Units of copies: slices of a 3-D image, rows of a 2-D one. Their number and the texels in each.
     pub(crate) fn slices(&self) -> (u32, u64) {
         let [x, y, z] = self.extent;
         if self.is_flat() { (y, u64::from(x)) } else { (z, u64::from(x) * u64::from(y)) }

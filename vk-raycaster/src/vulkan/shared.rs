@@ -62,7 +62,7 @@ impl SharedDevice {
         &self.gpu.name
     }
 
-    /// Whether the device is a CPU in truth (llvmpipe, SwiftShader).
+    /// True if the device is a software implementation (llvmpipe, SwiftShader).
     pub fn is_software(&self) -> bool {
         self.gpu.is_cpu
     }
@@ -72,7 +72,7 @@ impl SharedDevice {
         self.gpu.limits.max_image_dimension2_d
     }
 
-    /// Whether a call has answered that the device is lost: nothing runs on it any more.
+    /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device any more.
     pub fn is_lost(&self) -> bool {
         self.gpu.is_lost()
     }
@@ -86,7 +86,7 @@ impl SharedDevice {
         super::gpu::call_failed(call, result, Some(&self.gpu.name))
     }
 
-    /// What the validation layer has said so far; empty without validation.
+    /// Messages of the validation layer so far; empty without validation.
     pub fn validation_messages(&self) -> Vec<String> {
         self.gpu.messages()
     }

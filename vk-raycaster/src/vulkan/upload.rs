@@ -1,4 +1,4 @@
-//! How a volume's voxels become texels.
+//! Conversion of a volume's voxels to texels.
 
 use super::VoxelFetch;
 use super::engine::{MAX_BRICKS, texel_bytes};
@@ -31,7 +31,7 @@ pub(crate) struct Plan {
     pub(crate) format: vk::Format,
     /// Voxel value that the shader reads as 1.
     pub(crate) unit: f32,
-    /// What each texture holds, x fastest.
+    /// Part of the volume in each texture, x fastest.
     pub(crate) bricks: Vec<Brick>,
     /// Bricks along each axis.
     pub(crate) grid: [usize; 3],

@@ -16,7 +16,7 @@ use std::time::Instant;
 const STEPS: [f32; 5] = [1.0, 1.41, 2.0, 2.83, 4.0];
 const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0736];
 
-/// What a scene at all of these takes, in times of full quality, each drawn twice.
+/// Time of a scene at all settings, in times of full quality, each drawn twice.
 const GRID: f64 = 14.0;
 
 /// Scenes that time is to be enough for.

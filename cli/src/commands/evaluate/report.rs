@@ -1,4 +1,4 @@
-//! What `entire evaluate` prints and writes.
+//! Printed and written output of `entire evaluate`.
 
 use crate::dataset::{NoiseFloor, TimedFrame};
 use crate::evaluation::WarmLatency;
@@ -22,7 +22,7 @@ pub(super) struct Predictor {
     pub(super) frames_seen: usize,
     /// Share of frames that took no longer than the upper bound in its file.
     pub(super) bound_coverage: Option<f64>,
-    /// How the upper bound does beyond that: among the slowest tenth, and its quantile loss.
+    /// Further measures of the upper bound: coverage of the slowest tenth, and quantile loss.
     pub(super) bound: Option<BoundMetrics>,
     /// 95 % interval of RMSE/SD when ensemble members (volumes that belong to none) are drawn anew with
     /// replacement.

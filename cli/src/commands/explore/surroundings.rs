@@ -1,4 +1,4 @@
-//! What the window needs of this program: readers of volumes, predictors, controllers, path files.
+//! Services of this program to the window: readers of volumes, predictors, controllers, path files.
 
 use crate::calibrate::place::machine_model;
 use crate::dataset::Clock;
@@ -27,11 +27,11 @@ use std::sync::Arc;
 /// nobody measured here.
 const FIXED_SHARE: f32 = 0.1;
 
-/// What the window needs, from this program.
+/// The window's host: services of this program.
 pub(super) struct Surroundings {
     /// The model file that was given, by its name.
     pub(super) model: Option<(String, Model)>,
-    /// How volumes are read.
+    /// Options of reading volumes.
     pub(super) reading: Reading,
 }
 
@@ -69,7 +69,7 @@ impl Watcher for Follower {
 struct Predicts {
     /// None for the untrained analytic model.
     model: Option<SteeringModel>,
-    /// Whether the model was calibrated to this machine, as a model that was given is taken to be.
+    /// True if the model was calibrated to this machine, which a given model is assumed to be.
     calibrated: bool,
     /// The clock that the model states.
     clock: Option<Clock>,
@@ -111,7 +111,7 @@ impl Steering for Predicts {
             Some(model) => model.predictor()?,
             None => Box::new(AnalyticModel::default()),
         };
-        // What a model knows of its errors holds on the machine that it was fitted on.
+        // A model's statement of its errors holds on the machine that it was fitted on.
         let prior = match predictor.log_sd() {
             Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
             _ => Prior::Unknown,
@@ -126,7 +126,7 @@ impl Steering for Predicts {
     }
 }
 
-/// What is said of a machine's model that takes no part, because it predicts other seconds than the window's.
+/// Note on a machine's model that is ignored because it predicts seconds of another clock than the window's.
 fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
     format!(
         "{} is ignored, since it predicts {} time: Calibrate … copies the command for a model of {} \
@@ -176,7 +176,7 @@ impl Host for Surroundings {
 
     fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()> {
         let path = path_file(recording);
-        // What could not be played is not written.
+        // A recording that cannot be played is not written.
         path.resolve().context("the recording cannot be played")?;
         write_json(file, &path)
     }
@@ -227,7 +227,7 @@ fn path_file(recording: &Recording) -> PathFile {
     }
 }
 
-/// Whether one can be interpolated to the other.
+/// True if one can be interpolated to the other.
 fn alike(a: &Transfer, b: &Transfer) -> bool {
     match (a, b) {
         (Transfer::Lobes(a), Transfer::Lobes(b)) => a.len() == b.len(),

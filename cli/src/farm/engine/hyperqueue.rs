@@ -15,10 +15,10 @@ use std::time::{Duration, Instant};
 const SCRIPT: &str = include_str!("hyperqueue.py");
 /// Seconds of a worker that a bundle costs before any was measured: a process, a device.
 const OVERHEAD: f64 = 0.05;
-/// How long the server and its workers may take to start.
+/// Time limit for the start of the server and its workers.
 const START: Duration = Duration::from_secs(60);
 
-/// How to use HyperQueue.
+/// Options of HyperQueue.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The Python that has the package.

@@ -1,4 +1,5 @@
-//! What runs bundles: processes of this machine, HyperQueue, Slurm. Engines are found, never bundled.
+//! Engines that run bundles: processes of this machine, HyperQueue, Slurm. Engines are installed by the user,
+//! never bundled.
 
 mod hyperqueue;
 mod local;
@@ -17,7 +18,7 @@ use std::time::Duration;
 /// A bundle on its way to an engine.
 #[derive(Clone, Debug)]
 pub struct Bundle {
-    /// What the planner says of it.
+    /// The planner's record of the bundle.
     pub sent: Sent,
     /// Its tasks for the worker.
     pub orders: Vec<Order>,
@@ -25,7 +26,7 @@ pub struct Bundle {
     pub upper_s: f64,
 }
 
-/// What an engine has to say.
+/// Events of an engine.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// A worker's line about a bundle.
@@ -45,7 +46,7 @@ pub trait Engine {
     fn name(&self) -> &'static str;
     /// Bundles that run at once.
     fn slots(&self) -> usize;
-    /// Whether a bundle is for a certain slot, whose worker stays and keeps its volume.
+    /// True if a bundle belongs to a certain slot, whose worker stays and keeps its volume.
     fn bound(&self) -> bool;
     /// Seconds that a bundle costs a slot, before any was measured.
     fn overhead(&self) -> f64;
@@ -77,12 +78,12 @@ pub trait Engine {
     /// # Errors
     /// When the engine refuses.
     fn cancel(&mut self) -> Result<()>;
-    /// What happened, waiting for it at most so long.
+    /// Events so far; waits at most `wait` for one.
     ///
     /// # Errors
     /// When the engine cannot be asked.
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>>;
-    /// What each slot does, for people; empty where that is not known.
+    /// Activity of each slot, for display; empty where it is unknown.
     fn nodes(&self) -> Vec<String> {
         Vec::new()
     }

@@ -13,12 +13,12 @@ use std::time::{Duration, Instant};
 
 /// Seconds of a node that a bundle costs before any was measured.
 const OVERHEAD: f64 = 0.6;
-/// How often the queue is looked at; the spool is looked at at every poll.
+/// Interval between looks at the queue; the spool is read at every poll.
 const LOOK: Duration = Duration::from_millis(500);
 /// Seconds that a time request leaves the worker to start and to end.
 const GRACE: f64 = 15.0;
 
-/// How to use Slurm.
+/// Options of Slurm.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
     /// Bundles that run at once; the nodes that sinfo lists where it is not given.

@@ -8,7 +8,7 @@ const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the longest load.
 const LEAST_GAIN: f64 = 1.0e-6;
 
-/// What a round does: tasks of the node that is done last, and of another.
+/// Change of one round: tasks of the node that finishes last, and of another.
 struct Change {
     give: usize,
     to: usize,
@@ -26,7 +26,7 @@ struct Change {
 /// # Errors
 /// As [`Assignment::makespan`].
 pub fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64]) -> Result<()> {
-    // What makes no sense is refused here.
+    // Checks times and speeds.
     assignment.makespan(times, speeds)?;
     let mut loads = vec![0.0; speeds.len()];
     for (&node, &time) in assignment.node_of.iter().zip(times) {

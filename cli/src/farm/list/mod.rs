@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What tasks are done on.
+/// The nodes of a farm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Farm {
     /// Speed of each node; a node of speed 2 takes half of a task's seconds.
@@ -187,7 +187,7 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
         .collect()
 }
 
-/// What a plan makes of true times: every task's node, start and end.
+/// Plays a plan with true times: every task's node, start and end.
 ///
 /// # Errors
 /// When times or speeds are not finite and positive.
@@ -224,7 +224,7 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
     }
 }
 
-/// What is decided before anything runs.
+/// A schedule before the run.
 #[derive(Clone, Debug)]
 pub enum Plan {
     /// Every task's node, and the order.

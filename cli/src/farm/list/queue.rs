@@ -16,7 +16,7 @@ pub struct Span {
     pub end: f64,
 }
 
-/// What a queue did.
+/// Result of a queue.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timeline {
     /// Every task in the order of dispatch.

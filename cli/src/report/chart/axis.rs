@@ -3,7 +3,7 @@
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use std::ops::Range;
 
-/// How values are laid along an axis.
+/// Scale of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Scale {
     /// Evenly.
@@ -114,12 +114,12 @@ impl Span {
         }
     }
 
-    /// Whether the value has a place on the axis or beyond its ends.
+    /// True if the value can be placed on the axis or beyond its ends.
     pub(super) fn takes(&self, value: f64) -> bool {
         value.is_finite() && (self.scale != Kind::Log || value > 0.0)
     }
 
-    /// Whether the value lies between the ends.
+    /// True if the value lies between the ends.
     pub(super) fn shows(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
     }

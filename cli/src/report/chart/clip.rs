@@ -9,7 +9,7 @@ type Point = (f64, f64);
 pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
     for run in points.split(|p| !x.takes(p.0) || !y.takes(p.1)) {
-        // Whether the last part ends where the next segment begins.
+        // True if the last part ends where the next segment begins.
         let mut open = false;
         for pair in run.windows(2) {
             let Some((start, end, whole)) = segment(pair[0], pair[1], x, y) else {

@@ -20,7 +20,7 @@ type Plot<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Span, Span>>;
 type State = ChartState<Cartesian2d<Span, Span>>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// What the frame's inside is drawn of, from the back to the front.
+/// A layer of the chart's interior; layers are drawn from back to front.
 struct Layer {
     class: &'static str,
     dash: String,

@@ -44,7 +44,7 @@ impl Rect {
 /// A text's place: its baseline, and the side of the point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
-    /// Whether the text ends left of the point instead of beginning right of it.
+    /// True if the text ends left of the point instead of beginning right of it.
     pub(super) leftward: bool,
     pub(super) x: f64,
     pub(super) baseline: f64,

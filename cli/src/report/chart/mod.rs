@@ -14,7 +14,7 @@ pub use axis::{Axis, Scale};
 use axis::Span;
 use palette::PALETTE;
 
-/// What a series draws.
+/// Mark that a series draws.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Mark {
     /// A line through (x, y); a value that is not finite breaks it.

@@ -33,7 +33,7 @@ fn law(pixels: f64, counts: &WorkCounts) -> f64 {
     5e-5 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
 }
 
-/// What draws, and what clock runs.
+/// Renderer and clock.
 pub enum Machine<'a> {
     /// The CPU twin counts work and `law` makes seconds of it: the same in every run.
     Scripted(Box<CpuRaycaster>),

@@ -61,7 +61,7 @@ pub(super) fn haze() -> Vec<GaussianLobe> {
     lobes(0.5, 0.5, 0.004)
 }
 
-/// What a frame of a scene is.
+/// A frame of a scene.
 #[derive(Clone)]
 pub(super) struct Shot {
     pub(super) volume: usize,
@@ -70,7 +70,7 @@ pub(super) struct Shot {
     pub(super) size: (u32, u32),
     /// The twin draws at this size and its counts are scaled: for images too large to draw.
     pub(super) drawn: (u32, u32),
-    /// What nobody models.
+    /// Speed factor that no predictor models.
     pub(super) speed: f64,
     pub(super) camera_cut: bool,
 }

@@ -1,4 +1,4 @@
-//! How a recording becomes a command buffer: one Vulkan call, or a few, for each command.
+//! Translation of a recording to a command buffer: one Vulkan call, or a few, for each command.
 
 use super::{Engine, Shader, Slot};
 use crate::renderer::{Error, Result};
