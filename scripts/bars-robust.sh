@@ -55,7 +55,7 @@ mutants() {
         panics=$((panics + $(grep -c '^panic at' "$folder/err" || true)))
         next=$(awk '{ print $1 }' "$folder/progress" 2>/dev/null || echo "$next")
         echo "mutant with seed $next ended the process (status $code): $(tail -n 1 "$folder/err")"
-        # How long those before it took is not known.
+        # The duration of earlier ones is unknown.
         slowest=unknown
         next=$((next + 1))
         if ((aborts >= 20)); then
@@ -96,7 +96,7 @@ states() {
 vtk() {
     local counts why
     make --no-print-directory test-vtk-asan >"$log" 2>&1 || true
-    # What the step cannot run on this machine it says, and ends well; ctest ends well too where it finds no test.
+    # The step says what it cannot run on this machine, and ends well; ctest ends well too where it finds no test.
     counts=$(sed -n 's/.*tests passed, \([0-9]*\) tests\{0,1\} failed out of \([0-9]*\).*/\1 \2/p' "$log" | tail -n 1)
     why=$(sed -n 's/^test-vtk-asan: skipped: //p' "$log" | tail -n 1)
     if [[ -z $counts || $counts == *" 0" ]]; then

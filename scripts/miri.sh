@@ -25,7 +25,7 @@ kernels=(
     nn::prednet::tests::a_batch_without_scratch_or_with_wrong_sizes_is_refused
     nn::prednet::tests::small_networks_agree_with_plain_loops
 )
-# What depends on the width of an address and on the order of bytes: sizes, files, packed weights.
+# Code that depends on the width of an address and on the order of bytes: sizes, files, packed weights.
 portable=(
     kernels::scalar::
     memory::

@@ -6,7 +6,7 @@ cd "$(dirname "$0")/.."
 
 say() { printf 'setup: %s\n' "$*"; }
 
-# How to run the package manager, or nothing where this user may not.
+# Prefix that runs the package manager; empty where this user may not.
 may_install() {
     [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]] || return 1
     command -v apt-get >/dev/null || return 1
@@ -105,7 +105,7 @@ else
     say "reported as ignored. To have one: apt-get install mesa-vulkan-drivers libvulkan1"
 fi
 
-# What tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
+# Programs that tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
 # ENTIRE_SETUP_FOR is the gate that is to be run: test, change or nightly (see scripts/test.sh); nothing for `make demo`.
 for=${ENTIRE_SETUP_FOR:-}
 packages=()

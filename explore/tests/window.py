@@ -40,7 +40,7 @@ def at(frame, **action):
 # Beside every window, so that no pointer and no hint lies in a picture: Xvfb draws the pointer into its frame buffer.
 AWAY = (1390, 940)
 
-# How often in a row the picture must be the same, 0.3 s apart: on a busy machine a slice of the refinement takes long.
+# Number of equal pictures in a row, 0.3 s apart: on a busy machine a slice of the refinement takes long.
 STILL = 7
 
 
@@ -71,7 +71,7 @@ class Person:
         return self.display.pixels((100, 120, 420, 320))
 
     def rests(self):
-        """Whether the last frame is of full quality, or has been refined to it, as far as the log tells."""
+        """True if the last frame is of full quality, or has been refined to it, as far as the log tells."""
         rows = list(csv.DictReader(self.log.read_text().splitlines())) if self.log.exists() else []
         last = next((row for row in reversed(rows) if row["kind"] in ("frame", "rest")), None)
         if last is None or last["kind"] == "rest":
@@ -93,7 +93,7 @@ class Person:
         return before
 
     def differs(self, picture, seconds=0.5):
-        """Whether the view changes from a picture within some time."""
+        """True if the view changes from a picture within some time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if tools.mean_difference(picture, self.view()) > 0.2:

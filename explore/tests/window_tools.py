@@ -1,4 +1,4 @@
-"""What tests and bars of the window need: a display of its own, its pixels, PNG files, volumes, the frame log.
+"""Tools of the window's tests and bars: a display of its own, its pixels, PNG files, volumes, the frame log.
 
 Only the standard library: the tests run wherever Xvfb, xdotool and a Vulkan driver are.
 """
@@ -27,7 +27,7 @@ def missing():
 
 
 def has_validation():
-    """Whether the Khronos validation layer is installed."""
+    """True if the Khronos validation layer is installed."""
     return Path("/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json").is_file()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What the Python peers share: a server that reads lines `NAME BATCH SECONDS` and answers each with `@@{json}`.
+"""Shared part of the Python peers: a server that reads lines `NAME BATCH SECONDS` and answers each with `@@{json}`.
 
 usage of a peer: NAME_peer.py FOLDER (that of gen.py); PEER_THREADS says with how many threads.
 """

@@ -155,7 +155,7 @@ def main():
                 random.shuffle(order)
                 for peer in order:
                     key = (peer, threads, case)
-                    # What takes a second is measured once, a quarter of it in two rounds of three.
+                    # A measurement of a second is made once, one of a quarter of it in two rounds of three.
                     rarely = slow.get(key, 0) > 1e9 and turn > 0 or slow.get(key, 0) > 0.25e9 and turn % 3 == 2
                     if key in failed or rarely:
                         continue

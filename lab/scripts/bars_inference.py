@@ -47,7 +47,7 @@ ERRORS = [("error_f32", 1e-5, "f32", ["pred_0c256", "pred_4c256", "pred_12c256",
 READS = [("resample_512_u8_2_threads", 1.5, 512, 2)]
 # name, limit in microseconds, what the server measures
 CALLS = [("2x64_warm_us", 0.5, "small/warm"), ("2x64_cold_us", 2.5, "small/cold")]
-# How what is missing is got; PYTHON names the Python that has a peer's packages.
+# Remedies for missing peers; PYTHON names the Python that has a peer's packages.
 REMEDIES = {"ort": "pip install numpy safetensors onnxruntime", "torch": "pip install numpy safetensors torch",
             "ov": "pip install numpy safetensors openvino", "rten": "make bench-rust-peers",
             "ours": "make peer-server; for the networks pip install numpy safetensors onnx"}
@@ -145,7 +145,7 @@ def measure(options, bars):
         return answer
 
     def why(cases):
-        """What failed of these, one sentence each, and how to mend it; None where nothing did."""
+        """Failures among these, one sentence each with the remedy; None where none failed."""
         found = [(c[0], failed[c]) for c in cases if c in failed]
         told = (f"{key}: {reason} ({REMEDIES[key.split('/')[0]]})" for key, reason in found)
         return "; ".join(dict.fromkeys(told)) or None

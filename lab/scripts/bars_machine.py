@@ -141,7 +141,7 @@ class Machine:
                      self.out / f"{name}-{clock}.safetensors")
 
     def evaluate(self, model, split, mode, clock="cpu"):
-        """What `entire evaluate` finds; kept until model or table change."""
+        """Output of `entire evaluate`; kept until model or table change."""
         files = [self.out / f"{model}.safetensors", self.out / f"{split}-{mode}.csv"]
         if not all(f.exists() for f in files) or not (self.out / f"{split}-{mode}.done").exists():
             return None
@@ -259,7 +259,7 @@ def main():
                 if not (machine.out / stamp).exists():
                     make()
         except (OSError, subprocess.SubprocessError) as error:
-            # What is done tells some bars all the same.
+            # Finished parts give some bars all the same.
             print(error, file=sys.stderr)
         for name, value, interval in found(machine, not options.no_test):
             if value is not None:

@@ -60,7 +60,7 @@ def mean(values):
 
 
 class Study:
-    """What a study found of the predictors that the rule selects."""
+    """Results of a study for the predictors that the rule selects."""
 
     def __init__(self, folder):
         path = Path(folder) / "study.json"

@@ -29,8 +29,8 @@ fn main() {
     calls::serve(&mut calls::Volumes::default(), &mut |_, _| None);
 }
 """
-# How the revision before makes what is timed, in place of the example's scene.rs.
-SCENE_BEFORE = """//! How that version of the crate makes what is timed.
+# Source by which the earlier revision makes the timed objects, in place of the example's scene.rs.
+SCENE_BEFORE = """//! Makes the timed objects with that version of the crate.
 
 use entire_core::control::Session;
 use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeView};

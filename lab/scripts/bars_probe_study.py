@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What today's features are worth in predictions, and what a prediction costs, against an earlier revision: the selected
+"""Errors and latency of today's scene features against an earlier revision: the selected
 recipe of each, on the same training frames and times. Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short.
 
     bars_probe_study.py --before REVISION --data FOLDER [--work target/bars-probe] [--sets unshaded,local,scatter] [--no-build]

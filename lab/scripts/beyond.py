@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What a learned factor is worth beyond what it has seen, on training frames alone.
+"""Errors of a learned factor beyond the range of its training frames, on training frames alone.
 
     beyond.py [--mode none|local|scatter] [--data data/timings]
 
@@ -27,7 +27,7 @@ ROUNDS = 12
 
 
 def floors():
-    """What the log variant of every quantity adds, from the core's schema."""
+    """Constant that the log variant of every quantity adds, from the core's schema."""
     text = (ROOT / "core/src/features/schema.rs").read_text()
     return {name: float(floor.replace("_", "")) for name, floor in re.findall(r'"(\w+)", "[^"]*", ([0-9.e_-]+),', text)}
 

@@ -177,7 +177,7 @@ def memory(bars, command, display, folder):
     bars.found("explore_memory_growth_mib", max(0.0, late - early) / 2**20)
 
 
-# What measures which bars, and their limits.
+# Measurements, each with its bars and their limits.
 BARS = {
     steering: {"explore_missed_share": 0.03, "explore_mean_error": 0.12},
     interface: {"explore_interface_ms": 2.0},

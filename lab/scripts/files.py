@@ -40,7 +40,7 @@ SITUATIONS = {
         "lists_of_spreadsheets_are_read"],
     "bytes of a narrow range": ["bytes_of_a_narrow_range_are_said_and_can_be_spanned"],
 }
-# What is kept, and the tests that change its inputs (content, name, order, addition, deletion, settings).
+# Kept results, and the tests that change their inputs (content, name, order, addition, deletion, settings).
 KEPT = {
     "farm": ["a_resumed_database_shows_what_its_files_are_now", "a_resumed_database_follows_the_settings",
              "data_files_of_headers_count_too", "programs_that_are_told_times_draw_them_anew",

@@ -193,7 +193,7 @@ def missing_targets(pages):
 
 
 class Helps:
-    """What the built programs' `--help` says, asked once for each command."""
+    """Texts of the built programs' `--help`, read once for each command."""
 
     def __init__(self, folder):
         self.folder = folder

@@ -72,7 +72,7 @@ class Contestant:
 
 
 def vtk_command():
-    """How to start the VTK peer, or why not."""
+    """Command that starts the VTK peer, or the reason why there is none."""
     named = os.environ.get("VTK_PYTHON")
     check = "import vtkmodules.vtkRenderingVolumeOpenGL2, vtkmodules.util.numpy_support"
     reasons = []
@@ -190,7 +190,7 @@ def measure(options):
         shape = " ".join(map(str, [path, *dims, *spacing]))
         ours.ask(f"volume {shape}")
         table = out / f"{transfer}.table"
-        # What an edit costs, several times: the first of a volume also makes room on the device.
+        # Time of an edit, several times: the first of a volume also makes room on the device.
         edits = [ours.ask(f"transfer {transfer} {table}") for _ in range(5)]
         edit = {k: statistics.median(e[k] for e in edits) for k in ("wall", "occupancy", "distance_map")}
         camera = ours.ask(f"camera {CAMERA} {options.size} {options.size}")

@@ -253,7 +253,7 @@ static const struct {
     {"a refused call", refused, 0, 0},
 };
 
-/* How a child ended in which the n-th request, or those from a size on, failed. */
+/* End of a child in which the n-th request, or those from a size on, failed. */
 enum ending { DONE, ANSWERED };
 
 static enum ending in_child(entire_result (*call)(void), long n, size_t from, long *made, entire_result *answer) {
@@ -298,7 +298,7 @@ int main(int argc, char **argv) {
     session = toy_session(NULL);
     trained = toy_session(model);
     frame = toy_frame();
-    /* What is made at first use is there. */
+    /* Objects that are made at first use exist. */
     OK(plan_and_observe());
     OK(encode());
     OK(predict_batch());

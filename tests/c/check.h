@@ -1,4 +1,4 @@
-/* What the tests share: checks that say where and why, and the smallest scene. */
+/* Shared parts of the tests: checks that say where and why, and the smallest scene. */
 #ifndef ENTIRE_TESTS_CHECK_H
 #define ENTIRE_TESTS_CHECK_H
 

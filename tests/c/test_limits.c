@@ -1,4 +1,4 @@
-/* What a caller declares is refused before it is allocated or scanned; what a model answers that is no frame time is
+/* Declared sizes of a caller are refused before anything is allocated or scanned; a model's answer that is no frame time is
  * never ENTIRE_OK. */
 #include "check.h"
 #include <math.h>

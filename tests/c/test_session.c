@@ -416,7 +416,7 @@ static void calibration(void) {
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(known[0] == 0 && known[1] == 0 && known[2] == 0 && known[3] == 0);
     OK(entire_session_set_model(session, model));
-    /* What the pictures follow is found again, for this renderer alone, until the host knows better. */
+    /* The pictures' quality law is fitted again, for this renderer alone, until the host knows better. */
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(fabsf(known[0] - 5) < 0.1f && fabsf(known[1] - 1.2f) < 0.02f && fabsf(known[2] - 0.9f) < 0.02f && fabsf(known[3] - 0.2f) < 0.01f);
     OK(entire_session_set_quality(session, 3, 1, 1, 0));

@@ -148,7 +148,7 @@ impl Worker {
     }
 
     /// Does the bundle that `orders/NUMBER.json` describes and writes the answers to `spool/NUMBER.jsonl`.
-    /// What the spool says is done is not done again.
+    /// Tasks that the spool lists as done are not done again.
     ///
     /// # Errors
     /// When the description cannot be read or the spool cannot be written.

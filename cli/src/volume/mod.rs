@@ -13,7 +13,7 @@
 //! or another volume follows. Where each array's length is stated (VTK) it must be right, and voxels in text must
 //! be as many numbers as the sizes call for.
 //!
-//! # What becomes of the stored types
+//! # Stored types and their types in memory
 //!
 //! | in the file | in memory |
 //! |---|---|

@@ -254,7 +254,7 @@ impl Drop for Swapchain {
     fn drop(&mut self) {
         let d = self.device.device();
         // SAFETY: the queue is nobody else's meanwhile; a failure means a lost device, which runs nothing.
-        // What was made from the device is destroyed once, and null handles are ignored.
+        // Each object of the device is destroyed once, and null handles are ignored.
         unsafe {
             let _ = self.device.with_queue(|queue| d.queue_wait_idle(queue));
             for frame in &self.frames {

@@ -17,7 +17,7 @@ if [ ! -e "$out/farm.json.gz" ]; then
     mv "$out/farm.part.json.gz" "$out/farm.json.gz"
 fi
 
-# What the farm rendered before: other volumes of the same simulations, other poses, the same transfer function.
+# Frames that the farm rendered before: other volumes of the same simulations, other poses, the same transfer function.
 if [ ! -e "$out/farm-training.json.gz" ]; then
     "$lab" record data/nyx_cosmology/m01/t0005.nrrd data/nyx_cosmology/m02/t0010.nrrd \
         data/castro_blast/m01/t0008.nrrd data/castro_blast/m02/t0012.nrrd data/maestroex_bubbles/m01/t0010.nrrd \

@@ -98,7 +98,7 @@ def shape(reason):
 
 
 class Tally:
-    """What came of the reads."""
+    """Results of the reads."""
 
     def __init__(self, ours):
         self.ours = ours
@@ -150,7 +150,7 @@ def scaling(path):
 
 
 def compressed_size_is_right(path):
-    """Whether a MetaImage file is not compressed, or states how many bytes its compressed voxels have."""
+    """True if a MetaImage file is not compressed, or states how many bytes its compressed voxels have."""
     data = path.read_bytes()
     end = neighbors.header_end("metaimage", data)
     entries = dict(re.findall(r"^(\w+) *= *(.*?)\s*$", data[:end].decode("latin-1"), re.M))

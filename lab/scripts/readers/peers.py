@@ -205,7 +205,7 @@ def format_of(path):
 
 
 def in_child(reader, path):
-    """What the child writes: a reading, or why there is none."""
+    """Output of the child: a reading, or the reason why there is none."""
     resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_SECONDS, LIMIT_SECONDS))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -215,7 +215,7 @@ def in_child(reader, path):
     try:
         return READERS[reader](path)._asdict()
     except BaseException as error:
-        # What ITK says begins with where it says it.
+        # ITK's messages begin with their place.
         text = re.sub(r".*(ITK ERROR: |nrrdLoad: )", "", " ".join(str(error).split()))
         return {"refused": f"{type(error).__name__}: {text[:300]}"}
 

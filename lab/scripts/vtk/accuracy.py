@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""How well predictions do per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
+"""Errors of predictors per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
 and an analytic model are trained and judged on the volumes that they did not see. `entire calibrate` is then
 given a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing

@@ -37,7 +37,7 @@ from vtk_scene import COLOR, OPAQUE, TRANSPARENT, camera  # noqa: E402
 
 SWITCHES = (50, 100, 150)
 
-# How near the mean frame of `scaled` is to come to the target, as a share of it.
+# Tolerance of the mean frame of `scaled` from the target, as a share of it.
 MEET = 0.03
 
 # AutoAdjustSampleDistances, by the times the target that it is told to spend: as shipped, and as a function of what
@@ -144,7 +144,7 @@ def clock_of(name, options):
 
 
 def find_scale(options, image, n, target_cpu, target_wall):
-    """How many times the wall target AutoAdjust must be told to spend so that its mean frame takes the target, 1 to 16. From
+    """Factor, 1 to 16, on the wall target of AutoAdjust at which its mean frame takes the target. From
     a second on the mappers take a frame for a still one and leave the steps of interaction, so the most is less than
     that; it is what is returned where even that spends less."""
     most = max(1.0, min(16.0, 0.95 / target_wall))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What a coarser ray step and a smaller image cost a mapper's pictures, and what time each of them saves.
+"""Picture error and time of a mapper at coarser ray steps and smaller images.
 
     plugins/vtk/run.sh exec /usr/bin/python3 lab/scripts/vtk/tradeoff.py --mapper gpu --table tradeoff-gpu.csv
 
@@ -120,7 +120,7 @@ def fit(times, errors):
     def loss(v):
         return off(v) if 0.2 <= v[1] <= 6 and 0.2 <= v[2] <= 6 else math.inf
 
-    # What the choice by the law costs, at each of these shares of the time.
+    # Error of the choice by the law, at each of these shares of the time.
     shares = np.arange(0.2, LONGEST, 0.02)
     found = np.array([[at_share(t, e, share) for share in shares] for t, e in zip(time, error)])
     best = np.nanmin(found, 0)

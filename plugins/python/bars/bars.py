@@ -36,7 +36,7 @@ try:
 except ImportError as error:
     MISSING = f"{error} (make bars-python makes an environment that has it)"
 
-# What the model of `calibrated` is made from; the path goes around noise.
+# Volumes that the model of `calibrated` is made from; the path goes around noise.
 OTHER = ROOT / "data/nyx_cosmology/m01/t0010.nrrd"
 SWITCHES = (50, 100, 150)
 
@@ -290,7 +290,7 @@ def still_pictures(options, bars):
 
 
 VIEWS = {"": 0.5, "-other-bits": 0}
-# What measures which bars, and their limits.
+# Measurements, each with its bars and their limits.
 MEASURES = {
     "lines": (three_lines, {"lines": 3, "wheel": 15}),
     "still": (still_pictures, {"still-bytes-differing": 0}),

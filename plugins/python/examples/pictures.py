@@ -71,7 +71,7 @@ def vtk(out):
 
 
 def trame(out):
-    """What the server sends to the browser while the browser's mouse turns the scene."""
+    """Pictures that the server sends to the browser while the browser's mouse turns the scene."""
     import io
 
     from trame_vtk.modules.vtk.protocols.publish_image_delivery import vtkWebPublishImageDelivery

@@ -64,5 +64,5 @@ class View:
             self.window.Render()
 
     def pixels(self):
-        """What the window shows, as [y, x, rgb] bytes, without drawing it again."""
+        """Pixels of the window, as [y, x, rgb] bytes, without drawing it again."""
         return pixels(self.window)

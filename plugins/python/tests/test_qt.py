@@ -79,7 +79,7 @@ def test_vispy(canvas):
     assert len(holder.history) >= 15
     assert holder.step > 1
     assert holder.reason not in ("still", "fallback")
-    # What is rendered to an image is at full quality, also between steered frames.
+    # A rendering to an image is at full quality, also between steered frames.
     view.camera.azimuth = 0
     assert np.array_equal(made.render()[..., :3], plain[..., :3])
     assert visual.relative_step_size == own

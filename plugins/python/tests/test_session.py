@@ -165,7 +165,7 @@ def test_a_model_of_another_clock_is_brought_to_this_one(voxels, tf):
     model = entire.Session(volume, model="unshaded-selected")
 
     def second(clock):
-        """What is expected of the second frame over what it takes, where each takes a quarter of the model's time."""
+        """Expected over measured time of the second frame, where each takes a quarter of the model's time."""
         session = entire.Session(volume, model="unshaded-selected")
         session.set_timing_source("a renderer", clock)
         session.set_limits(1, 1)

@@ -586,7 +586,7 @@ def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
         view.draw(2)
         assert steering.status == ""
         assert (leaf.session is learned) == same
-    # What load() was given is the GPU mapper's.
+    # The state given to load() is the GPU mapper's.
     assert any("renderer" in note for note in steering.notes)
     with pytest.raises(entire.ModelError, match="renderer"):
         steering.load(state)

@@ -22,7 +22,7 @@ class vtkVolumeProperty;
 
 namespace vtkEntire
 {
-// What a session's volume was made from. Reading it again is needed when one of these changes.
+// Inputs of a session's volume. Reading it again is needed when one of these changes.
 struct VolumeKey
 {
   // Compared only; the array may be gone.
@@ -43,7 +43,7 @@ struct VolumeKey
   }
 };
 
-// What a session's transfer function was made from.
+// Inputs of a session's transfer function.
 struct TransferNodes
 {
   std::vector<entire_opacity_node> Opacities;
@@ -111,7 +111,7 @@ double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
 std::string ReadCamera(
   vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
 
-// Whether the renderer draws this volume, by itself or as a part of an assembly.
+// True if the renderer draws this volume, by itself or as a part of an assembly.
 bool IsDrawnBy(vtkRenderer* renderer, vtkVolume* volume);
 }
 

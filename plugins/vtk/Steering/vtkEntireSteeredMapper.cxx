@@ -27,7 +27,7 @@ constexpr double LEAST_SHARE = 0.2;
 constexpr double COARSEST_IMAGE = 64;
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
 
-// What coarser steps and smaller images cost the mappers' pictures, as entire_session_set_quality() has it, of VTK 9.1
+// Quality laws of the mappers' pictures, as entire_session_set_quality() takes them, of VTK 9.1
 // (lab/scripts/vtk/tradeoff.py).
 constexpr std::array<float, 4> FIXED_POINT_QUALITY{ { 5.9F, 0.97F, 1.54F, 0.33F } };
 constexpr std::array<float, 4> GPU_QUALITY{ { 8.5F, 1.22F, 0.78F, 0.15F } };
@@ -555,7 +555,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
 }
 
 //------------------------------------------------------------------------------
-// What the graphics device was given before the mapper begins, or by it, is done: a time from the one to the other
+// Waits until the graphics device has finished its work, before or after the mapper: a time from the one to the other
 // is the mapper's own.
 void vtkEntireSteering::vtkInternals::Leaf::DrainQueue()
 {

@@ -63,7 +63,7 @@ bool vtkEntireSteering::Fail(const std::string& text)
 bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
 {
   const vtkSmartPointer<vtkEntireSteering> self(this);
-  // What LoadState() was given before is for this attachment.
+  // A state from an earlier LoadState() is for this attachment.
   std::vector<std::uint8_t> state;
   state.swap(this->Internals->State);
   this->Detach();

@@ -90,7 +90,7 @@ public:
   bool Attach(vtkRenderer* renderer, vtkVolume* volume);
 
   /**
-   * Whether Attach() takes a volume with this mapper.
+   * True if Attach() takes a volume with this mapper.
    */
   static bool CanSteer(vtkAbstractVolumeMapper* mapper);
 
@@ -101,7 +101,7 @@ public:
 
   ///@{
   /**
-   * What Attach() was given, or nullptr.
+   * The arguments of Attach(), or nullptr.
    */
   vtkRenderer* GetRenderer();
   vtkVolume* GetVolume();
@@ -109,7 +109,7 @@ public:
 
   ///@{
   /**
-   * Whether frames are steered. Default true.
+   * Steering of frames, on or off. Default true.
    */
   vtkSetMacro(Enabled, bool);
   vtkGetMacro(Enabled, bool);
@@ -154,7 +154,7 @@ public:
 
   ///@{
   /**
-   * What coarser steps and smaller images cost the mapper's pictures, and what time they save: image weight, step
+   * Law of the picture error and time of coarser steps and smaller images: image weight, step
    * exponent, image exponent and share of rays as entire_session_set_quality() has them. They decide what of the
    * two is coarsened first where a frame must be faster. Two sets: of vtkFixedPointVolumeRayCastMapper and of
    * vtkGPUVolumeRayCastMapper. With an image weight of 0, the default, they are what the model states of this
@@ -189,7 +189,7 @@ public:
 
   ///@{
   /**
-   * How far over the target a frame may be before it counts as missed, as a share of the target, and the
+   * Excess over the target above which a frame counts as missed, as a share of the target, and the
    * share of frames that may be missed. Default 0.25 and 0.02. A changed value starts learning anew.
    */
   vtkSetClampMacro(Tolerance, double, 0.0, 10.0);
@@ -268,7 +268,7 @@ public:
 
   ///@{
   /**
-   * How often since Attach() the voxels and the transfer function were read: at first, and where they changed.
+   * Number of readings of the voxels and of the transfer function since Attach(): at first, and where they changed.
    */
   vtkGetMacro(NumberOfVolumeReadings, vtkIdType);
   vtkGetMacro(NumberOfTransferFunctionReadings, vtkIdType);

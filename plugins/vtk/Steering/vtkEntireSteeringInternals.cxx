@@ -285,7 +285,7 @@ void vtkEntireSteering::vtkInternals::RendererStart()
   const std::size_t attachment = this->Attachment;
   if (!renderer || renderer->GetSelector())
   {
-    // What is drawn for a hardware selector is no frame: nobody sees it, and it takes another time.
+    // A drawing for a hardware selector is no frame: nobody sees it, and it takes another time.
     return;
   }
   this->Rendering = true;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// What vtkEntireSteering is attached to: the window and the renderer (vtkInternals), and each mapper that
+// Attachment of a vtkEntireSteering: the window and the renderer (vtkInternals), and each mapper that
 // draws (Leaf).
 //
 // Observers of any event may call back: detach, attach elsewhere, drop the last reference to the steering.
-// What handles an event therefore holds the owner and the leaf, runs over copies of lists, and asks after
+// A handler of an event therefore holds the owner and the leaf, runs over copies of lists, and asks after
 // each call into VTK that can invoke an event whether the attachment still stands. Warnings wait for the end
 // of the frame.
 #ifndef vtkEntireSteeringInternals_h
@@ -36,7 +36,7 @@ namespace vtkEntire
 {
 constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// How many frames the time outside of the mapper is taken from.
+// Number of frames from which the time outside of the mapper is taken.
 constexpr std::size_t REST_FRAMES = 5;
 
 // Shading, interpolation, blend mode, gradient opacity.
@@ -196,7 +196,7 @@ public:
     vtkInternals* Internals;
     vtkWeakPointer<vtkVolumeMapper> Mapper;
     vtkWeakPointer<vtkSmartVolumeMapper> Outer;
-    // Whether the mapper is a vtkGPUVolumeRayCastMapper.
+    // True if the mapper is a vtkGPUVolumeRayCastMapper.
     const bool Gpu;
     // Shared with the event at hand, which Forget() may be called from.
     std::shared_ptr<entire::session> Session;
@@ -228,7 +228,7 @@ public:
     // Where the voxels lie, as of a stamp.
     vtkEntire::GridStamp Stamp;
     vtkEntire::VoxelGrid Grid;
-    // What the session has.
+    // The session's own values.
     vtkEntire::VolumeKey Volume;
     vtkEntire::TransferNodes Transfer;
     bool HasTransfer = false;
@@ -294,7 +294,7 @@ public:
   std::string NewSession(const Leaf& leaf, std::optional<entire::session>& session);
   // Gives the leaf a session where it has none.
   std::string MakeSession(Leaf& leaf);
-  // Whether a leaf's session would take the state up; a leaf that is not there yet is asked for no more than that
+  // Checks that a leaf's session would load the state; a leaf that does not exist yet only checks that
   // the state is whole. Returns why not.
   std::string Try(const std::vector<std::uint8_t>& state);
 
@@ -321,7 +321,7 @@ public:
   Leaves Drawing;
   std::vector<std::string> Warnings;
 
-  // What the sessions were made with.
+  // Inputs of the sessions.
   std::optional<entire::model> Model;
   std::string ModelName;
   double Tolerance = -1;
@@ -332,7 +332,7 @@ public:
   std::vector<std::uint8_t> State;
 
   bool Rendering = false;
-  // Whether the renderer has the volume.
+  // True if the renderer has the volume.
   bool Present = false;
   // Of the window's frame at hand.
   bool InFrame = false;

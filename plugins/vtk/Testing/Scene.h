@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// What the tests share: a scene with one volume, and the settings of its mapper.
+// Shared parts of the tests: a scene with one volume, and the settings of its mapper.
 #ifndef EntireTestScene_h
 #define EntireTestScene_h
 

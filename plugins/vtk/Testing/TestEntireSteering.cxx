@@ -220,7 +220,7 @@ void SwitchesOff(Kind kind)
   CHECK(!Is(steering->GetReason(), "still") && !Is(steering->GetReason(), "target unreachable"));
 }
 
-// What cannot be predicted is drawn by VTK, and the status says why.
+// Frames that cannot be predicted are drawn by VTK, and the status says why.
 void FallsBack(Kind kind)
 {
   Scene plain(kind), scene(kind);
@@ -361,7 +361,7 @@ void KnowsItsRenderer(Kind kind)
   CHECK(other->GetSampleDistance() > 7.9 && (other->GetImageSampleDistance() > 1) == (kind == FIXED || kind == SMART_FIXED));
 }
 
-// What was learned outlives the object; what is no state is refused.
+// The learned state outlives the object; bytes that are no state are refused.
 void KeepsState(Kind kind)
 {
   Scene scene(kind);
@@ -391,7 +391,7 @@ void KeepsState(Kind kind)
     prediction = steering->GetPredictedTime();
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
-  // What was learned by one clock, or of one mapper, is not taken up by another.
+  // A state of another clock, or of another mapper, is not loaded.
   const int clock = steering->GetClock();
   steering->SetClock(clock == vtkEntireSteering::WALL ? vtkEntireSteering::PROCESS_CPU : vtkEntireSteering::WALL);
   CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), "clock"));
@@ -463,7 +463,7 @@ void OutlivesItsObjects(Kind kind)
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
 }
 
-// What the application sets during a frame is the mapper's setting for the next.
+// A setting that the application makes during a frame is the mapper's setting for the next.
 void KeepsSettingsMadeDuringFrames(Kind kind)
 {
   Scene scene(kind);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// What vtkEntireSteering takes for a change, for a frame, and for a frame's time: TestFollowing NAME MAPPER.
+// Detection of changes, frames and frame times by vtkEntireSteering: TestFollowing NAME MAPPER.
 #include "Scene.h"
 
 #include "vtkCallbackCommand.h"
@@ -96,7 +96,7 @@ void NoticesChangedVoxels(Kind kind)
   {
     const vtkIdType readings = scene.Steering->GetNumberOfVolumeReadings();
     scene.Draw();
-    // What reading took is part of what steering took.
+    // Reading time is part of the steering's time.
     counted |= scene.Steering->GetNumberOfVolumeReadings() > readings &&
       scene.Steering->GetObserverTime() >= scene.Steering->GetVolumeTime();
   }
@@ -130,7 +130,7 @@ void NoticesNewFunctionsOnly(Kind kind)
   CHECK(readings() == expected);
 }
 
-// What is drawn for a hardware selector is drawn as the application has it, is no frame, and teaches nothing.
+// A drawing for a hardware selector is the application's own: it is no frame, and the session learns nothing from it.
 void LeavesPickingAlone(Kind kind)
 {
   Work scene(kind);
@@ -224,7 +224,7 @@ void WaitsForTheDevice(Kind kind)
   scene.Window->AddRenderer(scene.Renderer);
 }
 
-// What is known of a mapper's pictures is that of the mapper which draws, and goes to the library, which checks
+// The quality law is that of the mapper which draws, and goes to the library, which checks
 // it.
 void KnowsItsPictures(Kind kind)
 {
@@ -287,7 +287,7 @@ void SaysItsClocks(Kind kind)
   std::ostringstream text;
   steering->Print(text);
   CHECK(Says(text.str().c_str(), "Clock: wall") && Says(text.str().c_str(), "ModelClock: cpu"));
-  // What was learned is no model, and a volume that is attached again is another attachment.
+  // A learned state is no model, and a volume that is attached again is another attachment.
   steering->Reset();
   CHECK(said().empty());
   steering->SetClockToProcessCPU();

@@ -159,9 +159,9 @@ struct Event
   // Who tells of it.
   std::function<std::vector<vtkObject*>(Stage&)> Subjects;
   unsigned long Id;
-  // What makes it happen in the next frame; nullptr where every frame has it.
+  // Makes the event happen in the next frame; nullptr where every frame has it.
   std::function<void(Stage&)> Provoke;
-  // Whether it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK
+  // True if it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK
   // itself does not bear that its mapper or its context is exchanged.
   std::function<bool(Kind)> InsideMapper;
 };
@@ -249,7 +249,7 @@ struct Action
   // After the frame.
   std::function<void(Stage&)> Check;
   bool InsideMapper;
-  // Whether the settings are to be the application's once the frame is over, whatever comes later in it.
+  // True if the settings must be the application's once the frame is over, whatever comes later in it.
   bool InsideRenderer = true;
 };
 

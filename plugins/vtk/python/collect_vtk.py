@@ -39,7 +39,7 @@ class VtkRenderer:
         self.mapper, self.shade = mapper, shade
         # As vtkEntireSteering names its timings: what a model states of pictures holds for the renderer that it names.
         self.name = vtk_scene.MAPPERS[mapper]().GetClassName()
-        # What the mappers do by themselves: the fixed-point mapper leaps over blocks without opacity.
+        # The mappers' own skipping: the fixed-point mapper leaps over blocks without opacity.
         self.skipping = {"fixed": "blocks", "gpu": "none"}[mapper]
         self.termination = {"fixed": 0.99, "gpu": 0.996}[mapper]
         self.driver = vtkVersion.GetVTKVersionFull() if hasattr(vtkVersion, "GetVTKVersionFull") else vtkVersion.GetVTKVersion()

@@ -72,7 +72,7 @@ def color_function(points):
 
 
 def pixels(window):
-    """What a window shows, as [y, x, rgb] bytes, without drawing it again."""
+    """Pixels of a window, as [y, x, rgb] bytes, without drawing it again."""
     grab = vtkWindowToImageFilter()
     grab.SetInput(window)
     grab.ShouldRerenderOff()
@@ -143,5 +143,5 @@ class View:
         self.renderer.ResetCameraClippingRange()
 
     def pixels(self):
-        """What the window shows, as [y, x, rgb] bytes, without drawing it again."""
+        """Pixels of the window, as [y, x, rgb] bytes, without drawing it again."""
         return pixels(self.window)

@@ -15,7 +15,7 @@ const EMPTY_BIT: u32 = 128u;
 const COLORS_PER_ENTRY: f32 = 16.0;
 const SHADOW_TERMINATION: f32 = 0.25;
 const ROW_SHIFT: u32 = 14u;
-// How many samples apart the runs of a packet's rays may begin to be taken together.
+// Distance in samples within which the starts of runs of a packet's rays are merged.
 const PACKET_SLACK: f32 = 4.0;
 
 struct FrameSetup {

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 
-# What libraries print must not get between the events.
+# Output of libraries must not get between the events.
 events = os.fdopen(os.dup(1), "w", buffering=1)
 os.dup2(2, 1)
 

@@ -74,7 +74,7 @@ public:
     while (vtkProp* prop = props->GetNextProp(at))
     {
       vtkVolume* volume = vtkVolume::SafeDownCast(prop);
-      // What cannot be steered (an unstructured grid's mapper) is left to ParaView.
+      // A mapper that cannot be steered (an unstructured grid's) is left to ParaView.
       if (volume && volume->GetVisibility() && vtkEntireSteering::CanSteer(volume->GetMapper()))
       {
         drawn.emplace_back(volume);
@@ -98,7 +98,7 @@ public:
         this->Volumes.push_back(steering);
         if (owner->StateFileName && *owner->StateFileName)
         {
-          // What is wrong with the file the steering reports.
+          // The steering reports an error in the file.
           static_cast<void>(steering->LoadState(owner->StateFileName));
         }
       }
@@ -204,7 +204,7 @@ void vtkEntireViewSteering::SetStateFileName(const char* fileName)
     const auto volumes = this->Internals->Volumes;
     for (const auto& each : volumes)
     {
-      // What is wrong with the file the steering reports.
+      // The steering reports an error in the file.
       static_cast<void>(each->LoadState(name.c_str()));
     }
   }

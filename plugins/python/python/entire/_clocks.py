@@ -9,7 +9,7 @@ from ._core import Session
 
 
 def difference(session: Session) -> str:
-    """What to say of a model that predicts another clock than the one that times frames; empty where it does not.
+    """Warning for a model that predicts another clock than the one that times frames; empty where it does not.
 
     In the words of vtkEntireSteering.
     """

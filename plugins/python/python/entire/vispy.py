@@ -30,7 +30,7 @@ class CannotSteer(ValueError):
 
 
 def _matrix(visual: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """What takes the visual's coordinates to clip coordinates, as a matrix for columns."""
+    """Matrix, for column vectors, from the visual's coordinates to clip coordinates."""
     transform = visual.transforms.get_transform("visual", "render")
     # Affine and projective maps are linear in homogeneous coordinates: four images of the unit vectors tell
     # all.

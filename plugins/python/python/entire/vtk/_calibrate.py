@@ -213,7 +213,7 @@ class _Calibrator:
                 calibration.add_picture(scene, step, image, self.seconds, error(picture, full))
 
     def picture(self) -> np.ndarray:
-        """What the window shows, as [y, x, rgb] bytes."""
+        """Pixels of the window, as [y, x, rgb] bytes."""
         grab = vtkWindowToImageFilter()
         grab.SetInput(self.window)
         grab.ShouldRerenderOff()

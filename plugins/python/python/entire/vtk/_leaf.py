@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("entire.vtk")
 
-# What coarser steps and smaller images cost the mappers' pictures (Session.set_quality) where the model states nothing, as
+# Quality laws of the mappers' pictures (Session.set_quality) for models that state none, as
 # vtkEntireSteering has it.
 _GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
 _FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
@@ -32,7 +32,7 @@ _NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
 
 
 def weak(target: Any = None) -> Callable[[], Any]:
-    """What gives a VTK object that is not kept alive, or None once it is gone."""
+    """Weak reference to a VTK object: returns it, or None once it is gone."""
     reference = vtkWeakReference()
     if target is not None:
         reference.Set(target)
@@ -87,7 +87,7 @@ class Leaf:
         self._forget()
         self.volume_time = _NAN
         self._weight = 0.0
-        # How often the last frame of the window drew it: two eyes, several viewports.
+        # Number of times that the last frame of the window drew it: two eyes, several viewports.
         self._passes, self._passes_now = 1, 0
         self._reset_readouts()
         self._observe(volume)
@@ -103,7 +103,7 @@ class Leaf:
         self._grid: Any = None
         self._tf: Any = None
         self._tf_key: Any = None
-        # What the session's transfer function was made from.
+        # Inputs of the session's transfer function.
         self._nodes: Any = None
         self._look: Any = None
         self._limits: Any = None
@@ -118,7 +118,7 @@ class Leaf:
         # The input that was read last, and modification times; -1 before.
         self._image: Any = None
         self._mapper_time = self._image_time = self._shown_time = -1
-        # Whether VTK's own rules are off, so that the distances alone are set.
+        # True if VTK's own rules are off, so that only the distances are set.
         self._plain = True
         self._pixels = self._finest = self._termination = self._step = 1.0
         self._shading: Literal["none", "local"] = "none"
@@ -188,7 +188,7 @@ class Leaf:
         self._gpu = _mappers.is_gpu(mapper)
         name = mapper.GetClassName()
         if name != self._class:
-            # What was learned of mappers of another class does not hold for this one.
+            # State learned from mappers of another class does not hold for this one.
             self._class, self._session = name, self._steering._session(name)
         self._tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self._start),
@@ -224,7 +224,7 @@ class Leaf:
             smart, self._exchanged = self._exchanged, None
             volume = self._volume()
             if give_back and mapper is not None and volume is not None and volume.GetMapper() is mapper:
-                # What was set meanwhile holds on.
+                # Settings made meanwhile stay.
                 _mappers.copy_changed(mapper, smart)
                 volume.SetMapper(smart)
         self._grid = self._tf = self._nodes = self._image = None
@@ -269,7 +269,7 @@ class Leaf:
                 self._finish()
             self._prepare(mapper)
             steering._overhead += perf_counter() - before
-            # What was drawn before is not this mapper's.
+            # Earlier work on the device is not this mapper's.
             steering._frame_window.WaitForCompletion()
         elif not self._ready:
             return
@@ -285,7 +285,7 @@ class Leaf:
         # Everything else is done with the renderer's end.
         if self._drawing:
             if self._gpu:
-                # What the device was given is done: the time is the mapper's own.
+                # The device has finished earlier work: the time is the mapper's own.
                 self._steering._frame_window.WaitForCompletion()
             self.measured = self._steering._now() - self._started
             self._drawing = False
@@ -305,7 +305,7 @@ class Leaf:
         if plan is not None:
             # Handed on with the next frame's plan, or when somebody looks.
             self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
-            # What the frame would have taken at full quality, roughly.
+            # Rough time of the frame at full quality.
             whole = seconds * self._step
             self._weight = whole if self._weight == 0 else 0.7 * self._weight + 0.3 * whole
         steering._mapper_seconds += seconds
@@ -501,7 +501,7 @@ class Leaf:
         steering, session = self._steering, self._session
         session.set_limits(finest, max(finest, steering.coarsest))
         session.set_max_image_sample_distance(min(64.0, max(1.0, coarsest_image / self._pixels)))
-        # What the model states of this mapper's pictures, where it was calibrated with some.
+        # The quality law that the model states of this mapper's pictures, if it was calibrated with some.
         session.set_quality(None)
         if session.quality is None:
             session.set_quality(*(_GPU_QUALITY if self._gpu else _FIXED_POINT_QUALITY))

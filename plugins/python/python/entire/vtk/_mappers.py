@@ -70,7 +70,7 @@ def full_quality(own: Settings, image: Any, placed: Sequence[float], gpu: bool) 
 
 
 class Settings:
-    """What steering changes of a mapper, as it was."""
+    """The application's values of the mapper settings that steering changes."""
 
     __slots__ = ("adjust", "image", "lock", "sample")
 

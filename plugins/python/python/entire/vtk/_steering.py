@@ -33,10 +33,10 @@ log = logging.getLogger("entire.vtk")
 _PROBE_SIDE = 6
 # Least share of the target that a mapper is given, however much the rest of the frame takes.
 _LEAST_SHARE = 0.2
-# How many times the one that passes outside of the window's drawing is taken from.
+# Number of frames from which the time outside of the mappers is taken.
 _OUTSIDE_TIMES = 5
 _NAN = math.nan
-# What reads each clock.
+# Functions that read each clock.
 _TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
 
 # Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
@@ -45,7 +45,7 @@ _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary(
 
 
 def timer(clock: str) -> Callable[[], float]:
-    """What reads a clock, seconds."""
+    """Function that reads a clock, seconds."""
     if clock not in _TIMERS:
         raise ValueError(f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)")
     return _TIMERS[clock]
@@ -153,7 +153,7 @@ class Steering:
         self.on_frame: Callable[[Steering], None] | None = None
         self._renderer = weak(renderer)
         self._window = weak()
-        # Whether one pass of one volume is all that is drawn.
+        # True if one pass of one volume is all that is drawn.
         self._alone = True
         self._window_tags: list[int] = []
         self._renderer_tags: list[int] = []
@@ -203,7 +203,7 @@ class Steering:
             try:
                 session.load_state(self._state)
             except ModelError as refused:
-                # What was learned of another class says nothing of this one.
+                # A state learned from another mapper class does not apply to this one.
                 self._note(f"load(): {refused}")
         return session
 
