@@ -1,5 +1,5 @@
-//! Which clock's seconds a model predicts. A model, a table and a steered renderer that disagree would be
-//! compared by a factor that nobody meant.
+//! The clock whose seconds a model predicts. Model, table and steered renderer must agree: mixing clocks adds
+//! a constant factor.
 
 use crate::dataset::{Clock, TimedFrame};
 use crate::device;
@@ -9,8 +9,8 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_vk_raycaster::Renderer;
 
-/// The clock that a model predicts, as its file says: under [`Key::Clock`], else in its provenance. `None`
-/// where it says nothing.
+/// The clock that a model file states: under [`Key::Clock`], else in its provenance. `None` where it states
+/// none.
 pub fn of(model: &Model) -> Option<Clock> {
     let of_provenance = || {
         let provenance: serde_json::Value =
@@ -26,19 +26,18 @@ pub fn set(file: &mut ModelFile, clock: Clock) {
     file.metadata.insert(Key::Clock.into(), clock.name().into());
 }
 
-/// Reads a clock that a model can state, as an option's value: every one but `auto`, which stands for another
-/// clock from device to device.
+/// Parses the option's value of a clock that a model can state: any but `auto`, which depends on the device.
 pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
     let fixed = Clock::value_variants().iter().filter(|c| **c != Clock::Auto);
     PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
         .try_map(|name| Clock::from_str(&name, false))
 }
 
-/// The clock behind [`Clock::Auto`] for these frames: the device's where every repeat has it, wall time where
-/// none does. Other clocks stay what they are.
+/// The clock that [`Clock::Auto`] means for these frames: the device's where every repeat has it, wall time
+/// where none does. Other clocks are returned unchanged.
 ///
 /// # Errors
-/// When only some repeats have device timestamps: their seconds are of two kinds.
+/// When only some repeats have device timestamps: their times are not comparable.
 pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFrame>) -> Result<Clock> {
     if clock != Clock::Auto {
         return Ok(clock);
@@ -56,8 +55,7 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
 }
 
-/// The clock that `auto` stands for: what a user waits for, the device's timestamps on a GPU and wall time where a
-/// processor renders.
+/// The clock that `auto` means: the device's timestamps on a GPU, wall time where a processor renders.
 pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
     match clock {
@@ -125,11 +123,11 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
     })
 }
 
-/// The clock by which models are judged or steer: the one that they state, which must be one and the same
-/// and, where another than `auto` was asked for, that one; what was asked for where none states any.
+/// The clock by which models are evaluated or steer: the one that they state, which must be the same for all
+/// and agree with the requested one; the requested one where none states any.
 ///
 /// # Errors
-/// When models and the clock that was asked for disagree; says what to do.
+/// When models and the requested clock disagree; names the remedy.
 pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Result<Clock> {
     let mut found: Option<(&str, Clock)> = None;
     for (name, model) in models {
@@ -243,7 +241,8 @@ mod tests {
         assert_eq!(concrete(Clock::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
         let mixed = concrete(Clock::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
         assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
-        // Processor time is learned by default, the model's clock where one is adapted, what there is else.
+        // Processor time is learned by default; an adapted model keeps its clock; else the clock that frames
+        // have.
         let frames = [frame(&[both])];
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);

@@ -59,7 +59,7 @@ pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     program::run("entire", move || Cli::parse_from(args).run())
 }
 
-/// The commands with their options, as `--help` tells of them.
+/// The commands with their options, as in `--help`.
 pub fn command() -> clap::Command {
     Cli::command()
 }

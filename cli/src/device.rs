@@ -1,4 +1,4 @@
-//! Which renderer a command uses.
+//! Choice of the renderer by a command.
 
 use crate::files::note;
 use anyhow::{Context, Result};
@@ -23,11 +23,11 @@ pub fn is_software(renderer: &dyn Renderer) -> bool {
     renderer.backend() == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
 }
 
-/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). Falling
-/// back to the CPU twin is said on standard error.
+/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). A note
+/// on standard error says when the CPU version is used instead.
 ///
 /// # Errors
-/// When Vulkan was asked for and there is none; says how to get a driver.
+/// When Vulkan was requested and there is none; names the way to get a driver.
 pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     if device == Device::Cpu {
         return Ok(Box::new(CpuRaycaster::new()));

@@ -25,13 +25,13 @@ const SECOND: u64 = 1_000_000_000;
 /// Identity of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Its name; of a data file as the header gives it.
+    /// Its name; for a data file, the name in the header.
     pub name: String,
     /// Its size.
     pub bytes: u64,
-    /// When it was last changed, nanoseconds since 1970. It counts where only parts were hashed.
+    /// Time of its last change, nanoseconds since 1970. It counts only for files that were hashed in parts.
     pub modified_ns: u64,
-    /// FNV-1a (64 bits) and CRC-32 of what was read, hexadecimal.
+    /// FNV-1a (64 bits) and CRC-32 of the hashed bytes, hexadecimal.
     pub hash: String,
     /// True if the hash covers the whole content.
     pub whole: bool,
@@ -69,7 +69,7 @@ impl Identity {
         })
     }
 
-    /// The text that stands for it: equal for files that are taken for the same.
+    /// Key of the identity: equal for files that are taken as the same.
     pub fn key(&self) -> String {
         let Self { name, bytes, hash, .. } = self;
         let modified = if self.whole { 0 } else { self.modified_ns };
@@ -100,8 +100,8 @@ fn modified_ns(metadata: &Metadata) -> u64 {
 /// Identities of a volume file and of the data files that its header names, the volume file first.
 ///
 /// # Errors
-/// When one of them cannot be read. A header that names no data, or that cannot be understood, is a file as any
-/// other.
+/// When one of them cannot be read. A header that names no data file, or cannot be understood, counts as an
+/// ordinary file.
 pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let mut out = vec![Identity::of(path, &name)?];
@@ -115,7 +115,7 @@ pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     Ok(out)
 }
 
-/// The text that stands for a volume's files.
+/// Key of a volume's files.
 pub fn key(files: &[Identity]) -> String {
     files.iter().map(Identity::key).collect()
 }
@@ -167,12 +167,12 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     let (Ok(_), Some(format)) = (read, format) else { return Vec::new() };
     let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
     let noted = Noted { folder, names: RefCell::default() };
-    // It ends at the latest where data would be read: what it says of that is of no interest.
+    // The reader stops at the latest where it would read data; its error does not matter here.
     let _ = Volume::read(format, Stream::from_bytes(&head), name, &noted);
     noted.names.into_inner()
 }
 
-/// Notes which files are asked for, and gives none.
+/// Records the names of requested files, and provides none.
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,
@@ -255,7 +255,7 @@ mod tests {
         std::fs::write(&b, format!("{HEADER}\nabcdefgh")).unwrap();
         let was = of_volume(&a).unwrap();
         assert_eq!((was.len(), key(&was)), (1, key(&of_volume(&b).unwrap())));
-        // Written anew with the same bytes it is the same; with others it is not, whatever its size.
+        // Rewritten with the same bytes it is the same file; with other bytes it is not, whatever its size.
         File::options()
             .write(true)
             .open(&a)

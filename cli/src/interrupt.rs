@@ -1,4 +1,4 @@
-//! Ctrl-C: finish what is whole, say how to go on.
+//! Ctrl-C: finish the current piece of work, and name the way to continue.
 
 use anyhow::{Context, Result};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,4 +1,4 @@
-//! Where numbers come from: the machine, its load, the program's version and the date.
+//! Provenance of numbers: the machine, its load, the program's version and the date.
 
 use entire_core::nn::{Isa, Level};
 use serde::Serialize;
@@ -74,8 +74,9 @@ impl Provenance {
     }
 }
 
-/// Processor model, what its vectors are (software renderers differ by it, and one model name may stand for processors
-/// of several makes), logical processors, operating system and architecture. No host name: tables get published.
+/// Processor model, its vector width (software renderers depend on it, and one model name may stand for
+/// several makes), logical processors, operating system and architecture. No host name, since tables get
+/// published.
 pub fn machine() -> String {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let processor = cpuinfo

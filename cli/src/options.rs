@@ -1,4 +1,4 @@
-//! Options that several commands have: what is drawn and how, and with how many threads.
+//! Options of several commands: rendering, reading of volumes, number of threads.
 
 use crate::device::Device;
 use crate::machine;
@@ -142,7 +142,7 @@ pub fn parse_distance(text: &str) -> std::result::Result<f32, String> {
 /// Frames per volume of a series; 0 for a single volume.
 ///
 /// # Errors
-/// When `--hold` does not go with the number of volumes.
+/// When `--hold` does not fit the number of volumes.
 pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
     match (volumes, hold) {
         (1, None) => Ok(0),
@@ -153,7 +153,7 @@ pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
     }
 }
 
-/// A pool of so many threads, all logical processors without a number.
+/// A pool of this many threads; default: all logical processors.
 ///
 /// # Errors
 /// For 0 threads, or when the system starts none.

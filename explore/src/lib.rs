@@ -1,7 +1,7 @@
 //! The window of `entire`: a volume explorer that holds a target frame time.
 //!
-//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_core::Session`] and
-//! told to it afterwards; a graph shows the prediction with its bound beside what the frame took. The picture
+//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_core::Session`], which
+//! then observes its time; a graph shows the prediction with its bound beside the measured time. The picture
 //! never leaves the device: the compute shader writes it, the interface samples it.
 //!
 //! Readers of volume files, predictors, controllers and path files come from the program that opens the

@@ -1,4 +1,4 @@
-//! `entire_frame`: what is about to be drawn, and the settings that a caller can choose between.
+//! `entire_frame`: the next frame to draw, and the settings that a caller can choose from.
 
 use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
@@ -25,7 +25,7 @@ pub const ENTIRE_PROJECTION_PARALLEL: entire_projection = 2;
 
 /// Shading of each sample: one of the `ENTIRE_SHADING_*` numbers.
 pub type entire_shading = u32;
-/// Color and opacity of the transfer function alone.
+/// Color and opacity of the transfer function only.
 pub const ENTIRE_SHADING_NONE: entire_shading = 1;
 /// Local lighting with gradients.
 pub const ENTIRE_SHADING_LOCAL: entire_shading = 2;
@@ -36,9 +36,9 @@ pub const ENTIRE_SHADING_SCATTER: entire_shading = 3;
 pub type entire_skipping = u32;
 /// Every sample is taken.
 pub const ENTIRE_SKIPPING_NONE: entire_skipping = 1;
-/// Transparent blocks are jumped over.
+/// Transparent blocks are skipped.
 pub const ENTIRE_SKIPPING_BLOCKS: entire_skipping = 2;
-/// As blocks, with a distance map so that a run of empty blocks costs one jump.
+/// As blocks, with a distance map, so that a run of empty blocks costs one skip.
 pub const ENTIRE_SKIPPING_DISTANCE: entire_skipping = 3;
 
 /// A frame to draw. Fill with entire_frame_init, then set what differs.
@@ -145,7 +145,7 @@ no_padding!(entire_frame {
     projection,
     parallel_scale
 });
-// An element of arrays: it never changes.
+// Arrays hold it, so its size never changes.
 const _: () = assert!(size_of::<entire_setting>() == 20);
 
 /// Fills a frame with its defaults; `struct_size` is sizeof(entire_frame).
@@ -185,7 +185,7 @@ fn skipping(number: u32) -> Result<Skipping, Failure> {
 }
 
 impl entire_frame {
-    /// The core's frame. `radius`: the bounding-sphere radius where the volume is known.
+    /// The core's frame. `radius`: the bounding-sphere radius if the volume is known.
     pub(crate) fn checked(&self, radius: Option<f32>) -> Result<Frame, Failure> {
         let (camera, unit) = match self.camera {
             ENTIRE_CAMERA_ARCBALL => {

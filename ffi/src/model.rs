@@ -1,4 +1,4 @@
-//! `entire_model`: a model file, read once, shared by all who predict with it.
+//! `entire_model`: a model file, read once and shared by all its users.
 
 use crate::abi::{
     ByValue, check_output, check_pointer, no_padding, slice, slice_mut, text, write, write_struct,
@@ -106,7 +106,7 @@ no_padding!(entire_model_info {
 });
 no_padding!(entire_input_group { struct_size, name, offset, size });
 
-/// Rows of a batch that are worked on at once.
+/// Rows of a batch that are computed at once.
 const ROWS_AT_ONCE: usize = 192;
 
 /// A model file in memory. Immutable: any number of threads and sessions may use one model at the same time.
@@ -163,12 +163,12 @@ impl Loaded {
         })
     }
 
-    /// The model as a file that can be changed.
+    /// The model as a file that can be modified.
     pub(crate) fn file(&self) -> Result<ModelFile, Failure> {
         Ok(ModelFile::from_bytes(&self.bytes)?)
     }
 
-    /// The model as a source of predictions.
+    /// A predictor that uses the model.
     pub(crate) fn predictor(&self) -> Result<Box<dyn Predictor + Send>, Failure> {
         let (net, _) = self.prednet()?;
         Ok(match AnalyticModel::from_model(&self.model)? {
@@ -177,8 +177,8 @@ impl Loaded {
         })
     }
 
-    /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it
-    /// takes none.
+    /// The volume features for the model's predictions: ready ones, or the encoder's; `None` if it takes
+    /// none.
     pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
         let Some(size) = self.model.input_size(GroupKind::VolumeFeatures) else { return Ok(None) };
         if let Some(ready) = &volume.features {
@@ -228,7 +228,7 @@ impl Loaded {
     }
 }
 
-/// A text of the model for C, in memory that can be refused.
+/// A text of the model for C, in memory whose allocation may fail.
 fn kept_text(text: &str) -> Result<CString, Failure> {
     if text.contains('\0') {
         return Ok(sink::c_text(text));
@@ -240,8 +240,7 @@ fn kept_text(text: &str) -> Result<CString, Failure> {
     Ok(CString::from_vec_with_nul(bytes).unwrap_or_default())
 }
 
-/// The instruction set that models are run with, and its name: found once, so that the environment is read
-/// once.
+/// The instruction set of models, and its name: determined once, so that the environment is read once.
 fn level() -> &'static (Level, CString) {
     static FOUND: OnceLock<(Level, CString)> = OnceLock::new();
     FOUND.get_or_init(|| {
@@ -321,7 +320,7 @@ fn data_folder() -> Option<PathBuf> {
     })
 }
 
-/// The bytes of a model file. `remedy` ends what is said where it cannot be read.
+/// The bytes of a model file. `remedy` ends the error if it cannot be read.
 fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
     let shown = path.display();
     let io = |why: String| Failure::new(ENTIRE_IO, format!("{shown}: {why}; {remedy}"));
@@ -595,7 +594,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             }
             check_inputs(inputs, net.inputs(), rows)?;
             let scratch = || net.scratch(ROWS_AT_ONCE);
-            // Apart from the caller's memory, which a failed call leaves as it was.
+            // In separate memory: a failed call leaves the caller's unchanged.
             let mut predicted = Vec::new();
             predicted.try_reserve_exact(rows)?;
             predicted.resize(rows, 0.0f32);

@@ -1,4 +1,4 @@
-//! Tasks on the nodes of a render farm.
+//! Assignment of tasks to the nodes of a render farm.
 
 use crate::abi::{check_pointer, slice, slice_mut, write};
 use crate::guard::guard;

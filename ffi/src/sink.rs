@@ -1,4 +1,4 @@
-//! Where log messages go: the library's one piece of global state.
+//! Receiver of log messages: the library's only global state.
 
 use std::cell::Cell;
 use std::ffi::{CString, c_char, c_void};
@@ -11,9 +11,9 @@ pub type entire_log_level = u32;
 pub const ENTIRE_LOG_OFF: entire_log_level = 0;
 /// A call failed; the text is that of its error.
 pub const ENTIRE_LOG_ERROR: entire_log_level = 1;
-/// Something works less well than it could.
+/// A result may be worse than it could be.
 pub const ENTIRE_LOG_WARNING: entire_log_level = 2;
-/// Rare events worth knowing: a model was loaded, a volume was read.
+/// Rare events: a model was loaded, a volume was read.
 pub const ENTIRE_LOG_INFO: entire_log_level = 3;
 
 /// Receives log messages. `message` is UTF-8 and valid during the call only. Called by whichever thread made
@@ -22,7 +22,7 @@ pub const ENTIRE_LOG_INFO: entire_log_level = 3;
 pub type entire_log_callback =
     Option<unsafe extern "C" fn(user_data: *mut c_void, level: entire_log_level, message: *const c_char)>;
 
-/// A callback and what it is called with.
+/// A callback and its argument.
 pub(crate) struct Sink {
     pub(crate) callback: unsafe extern "C" fn(*mut c_void, entire_log_level, *const c_char),
     pub(crate) user_data: *mut c_void,
@@ -35,7 +35,7 @@ unsafe impl Send for Sink {}
 unsafe impl Sync for Sink {}
 
 static SINK: RwLock<Option<Sink>> = RwLock::new(None);
-/// The highest level that is wanted; read first, so that a quiet library takes no lock.
+/// The highest level that the callback receives; read first, so that a quiet library takes no lock.
 static LEVEL: AtomicU32 = AtomicU32::new(ENTIRE_LOG_OFF);
 
 thread_local! {
@@ -60,7 +60,7 @@ pub(crate) fn enabled(level: entire_log_level) -> bool {
     level <= LEVEL.load(Ordering::Relaxed)
 }
 
-/// Logs `message` where someone listens.
+/// Logs `message` if a callback is set.
 pub(crate) fn emit(level: entire_log_level, message: &str) {
     if !enabled(level) || IN_CALLBACK.get() {
         return;
@@ -76,7 +76,7 @@ pub(crate) fn emit(level: entire_log_level, message: &str) {
     }
 }
 
-/// A C string of `text`; a NUL inside, which C could not carry, becomes the replacement character.
+/// A C string of `text`; a NUL inside becomes the replacement character.
 pub(crate) fn c_text(text: &str) -> CString {
     CString::new(text).unwrap_or_else(|_| CString::new(text.replace('\0', "\u{fffd}")).unwrap_or_default())
 }

@@ -32,7 +32,7 @@ pub struct entire_opacity_node {
     pub position: f64,
     /// Opacity in [0, 1] over one unit distance.
     pub opacity: f64,
-    /// Where between this node and the next the value is half way, in [0, 1]; 0.5 is the middle.
+    /// Position of the half-way value between this node and the next, in [0, 1]; 0.5 is the middle.
     pub midpoint: f64,
     /// Sharpness of the change, in [0, 1]: 0 linear, 1 nearly a step.
     pub sharpness: f64,
@@ -59,7 +59,7 @@ pub const ENTIRE_UNIT_REFERENCE_STEP: entire_unit = 1;
 /// The unit of the volume's spacing (VTK's ScalarOpacityUnitDistance, ANARI's unitDistance).
 pub const ENTIRE_UNIT_WORLD: entire_unit = 2;
 
-/// Entries of the table that every transfer function becomes.
+/// Number of entries of the table of every transfer function.
 pub const ENTIRE_TABLE_ENTRIES: usize = 256;
 const _: () = assert!(ENTIRE_TABLE_ENTRIES == TABLE_LEN);
 
@@ -206,7 +206,7 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         changing(transfer_function, |transfer| {
-            // The core's own check, on a table that is thrown away for the unit that needs a volume.
+            // The core's own check, on a table that is discarded for a unit that needs a volume.
             transfer.table.clone().with_unit_distance(distance)?;
             transfer.unit = match unit {
                 ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),

@@ -1,4 +1,4 @@
-//! Which library this is. All numbers come from the package version.
+//! The library's version. All numbers come from the package version.
 
 use std::ffi::{CStr, c_char};
 

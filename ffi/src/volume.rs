@@ -44,9 +44,9 @@ pub const ENTIRE_SCALAR_U64: entire_scalar_type = 9;
 /// Signed 64-bit integers. Copied only (kept as 32-bit floats).
 pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
 
-/// Whose the voxels are: one of the two `ENTIRE_VOXELS_*` numbers.
+/// Ownership of the voxels: one of the two `ENTIRE_VOXELS_*` numbers.
 pub type entire_voxels_ownership = u32;
-/// The library copies the voxels; the caller's memory is free again when the call returns.
+/// The library copies the voxels; the caller may free its memory when the call returns.
 pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
 /// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or
 /// but for the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32,
@@ -210,7 +210,7 @@ no_padding!(entire_volume_info {
     feature_count
 });
 
-/// Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by
+/// Voxels, or bounds of bricks. Immutable except for its ready features and its time steps; may be used by
 /// any number of sessions.
 pub struct entire_volume {
     status: Status,
@@ -220,13 +220,13 @@ pub struct entire_volume {
 pub(crate) struct Volume {
     voxels: Option<Voxels>,
     summary: OnceLock<VolumeSummary>,
-    /// Stands for the summary from the second time step on.
+    /// Replaces the summary from the second time step on.
     series: Option<Box<SummarySeries>>,
     scalar_type: entire_scalar_type,
     pub(crate) features: Option<Vec<f32>>,
 }
 
-/// A view and, where the library copied, the memory that it looks at.
+/// A view and, if the library copied, its memory.
 struct Voxels {
     view: VolumeView<'static>,
     _copy: Option<Copied>,
@@ -340,7 +340,7 @@ fn log_volume(view: &VolumeView<'_>) {
 }
 
 /// # Safety `desc.voxels` is NULL or valid for reads of `desc.voxel_count` elements, for as long as the
-/// result lives where they are borrowed.
+/// result lives if they are borrowed.
 unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
     if desc.voxels.is_null() {
         return Err(Failure::null("entire_volume_desc.voxels"));

@@ -1,11 +1,11 @@
-//! The readers under test, what must hold for whatever they give back, and mutations that know their formats.
+//! The readers under test, invariants of their results, and mutations that know their formats.
 //!
-//! The command's readers are compiled from where they are: the rest of the command (with dependencies that no
+//! The command's readers are compiled from their files: the rest of the command (with dependencies that no
 //! reader needs) would take minutes to build with a sanitizer.
 
 #![allow(dead_code, unused_imports, reason = "parts of modules that no target calls")]
 
-// The trace's reader names the command's library, whose modules these are.
+// The trace's reader refers to the command's library, whose modules these are.
 extern crate self as entire_cli;
 
 #[path = "../../cli/src/dataset/mod.rs"]

@@ -1,4 +1,4 @@
-//! The command line of `entire-lab`: studies, their records and bars. Exit status as of `entire`.
+//! The command line of `entire-lab`: studies, recordings and bars. Exit status as of `entire`.
 
 use crate::commands;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -48,7 +48,7 @@ enum Command {
     FarmStandIn(commands::farm_bars::StandInOptions),
 }
 
-/// The commands with their options, as `--help` tells of them.
+/// The commands with their options, as in `--help`.
 pub fn command() -> clap::Command {
     Lab::command()
 }

@@ -1,5 +1,4 @@
-//! Predictors fitted to recorded calibration frames, and the choice between them: who steers where a recorded path is
-//! replayed.
+//! Predictors fitted to recorded calibration frames, and the choice of the one that steers a replay.
 
 use anyhow::{Context, Result};
 use entire_cli::fit::standard_features;
@@ -18,10 +17,10 @@ use std::ops::ControlFlow;
 /// Hidden widths of the small network.
 pub const HIDDEN: [usize; 2] = [24, 24];
 
-/// Every this many scenes, one is held out: never fitted to, only judged by.
+/// Every this many scenes, one is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
 
-/// True for a sample that is held out from fitting.
+/// True for a held-out sample.
 fn held_out(sample: &Sample) -> bool {
     sample.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
 }
@@ -78,7 +77,7 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
     Ok(file)
 }
 
-/// A predictor with what is known of it, for reports.
+/// A predictor with its errors, for reports.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
     /// Name of the predictor.
@@ -93,7 +92,7 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Judges a predictor; it is not chosen yet.
+    /// Measures the errors of a predictor; it is not chosen yet.
     ///
     /// # Errors
     /// As [`SteeringModel::quality`].

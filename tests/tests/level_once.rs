@@ -1,5 +1,5 @@
-//! The environment is asked for the level once: a host that changes it later, from another thread, disturbs
-//! nothing.
+//! The environment is read once for the level: a host that changes it later, from another thread, has no
+//! effect.
 
 use entire_core::nn::Level;
 use libtest_mimic::{Arguments, Failed, Trial};

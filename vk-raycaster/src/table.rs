@@ -1,14 +1,14 @@
-//! The transfer-function table as the renderers use it.
+//! The transfer-function table in the renderers' form.
 
 use entire_core::scene::{TABLE_LEN, TransferTable};
 
-/// The opacity-corrected table of a ray step: what a sample looks up.
+/// The opacity-corrected table of a ray step, in which samples are looked up.
 pub(crate) type StepTable = [[f32; 4]; TABLE_LEN];
 
 /// A transfer function with its opacity floor applied.
 pub(crate) struct Classifier {
     table: TransferTable,
-    /// `visible_before[i]`: how many of the entries 0…i−1 have an opacity.
+    /// `visible_before[i]`: number of the entries 0…i−1 with an opacity.
     visible_before: [u32; TABLE_LEN + 1],
 }
 

@@ -17,10 +17,10 @@ use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
-/// Drift between passes from which on it is said, as a share.
+/// Drift between passes above which the report warns, as a share.
 const DRIFT: f64 = 0.05;
 
-/// ln of the least upper bound over a prediction of a model that was calibrated on a busy machine.
+/// ln of the smallest upper bound over a prediction, for a model that was calibrated on a busy machine.
 const BUSY_LOG_FACTOR: f32 = 0.5;
 
 /// Report of a calibration.
@@ -34,21 +34,21 @@ pub struct Report {
     pub frames: usize,
     /// Volumes among them.
     pub volumes: usize,
-    /// Batches that they were drawn in, and renderings that were discarded.
+    /// Number of batches.
     pub rounds: usize,
     /// Renderings that were discarded as warm-up.
     pub warm_ups: usize,
     /// Wall seconds in all.
     pub seconds: f64,
-    /// The model that it started from; `None` for the unit costs of a software renderer.
+    /// The prior; `None` for the unit costs of a software renderer.
     pub prior: Option<String>,
     /// Parts of the cross-validation; 0 where there were too few volumes.
     pub folds: usize,
-    /// Frames that the error to expect is told by.
+    /// Frames on which the error was measured.
     pub judged: usize,
-    /// Median of |predicted / measured − 1| on volumes that were left out.
+    /// Median of |predicted / measured − 1| on held-out volumes.
     pub median_error: f64,
-    /// Its 95 % interval when volumes are drawn anew.
+    /// Its 95 % interval by bootstrap over volumes.
     pub median_error_interval: Option<(f64, f64)>,
     /// RMSE over the standard deviation on the same.
     pub rmse_over_sd: f64,
@@ -58,7 +58,7 @@ pub struct Report {
     pub others: Others,
     /// Quality law of pictures; `None` where too few were compared.
     pub pictures: Option<Pictures>,
-    /// Files of the volumes, by the volumes' names; empty where that is not known.
+    /// Files of the volumes, by the volumes' names; empty where they are unknown.
     pub files: BTreeMap<String, Vec<Identity>>,
 }
 
@@ -67,26 +67,26 @@ pub struct Report {
 pub struct Pictures {
     /// Error measure between a picture and the one at full quality.
     pub error: PictureError,
-    /// The law, and what its choices cost.
+    /// The law, and the error of its choices.
     #[serde(flatten)]
     pub fitted: FittedQuality,
 }
 
 impl Report {
-    /// With what compared pictures said.
+    /// Adds the fit to compared pictures.
     #[must_use]
     pub fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
         let pictures = fitted.map(|fitted| Pictures { error, fitted });
         Self { pictures, ..self }
     }
 
-    /// With the files of its volumes.
+    /// Adds the files of its volumes.
     #[must_use]
     pub fn with_files(self, files: BTreeMap<String, Vec<Identity>>) -> Self {
         Self { files, ..self }
     }
 
-    /// Judges a calibration by the frames that `judged` names.
+    /// Measures the error of a calibration on the frames that `judged` names.
     ///
     /// # Errors
     /// When there are none.
@@ -131,7 +131,7 @@ impl Report {
         })
     }
 
-    /// Why what was measured may not be this machine's own speed; empty where nothing speaks against it.
+    /// Reasons why the measured times may not be this machine's normal speed; empty without any.
     pub fn warnings(&self) -> Vec<String> {
         let mut out = Vec::new();
         if self.others.busy() {
@@ -162,7 +162,7 @@ impl Report {
         out
     }
 
-    /// For people, a few lines.
+    /// The report as a few lines of text.
     pub fn text(&self) -> String {
         let mut out = String::new();
         let line = |out: &mut String, name: &str, value: String| {
@@ -223,7 +223,7 @@ impl Report {
     /// Writes clock, upper bound and provenance into the model file.
     ///
     /// # Errors
-    /// When what the file holds is damaged.
+    /// When the file's content is damaged.
     pub fn write_into(
         &self,
         file: &mut ModelFile,

@@ -143,7 +143,7 @@ pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Where the model of a mode goes.
+/// Path of the model of a mode.
 fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
     match &options.out {
         None => file_of(shading).context(
@@ -161,7 +161,7 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
 ///
 /// # Errors
 /// Volumes or models that cannot be read, a renderer that fails or lacks the clock, a file that cannot be
-/// written, interruption before there was anything to fit.
+/// written, interruption before enough frames for a fit.
 pub fn run(options: &Options) -> Result<()> {
     if !options.data.is_empty() {
         return from_tables(options);
@@ -255,7 +255,7 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
         driver: String::new(),
         commit: machine::version(),
         seed: options.seed,
-        // Frames differ in theirs.
+        // The number differs between frames.
         repeats: 0,
         step_reference: "smallest voxel spacing".into(),
         settings: json!({ "calibration": true, "reading": options.volume_args.reading() }),
@@ -264,7 +264,7 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
     }
 }
 
-/// The models to start from, by their names: the one that is named, else the shipped ones.
+/// The priors with their names: the given one, else the shipped ones.
 fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
     let found = match &options.prior {
         Some(path) => vec![(path.clone(), read_model_file(path)?.0)],
@@ -273,7 +273,7 @@ fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
     Ok(found.into_iter().map(|(path, file)| (path.display().to_string(), file)).collect())
 }
 
-/// Says on standard error where the model that is named to start from predicts another clock's seconds.
+/// Prints a note if the given prior predicts another clock's seconds.
 ///
 /// # Errors
 /// When it cannot be read.
@@ -286,7 +286,7 @@ fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     Ok(())
 }
 
-/// Fits to frames that were logged.
+/// Fits to logged frames.
 fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));

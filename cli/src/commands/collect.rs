@@ -1,4 +1,4 @@
-//! `entire collect`: render many random frames of volumes and write down how long each took.
+//! `entire collect`: render many random frames of volumes and write their times to a table.
 
 use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
 use crate::dataset::{Clock, Manifest, Table, Writer, noise_floor};
@@ -47,7 +47,7 @@ pub struct Options {
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
     pub frames: u32,
-    /// Renderings of each frame that are timed [default: 5].
+    /// Timed renderings of each frame [default: 5].
     #[arg(long, value_name = "R")]
     pub repeats: Option<u32>,
     /// Passes over all volumes, each with --repeats renderings of every frame: repeats that are minutes apart
@@ -153,7 +153,7 @@ fn jobs(options: &Options) -> Result<Vec<Job>> {
     Ok(jobs)
 }
 
-/// That every volume is there, once.
+/// Checks that every volume exists and is given once.
 fn check(jobs: &[Job], remedy: &str) -> Result<()> {
     for job in jobs {
         ensure!(job.path.is_file(), "{}: no such file; {remedy}", job.path.display());
@@ -169,7 +169,7 @@ fn check(jobs: &[Job], remedy: &str) -> Result<()> {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options or files, a device that fails, and interruption; the message says how to go on.
+/// Bad options or files, a device that fails, and interruption; the message names the command that continues.
 pub fn run(options: &Options) -> Result<()> {
     let (protocol, jobs) = match &options.like {
         Some(table) => {
@@ -250,7 +250,7 @@ pub fn run(options: &Options) -> Result<()> {
             manifest.created = old.created;
             manifest.commit = old.commit;
         } else {
-            // A collection that was killed before its manifest was written has no frame either.
+            // A collection that was killed before its manifest was written has no frame.
             ensure!(
                 Writer::is_fresh(&options.out)?,
                 "cannot go on with {}: its manifest {} is missing",

@@ -1,4 +1,4 @@
-//! `entire demo`: calibrate, explore and report: the main job, end to end.
+//! `entire demo`: calibrate, play a path under several controllers, and report.
 
 use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, volumes_in};
@@ -29,16 +29,16 @@ use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The volume that is taken where none is given, from the project's root.
+/// Default volume, relative to the project's root.
 pub const DEFAULT_VOLUME: &str = "data/nyx_cosmology/m04/t0010.nrrd";
 
-/// Volumes with fewer voxels are enlarged by 2 along every axis, so that their frames cost something.
+/// Volumes with fewer voxels are enlarged by 2 along every axis, so that their frames are not too cheap.
 const SMALL_VOLUME: u64 = 160 * 160 * 160;
 
-/// Seconds that all rendering may take; images are made smaller where they would take longer.
+/// Time limit of all rendering, seconds; images are reduced to meet it.
 const RENDERING_BUDGET: f64 = 150.0;
 
-/// Smallest image side that the budget may lead to, pixels.
+/// Smallest image side under the time limit, pixels.
 const SMALLEST_SIDE: u32 = 96;
 
 const CONTROLLERS: [ControllerKind; 5] = [
@@ -101,8 +101,8 @@ pub struct Options {
     pub seed: u64,
 }
 
-/// A model of this machine, made of other volumes than the one that is played: those in data/, of its ensembles the
-/// members that models are trained on. `None` where there are none.
+/// A model of this machine, calibrated with other volumes than the played one: those in data/, and of its
+/// ensembles only the training members. `None` without any.
 fn calibrated(
     options: &Options,
     draw: &DrawSettings,
@@ -145,8 +145,8 @@ fn calibrated(
     Ok(Some((title, file)))
 }
 
-/// Shrinks the image until all rendering fits the budget, judged by a frame that stands for the mean,
-/// rendered a few times.
+/// Reduces the image until all rendering fits the time limit, estimated by a typical frame that is rendered a
+/// few times.
 fn fit_size(
     mut draw: DrawSettings,
     view: &VolumeView<'_>,

@@ -1,4 +1,4 @@
-//! `entire farm`: render an image database on whatever runs tasks.
+//! `entire farm`: render an image database on an engine.
 
 use crate::farm::database::{self, Database};
 use crate::farm::dispatch::Order;
@@ -73,7 +73,7 @@ pub struct Options {
     /// Render a coarse subset first: every eighth view at the smallest size and the coarsest step.
     #[arg(long)]
     pub preview: bool,
-    /// Render nothing: print the volume files in the order in which they are taken, with their time steps.
+    /// Render nothing: print the volume files in their order, with their time steps.
     #[arg(long, conflicts_with_all = ["dry_run", "openjd", "resume", "report", "save_tasks"])]
     pub list: bool,
     /// Render nothing: print plan, cost and expected end.
@@ -109,8 +109,7 @@ pub struct Options {
     /// Write a report (HTML) when done; with --dry-run it covers the finished tasks.
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Write the tasks with their expected seconds as a list (CSV) that `entire schedule` and predict.list
-    /// read.
+    /// Write the tasks with their expected seconds as a list (CSV) for `entire schedule` and predict.list.
     #[arg(long, value_name = "TASKS.csv")]
     pub save_tasks: Option<PathBuf>,
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of equal expected time.
@@ -126,7 +125,7 @@ pub struct WorkerOptions {
     /// The worker's name.
     #[arg(long, value_name = "NAME")]
     pub node: Option<String>,
-    /// Do this bundle and end; without it bundles come through standard input.
+    /// Run this bundle and end; without it bundles are read from standard input.
     #[arg(long, value_name = "N")]
     pub bundle: Option<u64>,
 }
@@ -134,7 +133,7 @@ pub struct WorkerOptions {
 /// Runs the command.
 ///
 /// # Errors
-/// A bad job file, an engine that is not there, tasks that were given up.
+/// A bad job file, a missing engine, tasks that were given up.
 pub fn run(options: &Options) -> Result<()> {
     let job = Job::open(&options.job)?;
     ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");

@@ -1,4 +1,4 @@
-//! `entire features`: what the core computes about the frames of timing tables, kept beside them.
+//! `entire features`: scene features of the frames of timing tables, stored beside them.
 
 use crate::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::dataset::{Table, TimedFrame};
@@ -23,7 +23,7 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Model files whose VolumeNet encodes the volumes, for models on volume features.
+    /// Model files whose VolumeNet encodes the volumes, for models with volume features.
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
     /// Rays along each side of additional probes, 1 to 24, for models with cheaper or finer probes than the

@@ -1,4 +1,4 @@
-//! `entire probe`: what the machine at hand needs for each part of a frame.
+//! `entire probe`: the rates of this machine for rays, samples and skips.
 
 use crate::device::{self, Device};
 use anyhow::{Context, Result};
@@ -45,7 +45,7 @@ fn parse_milliseconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Largest and mean difference to the twin that a right picture may have, of 255.
+/// Largest and mean difference to the CPU version that a right picture may have, of 255.
 const LARGEST: u8 = 2;
 const MEAN: f64 = 0.1;
 

@@ -94,7 +94,7 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<()> {
-    // Everything that can be wrong is checked before the volume is loaded.
+    // All options are checked before the volume is loaded.
     let camera = camera(options.camera, options.fov, options.parallel_scale)?;
     let frame = Frame {
         step: options.step,
@@ -120,7 +120,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let Rendered { image, mut counts, .. } = last.context("--repeats is 0; render at least once")?;
     if counts.is_none() {
-        // Once more, untimed, by a renderer that counts only when it is told to.
+        // Once more, untimed, if the renderer counts only on request.
         renderer.count_work(true);
         counts = renderer.render(&frame)?.counts;
     }
@@ -187,7 +187,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The shortest decimal that is this number, as JSON's double: 0.35, not 0.3499999940395355.
+/// The shortest decimal of this number, as JSON's double: 0.35, not 0.3499999940395355.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }

@@ -1,4 +1,4 @@
-//! `entire schedule`: which node renders what, in which order, and when it will be done.
+//! `entire schedule`: assignment of tasks to nodes, in order, and the predicted end.
 
 use crate::farm::list::lower_bound;
 use crate::farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};

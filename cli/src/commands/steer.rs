@@ -70,7 +70,7 @@ pub struct Options {
     /// keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
-    /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
+    /// Write every drawn frame into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
     /// Controllers to compare. Rules that act on image resolution draw smaller images at the reference step.
@@ -313,7 +313,7 @@ fn write_table(
     Ok(())
 }
 
-/// A volume for people: file, sizes, enlargement.
+/// Description of a volume: file, sizes, enlargement.
 pub fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
     let [x, y, z] = volume.dims();
     let enlarged =

@@ -102,7 +102,7 @@ pub struct Options {
     /// Output quantity of the network.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper
+    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile, which gives an upper
     /// bound.
     #[arg(long, default_value = "mse", value_parser = check_loss)]
     pub loss: String,
@@ -154,7 +154,7 @@ pub struct Options {
     /// Use only this many training frames, chosen by the seed.
     #[arg(long, value_name = "FRAMES")]
     pub limit: Option<usize>,
-    /// Format in which weights are stored.
+    /// Storage format of weights.
     #[arg(long, value_enum, default_value_t = DtypeChoice::F32)]
     pub dtype: DtypeChoice,
     /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
@@ -169,7 +169,7 @@ fn check_loss(text: &str) -> Result<String> {
     parse_loss(text).map(|_| text.to_owned())
 }
 
-/// Log-SD of a frame's median from which on the data themselves are the problem.
+/// Log-SD of a frame's median above which a note says that the data are noisy.
 const NOISY: f64 = 0.2;
 
 /// Runs the command.
@@ -239,7 +239,7 @@ pub fn run(options: &Options) -> Result<()> {
     bar.finish_and_clear();
     let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
 
-    // Metrics come from what the file holds, stored format and all.
+    // Metrics are those of the stored model, in its storage format.
     let model = trained.fitted.file.to_model()?;
     let mut results = Vec::new();
     let mut upper = UpperBound::default();
@@ -252,7 +252,7 @@ pub fn run(options: &Options) -> Result<()> {
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
-            // The bound comes from frames that the weights were not fitted to, where there are any.
+            // The bound comes from frames that the weights were not fitted to, if there are any.
             if upper.log_factor.is_nan() {
                 upper = bound::from_predictions(&predicted, &measured);
             }
@@ -351,14 +351,14 @@ fn fitted_pictures(path: &Path) -> Result<FittedQuality> {
     fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string())
 }
 
-/// A predictor with the layout of its inputs.
+/// A predictor with its input layout.
 struct Trained {
     layout: Layout,
     fitted: FittedModel,
     clock: Clock,
 }
 
-/// The clock that is asked for, or that of the model that training starts from, or processor time.
+/// The requested clock, else that of the model that training starts from, else processor time.
 fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let base = match &options.fine_tune {
         Some(path) => {

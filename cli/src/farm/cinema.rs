@@ -12,7 +12,7 @@ use std::collections::HashMap;
 pub struct Row {
     /// Measured times and result.
     pub answer: Answer,
-    /// Seconds that were expected when it was sent.
+    /// Expected seconds when it was sent.
     pub predicted_s: f64,
 }
 

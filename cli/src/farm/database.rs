@@ -1,4 +1,4 @@
-//! A job's database on the disk: what is done, by the journal and by what workers wrote since.
+//! A job's database on the disk: finished tasks, from the journal and from later answers of workers.
 
 use super::cinema::{self, Row};
 use super::drive::Options;
@@ -15,12 +15,12 @@ use anyhow::{Context, Result, ensure};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
-/// The number of the run that is under way.
+/// The number of the current run.
 pub fn run_number(state: &Path) -> Option<u64> {
     std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
 }
 
-/// A job's database, open for writing: journal, and what is done.
+/// A job's database, open for writing: journal and finished tasks.
 pub struct Database<'a> {
     pub(super) job: &'a Job,
     pub(super) journal: Journal,
@@ -32,11 +32,11 @@ pub struct Database<'a> {
 }
 
 impl<'a> Database<'a> {
-    /// Opens the database of a job: makes its folders, locks it, reads its journal, takes over what workers
-    /// have finished since the last driver ended.
+    /// Opens the database of a job: makes its folders, locks it, reads its journal, and adds the tasks that
+    /// workers have finished since the last driver ended.
     ///
     /// # Errors
-    /// When it was begun before and `resume` is not set, another driver is at work, or a file cannot be read
+    /// When it was begun before and `resume` is not set, another driver is running, or a file cannot be read
     /// or written.
     pub fn open(job: &'a Job, options: &Options) -> Result<Self> {
         let state = job.state();
@@ -61,7 +61,7 @@ impl<'a> Database<'a> {
                 Entry::Done { answer, predicted_s } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
-                        // The last: a picture that was gone was rendered again.
+                        // The last entry counts: a missing picture was rendered again.
                         done.insert(task, Row { answer, predicted_s });
                     } else {
                         gone.extend(parse_id(&answer.task));
@@ -82,7 +82,7 @@ impl<'a> Database<'a> {
             job.output.display()
         );
         let run = run_number(&state).unwrap_or(0) + 1;
-        // From here on workers of the run before begin no further task.
+        // From here on, workers of the previous run begin no further task.
         write_whole(&state.join("run"), run.to_string().as_bytes())?;
         let renderer = serde_json::to_vec(&job.renderer)?;
         write_whole(&state.join("renderer.json"), &renderer)?;
@@ -99,8 +99,8 @@ impl<'a> Database<'a> {
         Ok(new)
     }
 
-    /// Says which pictures that the journal names are none of the job's as it is now, removes those of files
-    /// that were written anew, and keeps what the files are. `then` is what they were.
+    /// Prints a note on pictures in the journal that no longer belong to the job, removes those of changed
+    /// files, and stores the files' identities. `then` are the earlier identities.
     fn compare_inputs(
         &mut self,
         then: Option<BTreeMap<String, Vec<Identity>>>,
@@ -161,7 +161,7 @@ impl<'a> Database<'a> {
         self.run
     }
 
-    /// Takes over what workers wrote to the spool and no driver to the journal.
+    /// Adds answers that workers wrote to the spool and no driver to the journal.
     pub fn take_over(&mut self) -> Result<()> {
         let state = self.job.state();
         let folder = state.join("spool");
@@ -211,7 +211,7 @@ impl<'a> Database<'a> {
         !whole || std::fs::read(&path).is_ok_and(|bytes| crc32fast::hash(&bytes) == answer.crc32)
     }
 
-    /// Images that are gone or damaged are rendered again.
+    /// Missing or damaged images are rendered again.
     fn check_images(&mut self, whole: bool) -> Result<()> {
         let missing: Vec<u32> =
             self.done.iter().filter(|(_, row)| !self.is_there(&row.answer, whole)).map(|(t, _)| *t).collect();
@@ -227,7 +227,7 @@ impl<'a> Database<'a> {
         Ok(())
     }
 
-    /// The plan of what is left, corrected by what is done; nothing waits in it.
+    /// The plan of the remaining tasks, corrected by the finished ones; no task is queued in it yet.
     pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
         let mut planner = planner(self.job, base, setting);
         for (task, row) in &self.done {
@@ -237,7 +237,7 @@ impl<'a> Database<'a> {
         planner
     }
 
-    /// A task for a worker.
+    /// The order of a task for a worker.
     pub fn order(&self, task: u32, predicted_s: f64) -> Order {
         let job = self.job;
         let at = job.place(task as usize);
@@ -270,10 +270,10 @@ impl<'a> Database<'a> {
     }
 }
 
-/// The tasks that a job's journal names as done and whose pictures are there, with their seconds.
+/// The tasks that a job's journal lists as finished and whose pictures exist, with their seconds.
 ///
 /// # Errors
-/// When there is a journal that cannot be read.
+/// When its journal cannot be read.
 pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
     if !job.state().join("journal.jsonl").exists() {
         return Ok(Vec::new());
@@ -296,7 +296,7 @@ fn tells_loads(job: &Job) -> bool {
     !matches!(job.renderer, super::job::Renderer::Command { .. })
 }
 
-/// The plan of a job for an engine of so many slots.
+/// The plan of a job for an engine with this many slots.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
     let told = job.predict.model.is_some() || job.predict.list.is_some();

@@ -1,17 +1,17 @@
-//! A job file as it is written, before it is checked and spread out into tasks.
+//! Contents of a job file, before checks and expansion into tasks.
 
 use crate::volume::{Fill, Range, Reading};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// A job file as it is written. Relative paths start at the job file's folder.
+/// Contents of a job file. Relative paths start at the job file's folder.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobFile {
     /// The database's name: letters, digits, `-`, `_` and `.`.
     pub name: String,
-    /// Where the database goes; `NAME.cdb` beside the job file where it is not given.
+    /// Folder of the database; default: `NAME.cdb` beside the job file.
     pub output: Option<PathBuf>,
     /// Vertical field of view, degrees.
     #[serde(default = "default_fov")]
@@ -25,11 +25,11 @@ pub struct JobFile {
     pub volumes: Vec<VolumesEntry>,
     /// From where.
     pub cameras: Vec<CamerasEntry>,
-    /// With which transfer functions.
+    /// The transfer functions.
     pub transfer: Vec<TransferEntry>,
     /// By whom.
     pub renderer: Renderer,
-    /// Where expected times come from.
+    /// Source of expected times.
     #[serde(default)]
     pub predict: Predict,
     /// Retries of failed tasks.
@@ -49,7 +49,7 @@ fn default_steps() -> Vec<f32> {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VolumesEntry {
-    /// Its name; the first file's stem where it is not given, and each file its own where `series` is false.
+    /// Its name; default: the first file's stem, or each file's own if `series` is false.
     pub name: Option<String>,
     /// Files or glob patterns, sorted by name with numbers in them by value (see [`super::natural::sort`]).
     pub files: Vec<String>,
@@ -58,9 +58,9 @@ pub struct VolumesEntry {
     pub series: bool,
     /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for the voxels' own.
     pub range: Option<RangeEntry>,
-    /// The array to read from a VTK file that holds several.
+    /// Array to read from a VTK file with several.
     pub array: Option<String>,
-    /// Values that stand for voxels without data: `"none"`, or numbers separated by commas.
+    /// Fill values, which mark voxels without data: `"none"`, or numbers separated by commas.
     #[serde(default)]
     pub fill: Fill,
 }
@@ -71,7 +71,7 @@ pub struct VolumesEntry {
 pub enum RangeEntry {
     /// Low and high end.
     Numbers([f32; 2]),
-    /// A word, or numbers as `--range` has them.
+    /// A word, or numbers as in `--range`.
     Text(Range),
 }
 
@@ -100,10 +100,10 @@ pub enum CamerasEntry {
         elevation_deg: f32,
         /// Distances, bounding-sphere radii.
         distances_radii: Vec<f32>,
-        /// Where the turn begins, degrees.
+        /// Start of the turn, degrees.
         #[serde(default)]
         from_deg: f32,
-        /// Where it ends (not reached), degrees.
+        /// End of the turn (not reached), degrees.
         #[serde(default = "full_turn")]
         to_deg: f32,
     },
@@ -156,32 +156,33 @@ pub enum Renderer {
         #[serde(default = "default_device")]
         device: String,
     },
-    /// A program that renders one image and ends. Its arguments hold placeholders; no shell is in between.
+    /// A program that renders one image and ends. Its arguments hold placeholders and are passed without a
+    /// shell.
     Command {
         /// Program and arguments.
         command: Vec<String>,
-        /// Seconds after which it is ended and the task counts as failed.
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
         timeout_s: Option<f64>,
     },
-    /// A program that stays: it reads a task per line of its standard input (JSON) and answers each with a
+    /// A persistent program: it reads a task per line of its standard input (JSON) and answers each with a
     /// line of its standard output (JSON).
     Session {
         /// Program and arguments.
         command: Vec<String>,
-        /// Seconds after which it is ended and the task counts as failed.
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
         timeout_s: Option<f64>,
     },
-    /// A ParaView script that stays, run by `pvbatch`: as `session`.
+    /// A persistent ParaView script, run by `pvbatch`: as `session`.
     Pvbatch {
         /// The script.
         script: PathBuf,
-        /// More arguments of the script.
+        /// Additional arguments of the script.
         #[serde(default)]
         args: Vec<String>,
         /// The program.
         #[serde(default = "default_pvbatch")]
         program: String,
-        /// Seconds after which it is ended and the task counts as failed.
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
         timeout_s: Option<f64>,
     },
 }
@@ -206,7 +207,7 @@ fn default_pvbatch() -> String {
     "pvbatch".into()
 }
 
-/// Where expected times come from.
+/// Source of expected times.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Predict {
@@ -225,9 +226,9 @@ pub struct Predict {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Retry {
-    /// Times that a task may fail; then it is quarantined.
+    /// Number of failures after which a task is quarantined.
     pub attempts: u32,
-    /// Times that a task may be lost with its worker; then it is quarantined.
+    /// Number of losses with its worker after which a task is quarantined.
     pub losses: u32,
 }
 

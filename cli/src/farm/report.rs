@@ -1,5 +1,5 @@
-//! The report of a farm, from its journal: Gantt chart by node, predicted against measured, the expected end
-//! over time, what the order gained.
+//! The report of a farm, from its journal: Gantt chart by node, predicted against measured times, the
+//! expected end over time, gain of the order.
 
 use super::job::Job;
 use super::planner::queue_end;
@@ -12,9 +12,9 @@ use anyhow::{Result, ensure};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
-/// Lanes of the Gantt chart.
+/// Maximum number of lanes of the Gantt chart.
 const LANES: usize = 48;
-/// Points of the chart of predictions.
+/// Maximum number of points of the chart of predictions.
 const POINTS: usize = 3000;
 
 /// A run of the journal.
@@ -29,7 +29,7 @@ struct Run {
 /// Writes the report of a job's database.
 ///
 /// # Errors
-/// When nothing is done yet, or a file cannot be read or written.
+/// When no task is finished yet, or a file cannot be read or written.
 pub fn write(job: &Job, file: &Path) -> Result<()> {
     let mut runs: Vec<Run> = Vec::new();
     let (mut failed, mut lost) = (0, 0);
@@ -99,7 +99,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     page.write(file)
 }
 
-/// A task's lane: its node, and where several of a node overlap the first that is free.
+/// A task's lane: its node, and the first free one of it if several tasks overlap.
 fn lanes(done: &[(Answer, f64)]) -> (Vec<usize>, Vec<String>) {
     let mut order: Vec<usize> = (0..done.len()).collect();
     order.sort_by(|a, b| done[*a].0.begin.total_cmp(&done[*b].0.begin));
@@ -199,7 +199,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let busy = vec![0.0; slots];
     let seconds: Vec<f64> = tasks.iter().map(|(a, _)| a.seconds).collect();
     let mut order: Vec<usize> = (0..tasks.len()).collect();
-    // Without predictions any order is as good as another: the mean of some.
+    // Without predictions all orders are equivalent: the mean of some.
     let any: f64 = (0..32u64)
         .map(|seed| {
             let mut order = order.clone();

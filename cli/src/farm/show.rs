@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 
 /// Interval between lines where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// Nodes whose state is shown.
+/// Maximum number of nodes in the display.
 const NODES: usize = 8;
 
 /// Contents of the display.
 #[derive(Clone, Debug, Default)]
 pub struct View {
-    /// Tasks that are done.
+    /// Finished tasks.
     pub done: usize,
     /// All tasks.
     pub all: usize,
@@ -28,7 +28,7 @@ pub struct View {
     pub eta: [f64; 3],
     /// Activity of the nodes.
     pub nodes: Vec<String>,
-    /// Bundles that take too long.
+    /// Bundles that are slower than expected.
     pub stragglers: Vec<String>,
 }
 
@@ -43,7 +43,7 @@ pub struct Show {
 }
 
 impl Show {
-    /// A display that has shown nothing yet.
+    /// A new display.
     pub fn begin() -> Self {
         let terminal = std::io::stderr().is_terminal();
         Self {
@@ -55,7 +55,7 @@ impl Show {
         }
     }
 
-    /// Shows how things stand.
+    /// Updates the display.
     pub fn update(&mut self, view: &View) {
         self.bar.set_length(view.all as u64);
         self.bar.set_position(view.done as u64);
@@ -79,7 +79,7 @@ impl Show {
         }
     }
 
-    /// Says something beside the bar.
+    /// Prints a note above the bar.
     pub fn note(&self, text: &str) {
         if self.lines {
             crate::files::note(text);
@@ -88,7 +88,7 @@ impl Show {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }

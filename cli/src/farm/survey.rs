@@ -7,10 +7,10 @@ use super::show::duration;
 use crate::report::{Column, Table};
 use anyhow::Result;
 
-/// Most nodes that are looked at.
+/// Maximum number of nodes that is considered.
 const MOST: usize = 4096;
 
-/// A number of nodes and what comes of it.
+/// A number of nodes, with its end and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offer {
     /// Nodes.
@@ -27,8 +27,8 @@ pub fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
     Offer { nodes, end, node_hours: nodes as f64 * end[1] / 3600.0 }
 }
 
-/// The smallest number of nodes that is done by a deadline in 95 of 100 cases: as more nodes never cost fewer
-/// node hours, it is the cheapest. `None` where no number is enough.
+/// The smallest number of nodes that meets a deadline in 95 of 100 cases: since more nodes never cost fewer
+/// node hours, it is the cheapest. `None` if no number is enough.
 pub fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
     let (mut low, mut high) = (1, MOST.min(tasks.max(1)));
     let enough = |o: &Offer| o.end[2] <= deadline;

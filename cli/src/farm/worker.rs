@@ -1,5 +1,5 @@
-//! A worker: renders the tasks of bundles, one after the other. An image is put in its place whole, then the
-//! answer is written to the spool; both survive the worker.
+//! A worker: renders the tasks of bundles, one after another. It writes each image as a whole and then the
+//! answer to the spool; both survive the worker.
 
 use super::command::{Placeholders, fill};
 use super::job::Renderer;
@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 /// Draw settings of the raycaster: shading, skipping, termination, device.
 ///
 /// # Errors
-/// Names the word that is unknown and those that are accepted.
+/// Names the unknown word and the accepted ones.
 pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
         bail!("the renderer is another program")
@@ -50,11 +50,11 @@ pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Dev
 
 /// Renderer of tasks in this process.
 enum Painter {
-    /// The raycaster, with the volume that it holds.
+    /// The raycaster, with its loaded volume.
     Own(Box<Own>),
     /// A program per image.
     Program(Vec<String>, Option<Duration>),
-    /// A program that stays.
+    /// A persistent program.
     Stays(Session),
 }
 
@@ -71,7 +71,7 @@ struct Painted {
     render_s: Option<f64>,
 }
 
-/// A worker's place and state.
+/// State of a worker.
 pub struct Worker {
     state: PathBuf,
     output: PathBuf,
@@ -80,7 +80,7 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// A worker of the database whose state folder this is.
+    /// A worker of the database with this state folder.
     ///
     /// # Errors
     /// When the renderer's description cannot be read, or no renderer can be opened.
@@ -111,7 +111,7 @@ impl Worker {
     }
 
     /// Reads bundles from standard input, a JSON object per line, until it is closed; answers on standard
-    /// output. When the input is closed the task at hand is finished, and no other is begun.
+    /// output. When the input is closed, the current task is finished and no other is begun.
     ///
     /// # Errors
     /// When a line is no bundle, or the spool cannot be written.
@@ -175,7 +175,7 @@ impl Worker {
         append(&mut spool, &Line::End { end: number })
     }
 
-    /// Renders a task; a failure is an answer too.
+    /// Renders a task; a failure is also an answer.
     fn answer(&mut self, order: &Order, bundle: u64) -> Answer {
         let begin = unix_now();
         let clock = Instant::now();
@@ -207,7 +207,7 @@ impl Worker {
         let (painted, png) = match &mut self.painter {
             Painter::Own(own) => own.paint(order)?,
             program => {
-                // A folder of its own: nothing that a killed program goes on writing gets in the way.
+                // A separate folder, so that a killed program that still writes does no harm.
                 let parts = self.state.join("parts");
                 let folder = tempfile::Builder::new().prefix("p").tempdir_in(&parts);
                 let folder =
@@ -339,7 +339,7 @@ fn run(
     Ok(Painted { load_s: 0.0, render_s: None })
 }
 
-/// The last line of a log that says anything.
+/// The last line of a log that is not blank.
 pub(super) fn tail(log: &Path) -> String {
     let mut bytes = Vec::new();
     if let Ok(file) = File::open(log) {
@@ -393,7 +393,7 @@ fn append(spool: &mut File, line: &Line) -> Result<()> {
     spool.write_all(&text).context("cannot write the spool; make room and go on with --resume")
 }
 
-/// Answers on standard output. Nobody may be listening any more: the spool has it all.
+/// Answers on standard output. A closed output is no error, since the spool has the answers.
 fn say(line: &Line) {
     if let Ok(text) = serde_json::to_string(line) {
         let mut out = std::io::stdout().lock();

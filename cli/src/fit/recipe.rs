@@ -1,4 +1,4 @@
-//! One description of a predictor, as commands and studies have it, and how it is made.
+//! Recipe of a predictor, shared by commands and studies, and its execution.
 
 use super::analytic::{estimates, fit_analytic};
 use super::compose::{carry_past, side_by_side};
@@ -19,7 +19,7 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Most networks whose mean is taken.
+/// Maximum number of networks in an ensemble.
 const MAX_ENSEMBLE: usize = 16;
 
 /// Kind of the fitted model.
@@ -85,12 +85,12 @@ pub struct Recipe {
     pub preset: Option<String>,
     /// Input groups, in order.
     pub inputs: Vec<String>,
-    /// Scene features, in order; the standard ones where there are none.
+    /// Scene features, in order; default: the standard ones.
     pub scene_features: Vec<String>,
-    /// Rays along each side of the probe behind scene features; the standard number unless given.
+    /// Rays along each side of the probe for scene features; default: the standard number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_side: Option<usize>,
-    /// Networks of other seeds whose mean is taken; stored as one network, each beside the others.
+    /// Number of networks with different seeds whose mean is taken; stored as one network.
     pub ensemble: usize,
     /// Output quantity of a network.
     pub target: TargetChoice,
@@ -102,7 +102,7 @@ pub struct Recipe {
     pub batch: usize,
     /// First learning rate; 1e-4 with a preset or when fine-tuning, else 1e-3.
     pub learning_rate: Option<f64>,
-    /// Last learning rate; a hundredth of the first unless given.
+    /// Last learning rate; default: a hundredth of the first.
     pub final_learning_rate: Option<f64>,
     /// Largest norm of the gradient.
     pub clip: f64,
@@ -117,7 +117,7 @@ pub struct Recipe {
     /// True if Gaussian lobes go in by ascending center.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub sorted_lobes: bool,
-    /// A model file that is taken as it is; nothing else counts then.
+    /// An existing model file; all other fields are then ignored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
     /// Storage format of weights.
@@ -178,8 +178,7 @@ fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
 }
 
-/// The scene features that a small model takes unless told otherwise: logarithms of counts and lengths,
-/// shares, modes.
+/// Default scene features of a small model: logarithms of counts and lengths, shares, modes.
 pub fn standard_features() -> Vec<SceneFeature> {
     use SceneQuantity as Q;
     [
@@ -203,7 +202,7 @@ pub fn standard_features() -> Vec<SceneFeature> {
 }
 
 impl Recipe {
-    /// The scene features that are asked for.
+    /// The scene features of the recipe.
     ///
     /// # Errors
     /// For a name that is not known.
@@ -214,8 +213,7 @@ impl Recipe {
         self.scene_features.iter().map(|n| Ok(n.trim().parse()?)).collect()
     }
 
-    /// Makes the predictor. Validation frames decide when a network stops; the other kinds do not look at
-    /// them.
+    /// Fits the predictor. Validation frames decide when a network stops; the other kinds do not use them.
     ///
     /// # Errors
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or
@@ -279,7 +277,7 @@ impl Recipe {
             .map(|n| n.trim().parse::<GroupKind>())
             .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
-        // The sizes of other groups say nothing of the step.
+        // The sizes of the other groups do not depend on the step.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
     }
 
@@ -287,8 +285,7 @@ impl Recipe {
         self.probe_side.unwrap_or(PROBE_SIDE)
     }
 
-    /// Where its inputs stand in a row, and the model file that they begin: that of the VolumeNet, where one
-    /// is named.
+    /// The layout of its inputs, and a new model file: with the VolumeNet, if one is named.
     ///
     /// # Errors
     /// For names that are not known, or when the VolumeNet's file cannot be read.
@@ -331,8 +328,7 @@ impl Recipe {
         Ok(settings)
     }
 
-    /// The recipe as a model file tells it: of other files the names alone, since where they lie is of this
-    /// machine.
+    /// The recipe for a model file: with names of other files only, since their places are of this machine.
     fn portable(&self) -> Self {
         let name = |path: &Option<PathBuf>| path.as_ref().and_then(|p| p.file_name()).map(PathBuf::from);
         Self {
@@ -390,7 +386,7 @@ impl Recipe {
             .with_probe_side(self.side())
             .with_unit_costs(costs);
         self.store(&mut file, parts, &wide)?;
-        // The estimate beside the factor's inputs stays free.
+        // The estimate is not clamped, unlike the factor's inputs.
         InputRange::of_rows(&x, layout.width(), 1).store(&mut file)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
@@ -410,7 +406,7 @@ impl Recipe {
         })
     }
 
-    /// Widths of a network of the hidden layers asked for: inputs, hidden units, one output.
+    /// Layer widths of a network: inputs, hidden units, one output.
     fn widths(&self, inputs: usize) -> Vec<usize> {
         [&[inputs], &self.layers[..], &[1]].concat()
     }
@@ -452,8 +448,7 @@ impl Recipe {
         })
     }
 
-    /// Trains as many networks as the recipe asks for, from one seed after another, and puts them beside each
-    /// other.
+    /// Trains the ensemble's networks, with consecutive seeds, and combines them.
     fn ensemble(
         &self,
         context: &FitContext<'_>,

@@ -14,8 +14,8 @@ use entire_core::predict::Predictor;
 pub enum ActsOn {
     /// The ray step.
     RayStep,
-    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, for each side
-    /// 1/√s of them.
+    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, each side
+    /// divided by √s.
     ImageResolution {
         /// Largest s by the rule's published constants; the smallest is 1.
         coarsest: f32,
@@ -39,7 +39,7 @@ impl ActsOn {
         }
     }
 
-    /// Ray step and image sample distance (pixels between rays along each side) of what was chosen.
+    /// Ray step and image sample distance (pixels between rays along each side) of a decision.
     pub fn drawn(self, chosen: f32) -> (f32, f32) {
         match self {
             Self::RayStep => (chosen, 1.0),
@@ -97,7 +97,7 @@ impl ControllerKind {
         }
     }
 
-    /// The name for people.
+    /// The title in charts and tables.
     pub const fn title(self) -> &'static str {
         match self {
             Self::Fixed => "fixed step",
@@ -139,8 +139,8 @@ impl ControllerKind {
     }
 }
 
-/// A controller that has seen nothing. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is
-/// G; `prior` says how well the predictor is known on this machine.
+/// A new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior` says how
+/// well the predictor is known on this machine.
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,
@@ -163,7 +163,7 @@ pub fn controller(
     }
 }
 
-/// A contender: a controller (see [`controller`]) with a predictor of its own and nothing learned.
+/// A contender: a controller (see [`controller`]) with its own predictor, before any frame.
 pub fn contender(
     kind: ControllerKind,
     fixed_step: f32,

@@ -1,4 +1,4 @@
-//! A model that steers.
+//! Model of a steering predictor.
 
 use super::calibrate::{Quality, Sample};
 use anyhow::{Context, Result};
@@ -8,7 +8,7 @@ use entire_core::predict::{GroupKind, Predictor, load};
 use entire_core::scene::VolumeView;
 use std::sync::Arc;
 
-/// A predictor that any number of contenders can be given.
+/// A model from which any number of contenders can get a predictor.
 #[derive(Clone, Debug)]
 pub struct SteeringModel {
     title: String,
@@ -17,8 +17,7 @@ pub struct SteeringModel {
 }
 
 impl SteeringModel {
-    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for
-    /// that.
+    /// From a fitted or read model. Its VolumeNet encodes `volume` at once if its inputs need that.
     ///
     /// # Errors
     /// When the model holds no predictor, or the volume cannot be encoded.
@@ -36,7 +35,7 @@ impl SteeringModel {
         Ok(Self { title, model: Arc::new(model), volume_features })
     }
 
-    /// A predictor of its own.
+    /// A new predictor.
     ///
     /// # Errors
     /// When the model holds none.
@@ -49,16 +48,16 @@ impl SteeringModel {
         &self.title
     }
 
-    /// VolumeNet's output for the volume, where the model takes it.
+    /// VolumeNet's output for the volume, if the model uses it.
     pub fn volume_features(&self) -> Option<&[f32]> {
         self.volume_features.as_deref()
     }
 
-    /// Its errors on samples that it was not fitted to. Models that do not know the step are judged at the
-    /// reference step.
+    /// Its errors on samples that it was not fitted to. Models without the ray step as input are evaluated at
+    /// the reference step.
     ///
     /// # Errors
-    /// When there are none, or the model needs an input that they do not have.
+    /// When there are no samples, or the model needs an input that they lack.
     pub fn quality<'a>(&self, samples: impl IntoIterator<Item = &'a Sample>) -> Result<Quality> {
         let mut predictor = self.predictor()?;
         let every_step = predictor.knows_step();

@@ -14,7 +14,7 @@ use anyhow::Result;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// G as (step ratio, time ratio): what was sampled, scene after scene, and the curve's points.
+/// G as (step ratio, time ratio): the samples, scene after scene, and the curve's points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResponseCurve {
     /// Sampled.
@@ -24,7 +24,7 @@ pub struct ResponseCurve {
 }
 
 impl ResponseCurve {
-    /// A curve and the samples that it was made from.
+    /// A curve and its samples.
     pub fn new(samples: &[Sample], response: &StepResponse) -> Self {
         Self { samples: response_pairs(samples), points: response.points().collect() }
     }
@@ -45,7 +45,7 @@ impl ResponseCurve {
     }
 }
 
-/// Everything that a report tells beside the playback.
+/// Contents of a report besides the playback.
 #[derive(Clone, Debug)]
 pub struct Story {
     /// The page's title.
@@ -54,9 +54,9 @@ pub struct Story {
     pub lead: String,
     /// Origin of the target.
     pub target: String,
-    /// The volume, for people.
+    /// Description of the volume.
     pub volume: String,
-    /// The path, for people.
+    /// Description of the path.
     pub path: String,
     /// The predictor and its errors.
     pub predictor: Steers,
@@ -64,7 +64,7 @@ pub struct Story {
     pub response: ResponseCurve,
     /// Further remarks, a paragraph each.
     pub remarks: Vec<String>,
-    /// Where the numbers come from.
+    /// Provenance of the numbers.
     pub provenance: Provenance,
 }
 
@@ -72,7 +72,7 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
-/// Names the setting that a controller acted on.
+/// Name of the setting that a controller chooses.
 fn acts_on(playback: &Playback, controller: usize) -> &'static str {
     let smaller = playback.records[controller].iter().any(|r| r.image_sample_distance > 1.0);
     match playback.acts_on[controller] {
@@ -81,7 +81,7 @@ fn acts_on(playback: &Playback, controller: usize) -> &'static str {
     }
 }
 
-/// One color per controller throughout, whichever of them play.
+/// Color of a controller, the same in all charts.
 pub fn color(name: &str) -> usize {
     match name {
         "fixed" => 5,
@@ -251,8 +251,8 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
     })
 }
 
-/// Frame times as multiples of the target around the switches: per controller, the mean of |t − target| /
-/// target at each distance from a switch.
+/// Errors around the switches: per controller, the mean of |t − target| / target at each distance from a
+/// switch.
 fn around_switches(playback: &Playback, controller: usize, before: usize, after: usize) -> Vec<(f64, f64)> {
     let played = playback.played(controller);
     (0..=before + after)

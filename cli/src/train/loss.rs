@@ -3,7 +3,7 @@
 use super::Real;
 use anyhow::{Result, bail};
 
-/// The loss of one frame, on standardized targets. Its mean over the batch is made small.
+/// The loss of one frame, on standardized targets. Training minimizes its mean over the batch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Loss {

@@ -76,7 +76,7 @@ impl<T: Real> Trainer<T> {
         })
     }
 
-    /// The network as it is.
+    /// The current network.
     pub fn network(&self) -> &Network<T> {
         &self.network
     }
@@ -169,7 +169,7 @@ impl<T: Real> Trainer<T> {
     }
 
     /// One step on a batch: gradient, clipping by its global norm, Adam with the given learning rate. A batch
-    /// whose gradient is not finite changes nothing; its [`Step`] tells.
+    /// whose gradient is not finite changes nothing; its [`Step`] says so.
     ///
     /// # Errors
     /// As [`Trainer::evaluate`].

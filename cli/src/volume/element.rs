@@ -58,7 +58,7 @@ pub(crate) fn byte_count(dims: [usize; 3], element: Element) -> Result<u64> {
         .context("the sizes in the header multiply to more bytes than can be addressed")
 }
 
-/// Reads the voxels of a volume; memory grows with the bytes that really arrive.
+/// Reads the voxels of a volume; memory grows with the received bytes.
 ///
 /// # Errors
 /// Fewer bytes than the sizes and the type call for, or broken compression. States bytes expected and found.
@@ -98,7 +98,7 @@ pub(crate) fn read_voxels(
     })
 }
 
-/// As [`read_voxels`], of stored numbers that stand for `number * slope + intercept`, which is rounded once.
+/// As [`read_voxels`], for stored numbers that stand for `number * slope + intercept`, which is rounded once.
 ///
 /// # Errors
 /// As [`read_voxels`].
@@ -204,7 +204,7 @@ pub(crate) fn expect_end(
     )))
 }
 
-/// Elements that are reserved before any byte was seen, and bytes converted at a time.
+/// Elements that are reserved before any byte was read, and bytes converted at a time.
 const CHUNK: usize = 1 << 16;
 
 fn bytes(stream: &mut Stream<'_>, voxels: usize) -> Result<Vec<u8>> {
@@ -245,7 +245,7 @@ fn collect<const BYTES: usize, T>(
     Ok(out)
 }
 
-/// Reserves everything at once where the bytes are known to be there.
+/// Reserves all memory at once if the bytes are known to exist.
 fn start<T>(out: &mut Vec<T>, stream: &Stream<'_>, voxels: usize) -> Result<()> {
     if matches!(stream.remaining(), Remaining::Exact(_)) {
         reserve(out, voxels)?;
@@ -253,7 +253,7 @@ fn start<T>(out: &mut Vec<T>, stream: &Stream<'_>, voxels: usize) -> Result<()> 
     Ok(())
 }
 
-/// Makes room for `more` elements, doubling, never beyond `total`.
+/// Reserves space for `more` elements, doubling, never beyond `total`.
 pub(crate) fn grow<T>(out: &mut Vec<T>, more: usize, total: usize) -> Result<()> {
     let needed = out.len() + more;
     if needed > out.capacity() {
@@ -273,7 +273,7 @@ fn reserve<T>(out: &mut Vec<T>, more: usize) -> Result<()> {
     Ok(())
 }
 
-/// Reads until `out` is full or the stream ends; how much was read.
+/// Reads until `out` is full or the stream ends; returns the number of bytes.
 fn fill(stream: &mut Stream<'_>, out: &mut [u8]) -> io::Result<usize> {
     let mut filled = 0;
     while filled < out.len() {
@@ -281,7 +281,7 @@ fn fill(stream: &mut Stream<'_>, out: &mut [u8]) -> io::Result<usize> {
             Ok(0) => break,
             Ok(count) => filled += count,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            // A compressed stream that stops in its middle.
+            // A compressed stream that ends early.
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => break,
             Err(error) => return Err(error),
         }
@@ -366,7 +366,7 @@ pub(crate) fn parse_voxels(
     })
 }
 
-/// The longest number in text; more is not one.
+/// The longest number in text; more characters are an error.
 const MAX_TOKEN: usize = 512;
 
 fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Option<T>) -> Result<Vec<T>> {

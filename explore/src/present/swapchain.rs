@@ -1,4 +1,4 @@
-//! The pictures that the display takes in turn.
+//! The swapchain.
 
 use anyhow::Result;
 use ash::vk;
@@ -19,7 +19,7 @@ pub(super) struct Swapchain {
     pub(super) render_pass: vk::RenderPass,
     frames: Vec<Frame>,
     pub(super) extent: vk::Extent2D,
-    /// The size that was asked for, which the surface may have bounded.
+    /// The requested size, which the surface may have limited.
     pub(super) asked: [u32; 2],
     pub(super) format: vk::SurfaceFormatKHR,
     /// True if pictures wait for the display's refresh.
@@ -30,8 +30,8 @@ pub(super) struct Swapchain {
 }
 
 impl Swapchain {
-    /// A swapchain in the place of an old one; `None` where the surface takes no picture (a minimized
-    /// window). Nothing may be running.
+    /// A swapchain in place of an old one; `None` if the surface takes no picture (a minimized window).
+    /// Nothing may be running.
     pub(super) fn new(
         device: &SharedDevice,
         surface_functions: &ash::khr::surface::Instance,
@@ -122,7 +122,7 @@ impl Swapchain {
         let subpasses = [vk::SubpassDescription::default()
             .pipeline_bind_point(vk::PipelineBindPoint::GRAPHICS)
             .color_attachments(&color)];
-        // The picture is the surface's until the stage at which the acquisition is waited for.
+        // The picture belongs to the surface until the stage at which the acquisition is waited for.
         let dependencies = [vk::SubpassDependency {
             src_subpass: vk::SUBPASS_EXTERNAL,
             dst_subpass: 0,
@@ -194,7 +194,7 @@ impl Swapchain {
         self.frames[index as usize].drawn
     }
 
-    /// The next picture to draw into; `None` where the surface has changed.
+    /// The next picture to draw into; `None` if the surface has changed.
     pub(super) fn acquire(&mut self, acquired: vk::Semaphore, longest: u64) -> Result<Option<u32>> {
         // SAFETY: the semaphore is unsignaled: the frame that waited for it is done.
         let found =
@@ -212,7 +212,7 @@ impl Swapchain {
         }
     }
 
-    /// Hands a drawn picture to the display.
+    /// Presents a drawn picture.
     pub(super) fn present(&mut self, index: u32) -> Result<()> {
         let (waits, chains, indices) = ([self.drawn(index)], [self.handle], [index]);
         let info =
@@ -228,7 +228,7 @@ impl Swapchain {
     }
 }
 
-/// Eight bits, encoded by the device where it can: the pictures are sampled decoded.
+/// Eight bits, encoded by the device if it can: the pictures are sampled decoded.
 fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     let wanted = [
         vk::Format::B8G8R8A8_SRGB,
@@ -242,7 +242,7 @@ fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     wanted.into_iter().find_map(at).or(formats.first()).copied().unwrap_or_default()
 }
 
-/// One that does not wait for the display where there is such: what a frame takes is its own work then.
+/// A mode that does not wait for the display if there is one, so that a frame's time is its own work.
 fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
     [vk::PresentModeKHR::MAILBOX, vk::PresentModeKHR::IMMEDIATE]
         .into_iter()

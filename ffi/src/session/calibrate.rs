@@ -1,4 +1,4 @@
-//! A model of the host's own renderer, fitted to frames that a session planned and heard of.
+//! Fits a model of the host's own renderer to frames that a session planned and observed.
 
 use super::entire_session;
 use super::options::hybrid_options;
@@ -14,13 +14,13 @@ use std::mem::size_of;
 
 /// Part that a calibration held out in turn to estimate its error: one of the `ENTIRE_HELD_OUT_*` numbers.
 pub type entire_held_out = u32;
-/// Nothing, there were too few frames: the error is that of frames that the model was fitted to.
+/// Nothing, since there were too few frames: the error is that of the training frames.
 pub const ENTIRE_HELD_OUT_NOTHING: entire_held_out = 0;
-/// Volumes: the error to expect on other volumes.
+/// Volumes: the error is that on other volumes.
 pub const ENTIRE_HELD_OUT_VOLUMES: entire_held_out = 1;
-/// Transfer functions: the error to expect on the same volumes under other transfer functions.
+/// Transfer functions: the error is that on the same volumes under other transfer functions.
 pub const ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS: entire_held_out = 2;
-/// Stretches of time: the error to expect on other views of what was shown.
+/// Stretches of time: the error is that on other views of the same data.
 pub const ENTIRE_HELD_OUT_STRETCHES: entire_held_out = 3;
 
 const _: () = assert!(
@@ -38,7 +38,7 @@ pub struct entire_calibration_report {
     pub struct_size: usize,
     /// Frames that the model was fitted to.
     pub frames: usize,
-    /// Median of |predicted / measured - 1| over frames that were left out.
+    /// Median of |predicted / measured - 1| over held-out frames.
     pub median_error: f64,
     /// Root of their mean squared error over the standard deviation of their times.
     pub rmse_over_sd: f64,
@@ -46,8 +46,8 @@ pub struct entire_calibration_report {
     pub upper_factor: f64,
     /// Held-out parts: one of ENTIRE_HELD_OUT_*.
     pub held_out: entire_held_out,
-    /// Scenes of entire_session_record_picture that the model's quality was fitted to; 0 where they were too few,
-    /// and the model states nothing of pictures.
+    /// Number of scenes of entire_session_record_picture in the fit of the model's quality law; 0 if they
+    /// were too few, and the model states none.
     pub scenes: u32,
 }
 

@@ -33,7 +33,7 @@ pub struct entire_session {
 pub(crate) struct Loop {
     session: Session,
     model: Option<Arc<entire_model>>,
-    /// Spacing and bounding-sphere radius of the volume that is set.
+    /// Spacing and bounding-sphere radius of the current volume.
     volume: Option<(Vec3, f32)>,
     /// Options that the session was made with.
     options: entire_session_options,

@@ -17,14 +17,14 @@ const _: () = {
 pub type entire_verdict = u32;
 /// Learned from.
 pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;
-/// Far from what was expected: its pull was clipped.
+/// Far from the expected time: its influence was clipped.
 pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
-/// Taken note of, not learned from: unusual, or cancelled no later than it was expected to end.
+/// Recorded, not learned from: unusual, or cancelled no later than it was expected to end.
 pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;
 
-/// Observation flag: the time holds work that is not the frame's (a compile, an upload, a stall).
+/// Observation flag: the time includes work that is not the frame's (a compile, an upload, a stall).
 pub const ENTIRE_OBSERVE_UNUSUAL: u32 = 1;
-/// Observation flag: the frame was abandoned; its time says only that it takes at least that long.
+/// Observation flag: the frame was abandoned; its time is only a lower bound.
 pub const ENTIRE_OBSERVE_CANCELLED: u32 = 2;
 
 /// Tells how long a planned frame took. Late observations are welcome as long as their plan is among the last

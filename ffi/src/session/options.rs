@@ -26,7 +26,7 @@ pub struct entire_session_options {
     pub tolerance: f32,
     /// Out-of-range score from which recent frames decide instead of the prediction, positive; default 2.
     pub trust_limit: f32,
-    /// Not 0 where moves are damped in calm phases; default 1.
+    /// Not 0 if moves are damped in calm phases; default 1.
     pub damping: u32,
     /// Rays along each side of the probe that measures frames for a linear cost model (no model, or an
     /// analytic one), 1 to 24. Fewer make plans cheaper and what they are made from rougher, with the square
@@ -71,8 +71,8 @@ no_padding!(entire_session_options {
     probe_tolerance
 });
 
-/// The probe that options ask for: rays along each side, and the error that plans may leave unknown; `None`
-/// for the predictor's own.
+/// The probe of the options: rays along each side, and the error that plans may leave unresolved; `None` for
+/// the predictor's own.
 pub(super) fn probe_of(options: &entire_session_options) -> Option<(usize, Option<f32>)> {
     let tolerance = (options.probe_tolerance != 0.0).then_some(options.probe_tolerance);
     match options.probe_side {

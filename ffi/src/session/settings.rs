@@ -12,7 +12,7 @@ use entire_core::control::{Quality, StepLimits};
 use entire_core::features::Changes;
 use entire_core::scene::TransferFunction;
 
-/// Change flag: a pipeline was built, or the device is another.
+/// Change flag: a pipeline was built, or the device changed.
 pub const ENTIRE_CHANGE_FIRST: u32 = 1;
 /// Change flag: another transfer function.
 pub const ENTIRE_CHANGE_TRANSFER_FUNCTION: u32 = 2;
@@ -102,7 +102,7 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
                 (UnitDistance::World(distance), Some((spacing, _))) => {
                     table.with_unit_distance(distance / spacing.min_element())?
                 }
-                // The session says that the volume comes first.
+                // The session reports that the volume comes first.
                 (UnitDistance::World(_), None) => table,
             };
             let lobes = match &transfer.function {

@@ -32,7 +32,7 @@ pub unsafe extern "C" fn entire_session_set_timing_source(
     }
 }
 
-/// Whose seconds: one of the `ENTIRE_CLOCK_*` numbers.
+/// Clock of a time: one of the `ENTIRE_CLOCK_*` numbers.
 pub type entire_clock = u32;
 /// No clock was named, or none of those below.
 pub const ENTIRE_CLOCK_UNSTATED: entire_clock = 0;

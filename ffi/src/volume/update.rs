@@ -95,7 +95,7 @@ unsafe fn update(
         None => Box::new(SummarySeries::new(&before, before.shape().dims[2], SummaryOptions::default())?),
     };
     let first = series.summary().is_err();
-    // A series that an error left within a time step is given up: the volume is that of the one before.
+    // A series that failed within a time step is dropped: the volume stays at the step before.
     match series.update(&next, changed, Executor::Serial) {
         Ok(summary) if first => warn_of_non_finite(summary),
         Ok(_) => {}

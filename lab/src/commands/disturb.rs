@@ -1,4 +1,4 @@
-//! `entire-lab disturb`: how much somebody else on the machine slows frames down, over time.
+//! `entire-lab disturb`: slowdown of frames over time by another program.
 
 use crate::replay::Slowdown;
 use crate::stress::Noise;
@@ -58,7 +58,7 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// Seconds without a neighbor that slowdowns are relative to.
+/// Seconds without the load, which slowdowns are relative to.
 const QUIET_SECONDS: f64 = 5.0;
 
 /// Keeps a core busy until `stop`.
@@ -96,7 +96,7 @@ pub fn run(options: &Options) -> Result<()> {
         ..Frame::new(camera, options.size.0, options.size.1)?
     }
     .checked()?;
-    // When each frame began and what it took, seconds.
+    // Start and seconds of each frame.
     let mut draw = |seconds: f64| -> Result<Vec<(f64, f64)>> {
         let begin = Instant::now();
         let mut out = Vec::new();

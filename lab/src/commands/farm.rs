@@ -1,4 +1,4 @@
-//! `entire-lab farm`: every way to balance a render farm beside the others.
+//! `entire-lab farm`: comparison of methods of load balancing.
 
 use crate::bars;
 use crate::farm::{Comparison, Fitting, compare, second_measurement, tasks_of_trace};

@@ -1,4 +1,4 @@
-//! `entire-lab farm-bars`, `farm-simulate` and `farm-stand-in`: what `make bars-farm` is made of.
+//! `entire-lab farm-bars`, `farm-simulate` and `farm-stand-in`: the parts of `make bars-farm`.
 
 use crate::bars;
 use crate::farm::{bars as studies, stand_in};

@@ -1,4 +1,4 @@
-//! `entire-lab farm-sort-last`: a volume too large for a node, on paper and in the simulator.
+//! `entire-lab farm-sort-last`: a volume too large for a node, in the simulator.
 
 use crate::farm::bars;
 use crate::farm::sort_last::{Composited, Compositing, Scene, measure};

@@ -1,4 +1,4 @@
-//! `entire-lab frames`: how many frames of another make of machine a calibration needs.
+//! `entire-lab frames`: calibration error by number of frames of another make of machine.
 
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
@@ -19,13 +19,13 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-/// Volumes of a calibration at most, as `data/` has.
+/// Maximum number of volumes of a calibration, as `data/` has.
 const VOLUMES: usize = 9;
 
 /// Draws for each number of frames.
 const DRAWS: u64 = 8;
 
-/// Largest geometric mean of the median errors over makes of machine, by number of frames.
+/// Limits of the geometric mean, over makes of machine, of the median errors, by number of frames.
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
 /// Measure calibration error by number of frames, on another make of machine.
@@ -64,7 +64,7 @@ pub struct Options {
     pub threads: Option<usize>,
 }
 
-/// Draws frames by their index, of which the volume and the ensemble member are given.
+/// Draws frames by their index, given the volume and the ensemble member of each.
 fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ensemble = |member: &str| member.rsplit_once('/').map_or(String::new(), |(e, _)| e.to_owned());

@@ -1,4 +1,4 @@
-//! `entire-lab gpu-study`: everything that a device with a driver of its own can be asked in minutes.
+//! `entire-lab gpu-study`: measurements of a device in minutes.
 
 use crate::bars::{self, Bar};
 use crate::gpu::pictures::{Difference, compare};
@@ -56,7 +56,7 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// A run: where, until when, and what was done.
+/// A run: its folder, deadline and outcomes.
 struct Study<'a> {
     options: &'a Options,
     entire: PathBuf,
@@ -151,7 +151,7 @@ fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     }
 }
 
-/// Half of the median time of the frames that are about as large as those to hold.
+/// Half of the median time of frames of about the size of the steering step.
 fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
     let pixels = u64::from(extent.held_size).pow(2);
@@ -207,7 +207,7 @@ pub fn run(options: &Options) -> Result<()> {
             study.pictures(&volumes, extent)?;
             study.bar.inc(1);
         }
-        // Held frames need the first mode's model, and count for more than the last mode's table.
+        // The steering step needs the first mode's model, and is more important than the last mode's table.
         if step.name == "evaluate-frames-none"
             && let Some(target) = target(&options.out, clock, extent)
         {

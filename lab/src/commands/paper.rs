@@ -173,7 +173,7 @@ pub struct AllOptions {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options or files, a step that fails, being stopped, and, with --bars, when one is short.
+/// Bad options or files, a step that fails, an interruption, and, with --bars, a short bar.
 pub fn run(options: &Options) -> Result<()> {
     let none = (WhichEncoders::default(), HowToTrain::default(), HowToReport::default());
     match &options.step {
@@ -266,7 +266,7 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
     Ok(())
 }
 
-/// Use case 2: the paper's assignment, and every other way of `entire-lab farm` in a report of its own.
+/// Use case 2: the paper's assignment, and all methods of `entire-lab farm` in a separate report.
 fn balance(work: &Work<'_>) -> Result<()> {
     cases::balance(work.out, &work.paper.orbit)?;
     for (set, mode) in work.paper.panels.get(&Panel::Varied).into_iter().flatten() {
@@ -289,7 +289,8 @@ fn balance(work: &Work<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Use case 1: recorded paths of a data set under every controller with the paper's network, and under ours.
+/// Use case 1: recorded paths of a data set under every controller with the paper's network, and with our
+/// predictor.
 fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let calibration = Path::new(RECORDED).join("calibration.csv.gz");
     let folder = Path::new(RECORDED).join("traces");
@@ -299,7 +300,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let prefix = format!("{set}-{mode}-volumes-network-1-");
     let models = work.out.join("models");
     let network = std::fs::read_dir(&models).ok().and_then(|entries| {
-        // The one made last: older ones are of other frames or encoders.
+        // The most recent one: older ones are of other frames or encoders.
         entries
             .flatten()
             .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))

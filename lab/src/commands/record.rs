@@ -1,4 +1,4 @@
-//! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image
+//! `entire-lab record`: time and picture quality of every frame of a path at a grid of ray steps and image
 //! scales.
 
 use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};

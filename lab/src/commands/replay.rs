@@ -1,4 +1,4 @@
-//! `entire-lab replay`: recorded cost curves under every controller and target, beside an oracle; the
+//! `entire-lab replay`: recorded time curves under every controller and target, beside an oracle; the
 //! steering bars.
 
 use crate::bars;
@@ -50,7 +50,7 @@ impl Paths {
     /// The allowed steps, checked.
     ///
     /// # Errors
-    /// For limits that no step meets.
+    /// For limits that contain no step.
     pub fn limits(&self) -> Result<StepLimits> {
         let limits = StepLimits { finest: self.limits.0, coarsest: self.limits.1 };
         limits.check()?;
@@ -71,7 +71,7 @@ impl Paths {
     /// Every target in seconds with its name, the longest first.
     ///
     /// # Errors
-    /// For what is no time.
+    /// For a text that is no time.
     pub fn targets(&self) -> Result<Vec<(f64, &str)>> {
         let mut out =
             self.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;

@@ -1,4 +1,4 @@
-//! `entire-lab stress`: scenes in which methods of holding a frame time break.
+//! `entire-lab stress`: scenes in which methods of holding a frame time fail.
 
 use crate::stress::report::{matrix, page};
 use crate::stress::{SCENES, Verdict, bars, bars_on_device, harmless, run as play, run_real};
@@ -47,7 +47,7 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options, files that cannot be written, or a scene that ours fails.
+/// Bad options, files that cannot be written, or a scene that entire's controller fails.
 pub fn run(options: &Options) -> Result<()> {
     let scenes: Vec<usize> = if options.scenes.is_empty() {
         SCENES.iter().map(|s| s.number).collect()
@@ -72,7 +72,7 @@ pub fn run(options: &Options) -> Result<()> {
     let verdicts = verdicts?;
     let mut name = "scripted clock; the CPU version of the raycaster counts the work".to_owned();
     let mut real = Vec::new();
-    // One that predicts and reacts, one that reacts.
+    // A controller that predicts and reacts, and one that reacts.
     let real_methods: Vec<ControllerKind> =
         [ControllerKind::Olp, ControllerKind::Hybrid].into_iter().filter(|m| methods.contains(m)).collect();
     if let Some(device) = options.device {

@@ -1,4 +1,4 @@
-//! `entire-lab tune`: the controller's constants from recorded paths.
+//! `entire-lab tune`: search of the controller's constants on recorded paths.
 
 use super::replay::Paths;
 use crate::calibration::samples_by_volume;
@@ -16,7 +16,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A path by every renderer, and what was fitted to other volumes.
+/// A path on every renderer, and the predictor that was fitted to other volumes.
 type Played = ([Replayable; 3], Calibrated);
 
 /// Search for better constants of the controller on recorded paths.
@@ -153,7 +153,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The place of a constant.
+/// The index of a constant.
 fn place(name: &str) -> Result<usize> {
     Constants::names().position(|n| n == name).with_context(|| {
         let known: Vec<&str> = Constants::names().collect();
@@ -161,7 +161,7 @@ fn place(name: &str) -> Result<usize> {
     })
 }
 
-/// Takes a constant from `NAME=VALUE`.
+/// Sets a constant from `NAME=VALUE`.
 fn set(constants: &mut Constants, given: &str) -> Result<()> {
     let (name, value) = given.split_once('=').with_context(|| format!("{given} is no NAME=VALUE"))?;
     let at = place(name)?;
@@ -177,7 +177,7 @@ fn set(constants: &mut Constants, given: &str) -> Result<()> {
 }
 
 impl Options {
-    /// The places of the constants to search for.
+    /// The indices of the constants to search for.
     fn tried(&self) -> Result<Vec<usize>> {
         if self.only.is_empty() {
             return Ok((0..Constants::names().count()).collect());

@@ -1,4 +1,4 @@
-//! Every way to balance a farm beside the others, judged by measured times.
+//! Comparison of methods of load balancing, judged by measured times.
 
 use crate::bars::Bar;
 use crate::trace::Trace;
@@ -49,7 +49,7 @@ pub fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
     Ok(range)
 }
 
-/// Methods of the comparison: title, how, by which times, color.
+/// Methods of the comparison: title, method, times, color.
 const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static longest first, measured", Method::Longest, By::Measured, 2),
     ("static longest first, predicted", Method::Longest, By::Predicted, 0),
@@ -59,10 +59,10 @@ const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static with exchanges, predicted", Method::Static, By::Predicted, 4),
 ];
 
-/// Random orders that the mean of a queue in any order is taken over.
+/// Random orders for the mean of a queue in any order.
 const RANDOM_ORDERS: u64 = 200;
 
-/// When a queue in any order is done: the mean over [`RANDOM_ORDERS`] orders, drawn by seeds.
+/// End of a queue in any order: the mean over [`RANDOM_ORDERS`] orders, drawn by seeds.
 fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
     let mut sum = 0.0;
     for seed in 0..RANDOM_ORDERS {
@@ -78,7 +78,7 @@ fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
 pub struct Comparison<'a> {
     /// The tasks, with both times.
     pub tasks: &'a [Task],
-    /// Where they come from, for the report.
+    /// Their origin, for the report.
     pub source: String,
     /// Node seconds per dispatch from a queue.
     pub dispatch: f64,
@@ -88,7 +88,7 @@ pub struct Comparison<'a> {
     pub noise: Option<(f64, f64)>,
 }
 
-/// Compares every method for 2 to 64 nodes, writes a report into a folder, and gives the bars.
+/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars.
 ///
 /// # Errors
 /// When tasks lack a time, or the report cannot be written.

@@ -18,15 +18,15 @@ pub struct Found {
     pub outcomes: Outcomes,
     /// Output of `entire probe --json`.
     pub probe: Option<Value>,
-    /// Pictures beside the twin's.
+    /// Comparison of pictures with the CPU version.
     pub pictures: Vec<Difference>,
     /// Tables: kind (`frames`, `large`), mode, frames.
     pub tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
-    /// Evaluations: kind, mode, what `entire evaluate` wrote.
+    /// Evaluations: kind, mode, output of `entire evaluate`.
     pub evaluations: Vec<(&'static str, &'static str, Value)>,
     /// Output of `entire steer`.
     pub switches: Option<Value>,
-    /// The clock whose seconds are told.
+    /// The clock of the reported times.
     pub clock: Clock,
 }
 
@@ -34,7 +34,7 @@ fn number(value: &Value, path: &[&str]) -> Option<f64> {
     path.iter().try_fold(value, |v, key| v.get(key))?.as_f64()
 }
 
-/// The median error that knowing the truth would leave, of an evaluation.
+/// The median error of perfect predictions in an evaluation.
 fn floor(evaluation: &Value) -> Option<f64> {
     Some(NoiseFloor::deserialize(evaluation.get("noise_floor")?).ok()?.mdape())
 }
@@ -64,7 +64,7 @@ impl Found {
         table
     }
 
-    /// Errors of the machine's models on volumes that they did not see.
+    /// Errors of the machine's models on held-out volumes.
     pub fn errors(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("shading"),
@@ -140,7 +140,7 @@ impl Found {
         self.outcomes.0.iter().filter(|o| !o.state.is_over()).count()
     }
 
-    /// The largest difference of a picture from the twin's, of 255; `None` where none was drawn.
+    /// The largest difference of a picture from the CPU version's, of 255; `None` if none was drawn.
     pub fn worst_picture(&self) -> Option<u8> {
         self.pictures.iter().map(|d| d.largest).max()
     }

@@ -1,4 +1,5 @@
-//! Use case 1: recorded paths of a data set under every controller, by the paper's network and by ours.
+//! Use case 1: recorded paths of a data set under every controller, with the paper's network and with our
+//! predictor.
 
 use super::Work;
 use super::description::Panel;
@@ -19,7 +20,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Who is drawn frame by frame: the paper's three, and ours.
+/// Controllers that are drawn frame by frame: the paper's three, and ours.
 const DRAWN: [(&str, &str); 4] = [
     (ControllerKind::Olp.name(), "OLP"),
     (ControllerKind::Pid.name(), "PID"),
@@ -65,8 +66,8 @@ const CHARTS: [Drawing; 3] = [
     },
 ];
 
-/// Frames whose pictures are compared, as shares of the path: the first after an abrupt change, one shortly after
-/// another, and a calm one.
+/// Frames whose pictures are compared, as shares of the path: the first after an abrupt change, one shortly
+/// after another, and a calm one.
 const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
 
 /// Side of a compared picture, pixels.
@@ -80,7 +81,7 @@ pub struct Played<'a> {
     pub network: &'a Path,
     /// Output for the hybrid controller with its own predictor.
     pub ours: &'a Path,
-    /// The calibration table, whose curves are behind G.
+    /// The calibration table, whose curves G is made from.
     pub calibration: &'a Path,
 }
 
@@ -127,8 +128,8 @@ pub fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     Ok(out)
 }
 
-/// Keeps what was replayed: scores, the first path frame by frame with pictures of three of its frames, and
-/// the curves behind G.
+/// Stores the replay: scores, the first path frame by frame with pictures of three of its frames, and the
+/// curves of G.
 ///
 /// # Errors
 /// When a file cannot be read or written, and when the renderer fails.
@@ -192,7 +193,7 @@ fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> 
     out
 }
 
-/// The frames of the first path with abrupt changes, against the middle one of the targets that were played.
+/// The frames of the first path with abrupt changes, for the middle one of the targets.
 fn one_path(frames: &[Row]) -> Option<Vec<Row>> {
     let mut names: Vec<&str> = frames.iter().map(|r| r.trace.as_str()).collect();
     names.dedup();
@@ -219,13 +220,13 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
         for (controller, title) in DRAWN {
             add(title, controller, chart.value);
         }
-        // The same for every controller.
+        // The same value of every controller.
         add(chart.beside, &drawn[0].controller, chart.best);
     }
     out
 }
 
-/// Three frames side by side: at the reference step, then as every controller drew them.
+/// Three frames side by side: at the reference step, then as drawn by every controller.
 fn pictures(
     work: &Work<'_>,
     set: &str,
@@ -322,7 +323,7 @@ const COLUMNS: [(&str, &str, bool); 7] = [
     ("worst", "slowest frame over target", false),
 ];
 
-/// A figure of a controller's that is 1 where it answered with the image resolution; without it, it answered with the step.
+/// A controller's score that is 1 if it acted on image resolution, else on the step.
 const ON_IMAGE: &str = "on_image";
 const IMAGE: ActsOn = ActsOn::ImageResolution { coarsest: 1.0 };
 

@@ -1,4 +1,4 @@
-//! VolumeNets of every size asked for, by the training script: of each data set, of all together, and of
+//! VolumeNets of all required sizes, trained by the script: for each data set, for all together, and with
 //! other widths for the capacity sweep.
 
 use super::Work;
@@ -30,12 +30,12 @@ pub struct Encoder {
     pub size: usize,
     /// Length of the feature vector.
     pub features: usize,
-    /// Widths of the blocks; the script's own where there are none.
+    /// Widths of the blocks; the script's default if empty.
     pub channels: Vec<usize>,
 }
 
 impl Encoder {
-    /// Where it is kept.
+    /// Path of the model file.
     pub fn path(&self, out: &Path) -> PathBuf {
         let Self { set, size, features, channels } = self;
         let widths: Vec<String> = channels.iter().map(ToString::to_string).collect();
@@ -73,9 +73,9 @@ pub struct Provenance {
     pub psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
     /// Epochs that ran.
     pub epochs_run: usize,
-    /// The epoch whose weights were kept.
+    /// The epoch of the stored weights.
     pub best_epoch: usize,
-    /// Why it ended.
+    /// Reason for its end.
     pub stopped: String,
     /// Machine and library.
     pub machine: String,
@@ -95,7 +95,7 @@ impl Record {
     }
 }
 
-/// Every encoder of the study that data sets at hand can be learned for; those asked for by size and length.
+/// Every encoder of the study that can be trained on the available data sets, filtered by size and length.
 pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[usize]) -> Vec<Encoder> {
     let asked = &work.paper.encoders;
     let wanted = |list: &[usize], n: usize| list.is_empty() || list.contains(&n);
@@ -118,7 +118,7 @@ pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[
             }
         }
     }
-    // The one that everything else uses comes first.
+    // The main one comes first.
     let main = asked.main;
     out.sort_by_key(|e| {
         (!e.channels.is_empty(), e.set == ALL, (e.size, e.features) != main, e.size, e.features)
@@ -126,7 +126,7 @@ pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[
     out
 }
 
-/// Trains what is missing.
+/// Trains missing encoders.
 ///
 /// # Errors
 /// When Python or the script fails, and when it is stopped.

@@ -1,5 +1,5 @@
-//! Predictors made on the frames of a data set and mode, and judged: the paper's network and ours from several
-//! seeds, the mean of 15 % of the frames, the low-resolution proxy.
+//! Training and evaluation of predictors on the frames of a data set and mode: the paper's network and ours
+//! with several seeds, the mean of 15 % of the frames, the low-resolution proxy.
 
 use super::Work;
 use super::frames::{Loaded, SplitFrames};
@@ -21,14 +21,14 @@ use std::path::PathBuf;
 
 /// The paper's network in tables.
 pub(super) const NETWORK: &str = "the paper's network";
-/// Ours in tables.
+/// Our predictor in tables.
 pub(super) const OURS: &str = "ours: analytic × factor";
 /// The mean of 15 % of the frames.
 pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
 /// The low-resolution proxy.
 pub(super) const LVRP: &str = "LVRP";
 
-/// A data set and mode at work.
+/// Context of a data set and mode.
 pub(super) struct At<'a> {
     /// Context of every step.
     pub(super) work: &'a Work<'a>,
@@ -38,9 +38,9 @@ pub(super) struct At<'a> {
     pub(super) mode: &'a str,
     /// Its frames.
     pub(super) loaded: &'a Loaded,
-    /// Whose seconds count.
+    /// Clock of the frame times.
     pub(super) clock: Clock,
-    /// Makes models and keeps them.
+    /// Trains models and stores them.
     pub(super) runner: &'a Runner<'a>,
     /// Context of fitting.
     pub(super) context: FitContext<'a>,
@@ -50,14 +50,14 @@ pub(super) struct At<'a> {
 pub(super) struct Method<'a> {
     /// Its name in tables and in the names of model files.
     pub(super) name: &'a str,
-    /// Tells model files of one name apart.
+    /// Key that distinguishes model files of the same name.
     pub(super) key: &'a str,
     /// How.
     pub(super) recipe: Recipe,
 }
 
 impl At<'_> {
-    /// Makes a predictor once from every seed, or takes those that were made before.
+    /// Trains a predictor once with every seed, or reads the stored ones.
     pub(super) fn runs<'f>(
         &self,
         method: &Method<'_>,
@@ -99,7 +99,7 @@ impl At<'_> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
 
-    /// The proxy's line, fitted to the training frames; `None` where too few were rendered on few voxels.
+    /// The proxy's line, fitted to the training frames; `None` if too few were rendered at low resolution.
     pub(super) fn proxy(&self, training: &TimedFrames<'_>) -> Option<Line> {
         let pairs: Vec<(f64, f64)> = training
             .frames
@@ -116,7 +116,7 @@ impl At<'_> {
         frames.iter().map(|f| Some(line.at(*self.loaded.low.get(&(f.table, f.number))?))).collect()
     }
 
-    /// Where latencies are measured: on a volume as it is rendered.
+    /// Bench for latencies, on a volume in its rendered form.
     pub(super) fn bench(&self) -> Result<Bench> {
         let job = self.place.jobs.first().context("no volume")?;
         let volume = Volume::open(self.place.root.join(&job.path))?;
@@ -127,7 +127,7 @@ impl At<'_> {
     }
 }
 
-/// Predictors on one set of frames, beside the baselines.
+/// Evaluates predictors on one set of frames, beside the baselines.
 pub(super) struct Judge<'a> {
     split: String,
     frames: &'a TimedFrames<'a>,
@@ -138,7 +138,7 @@ pub(super) struct Judge<'a> {
 }
 
 impl<'a> Judge<'a> {
-    /// Begins with the baselines.
+    /// Starts with the baselines.
     pub(super) fn new(
         at: &At<'_>,
         split: &str,
@@ -178,7 +178,7 @@ impl<'a> Judge<'a> {
         out
     }
 
-    /// Judges a predictor of several runs; nothing where there are no frames.
+    /// Evaluates the runs of a predictor; does nothing without frames.
     pub(super) fn add(&mut self, name: &str, runs: &[Vec<f64>]) {
         let measured = &self.frames.seconds;
         let metrics: Vec<Metrics> = runs.iter().filter_map(|p| Metrics::new(p, measured)).collect();

@@ -22,7 +22,7 @@ pub struct Material {
     pub pictures: BTreeMap<String, Vec<u8>>,
 }
 
-/// Reads what every step kept, and of a kept file what the folder lacks.
+/// Reads the results of every step, and those that the folder lacks from a kept file.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -66,7 +66,7 @@ fn read(path: &Path) -> Result<Material> {
         .with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
-/// Writes everything into one compressed file, which [`material`] takes.
+/// Writes everything into one compressed file, which [`material`] can read.
 ///
 /// # Errors
 /// When the file cannot be written.

@@ -1,4 +1,4 @@
-//! Who plays, and what on.
+//! Players of a replay, and the quantities that they set.
 
 use super::Replayable;
 use clap::ValueEnum;
@@ -15,11 +15,10 @@ pub struct Player {
 }
 
 impl Player {
-    /// The named controllers, everyone where none is named.
+    /// The named controllers; default: all.
     ///
-    /// Where a trace holds no smaller images, rules that act on image resolution are played on the ray step
-    /// instead, on all traces, so that each row of a table is about one thing; standard error and the tables
-    /// say so.
+    /// If a trace holds no smaller images, rules that act on image resolution act on the ray step instead, on
+    /// all traces, so that each row of a table has one meaning; standard error and the tables say so.
     pub fn all(kinds: &[ControllerKind], traces: &[Replayable]) -> Vec<Self> {
         let kinds = if kinds.is_empty() { ControllerKind::value_variants() } else { kinds };
         let without: Vec<&str> =

@@ -16,7 +16,7 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Everything that was played, for reports.
+/// Results of all replays, for reports.
 pub struct Results<'a> {
     /// Who played.
     pub players: &'a [Player],

@@ -1,9 +1,9 @@
-//! Scenes in which methods of holding a frame time are known to break, each scripted, with a rule that says
-//! what passes.
+//! Stress scenes, in which methods of holding a frame time are known to fail: each is a script with a rule
+//! for passing.
 //!
 //! [`law`] has scenes whose frame times follow a law of the step that the script changes; [`world`] has
-//! scenes of real geometry, whose work the CPU twin of the raycaster counts. Both run on a scripted clock:
-//! the same in every run.
+//! scenes of real geometry, whose work is counted by the CPU version of the raycaster. Both run on a scripted
+//! clock, the same in every run.
 
 pub mod law;
 pub mod report;
@@ -26,7 +26,7 @@ pub struct Scene {
     pub rule: &'static str,
 }
 
-/// The scenes. The rules hold for every method alike, but for what only a method with a bound can keep.
+/// The scenes. The rules are the same for every method, except for parts that need an upper bound.
 pub const SCENES: [Scene; 31] = [
     Scene {
         number: 1,
@@ -188,10 +188,10 @@ pub const SCENES: [Scene; 31] = [
     },
 ];
 
-/// A frame as the judge sees it.
+/// A frame with the data that rules use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
-    /// Seconds that it should not have exceeded.
+    /// Target, seconds.
     pub target: f64,
     /// True seconds.
     pub seconds: f64,
@@ -199,7 +199,7 @@ pub struct Seen {
     pub clean: f64,
     /// Step chosen.
     pub step: f64,
-    /// The step that takes the target, clamped to the limits.
+    /// The step that meets the target, clamped to the limits.
     pub oracle: f64,
     /// True if the coarsest step meets the target.
     pub feasible: bool,
@@ -211,7 +211,7 @@ pub struct Seen {
     pub first: bool,
     /// True if the rule ignores the frame (a pipeline is built, say).
     pub excused: bool,
-    /// A part of the script, for rules that tell parts apart.
+    /// A part of the script, for rules that distinguish parts.
     pub part: usize,
 }
 
@@ -224,12 +224,12 @@ pub struct Limits {
     pub run: usize,
     /// Least mean of oracle step over step.
     pub quality: f64,
-    /// Least share of first frames inside their bound, where there is one.
+    /// Smallest share of first frames below their bound, for methods with one.
     pub inside: f64,
 }
 
 impl Limits {
-    /// Asks for misses alone.
+    /// Limits misses only.
     pub const fn missed(missed: f64) -> Self {
         Self { missed, run: usize::MAX, quality: 0.0, inside: 0.0 }
     }
@@ -266,7 +266,7 @@ impl Verdict {
     }
 }
 
-/// Judges frames by limits. `broken` are failures that are known already.
+/// Applies limits to frames. `broken` are failures that are known already.
 pub fn judge(
     scene: usize,
     method: ControllerKind,
@@ -355,7 +355,7 @@ pub fn run(
     Ok(out)
 }
 
-/// Runs those of the scenes that make sense there on a real renderer with a real clock.
+/// Runs the scenes that can be played on a real renderer with a real clock.
 ///
 /// # Errors
 /// When a scene cannot be set up or the renderer fails.
@@ -402,7 +402,7 @@ pub fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
     vec![passed("stress-scenes-passed-on-device", verdicts, world::REAL.len())]
 }
 
-/// The scenes that no other method than ours was seen to fail.
+/// The scenes that no method but entire's fails.
 pub fn harmless(verdicts: &[Verdict]) -> Vec<usize> {
     let fails = |scene: usize| verdicts.iter().any(|v| v.scene == scene && !v.is_ours() && !v.passed());
     SCENES.iter().map(|s| s.number).filter(|n| !fails(*n)).collect()
@@ -431,7 +431,7 @@ mod tests {
     fn scenes_play_on_a_real_renderer_too() {
         let bar = indicatif::ProgressBar::hidden();
         let mut twin = CpuRaycaster::new();
-        // Real times of a shared machine pass or fail as they like; every number must be finite all the same.
+        // Real times of a shared machine may pass or fail; every number must be finite.
         let verdicts =
             run_real(&[1, 7, 28], &[ControllerKind::Hybrid], &mut twin, Clock::Auto, &bar).unwrap();
         assert_eq!(verdicts.len(), 1);
@@ -482,7 +482,8 @@ mod tests {
             .iter()
             .flat_map(|(scene, rival)| run(&[*scene], &[*rival], 1000, &progress).unwrap())
             .collect();
-        // Scene 28 is about files and states, which all methods read alike: none is known to fail it.
+        // Scene 28 is about files and states, which all methods read by the same code: none is known to fail
+        // it.
         assert_eq!(harmless(&verdicts), [28], "{verdicts:#?}");
         let lines: Vec<String> = bars(&verdicts).iter().map(ToString::to_string).collect();
         assert_eq!(

@@ -1,4 +1,4 @@
-//! The matrix of scenes and methods: what failed, and how.
+//! The matrix of scenes and methods, with all failures.
 
 use super::{SCENES, Verdict};
 use entire_cli::machine::Provenance;
@@ -38,7 +38,7 @@ pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
 
 /// The page.
 ///
-/// `real` are verdicts of scenes that were played again on a real renderer, under `real_methods`.
+/// `real` are verdicts of scenes that were also played on a real renderer, under `real_methods`.
 pub fn page(
     verdicts: &[Verdict],
     methods: &[ControllerKind],

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The description, as its file holds it. Paths are relative to the file's folder.
+/// Contents of a description file. Paths are relative to the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Study {
     /// Title of the report.
     pub title: String,
-    /// Whose seconds count.
+    /// Clock of the frame times.
     #[serde(default = "cpu")]
     pub clock: String,
     /// Data sets: a shading mode, or a renderer.
@@ -52,28 +52,29 @@ pub struct Ship {
 pub struct Set {
     /// Its name.
     pub name: String,
-    /// Tables to learn from; a tenth of their ensemble members decides when training stops (of their volumes,
-    /// where there are fewer than ten members).
+    /// Training tables; a tenth of their ensemble members decides when training stops (of their volumes, if
+    /// there are fewer than ten members).
     pub training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
     pub other_steps: Vec<PathBuf>,
-    /// Tables whose frames set the upper bounds and are used for nothing else, of predictors that are not
-    /// cross-validated; the validation frames where there are none.
+    /// Tables whose frames only determine the upper bounds of predictors that are not cross-validated;
+    /// default: the validation frames.
     #[serde(default)]
     pub bounds: Vec<PathBuf>,
-    /// Tables to test on, by split.
+    /// Test tables, by split.
     pub splits: Vec<SplitTables>,
     /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
     pub low_resolution: BTreeMap<String, PathBuf>,
-    /// The split that predictors are calibrated to a hundred frames of.
+    /// The split to a hundred frames of which predictors are calibrated.
     #[serde(default)]
     pub calibration_split: Option<String>,
-    /// Sets of one shading mode on several machines: what ships must be the smallest good one on all of them.
+    /// Group of sets of one shading mode on several machines: the shipped predictor must be the smallest good
+    /// one on all of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<String>,
-    /// Limits of the bars; there are no bars for limits that are left away.
+    /// Limits of the bars; a missing limit means no bar.
     #[serde(default)]
     pub limits: Limits,
 }
@@ -97,9 +98,9 @@ pub struct SplitTables {
 pub struct Limits {
     /// Largest RMSE/SD of the best predictor on the main split.
     pub rmse_over_sd: Option<f64>,
-    /// Least ratio of the constant baseline's RMSE to that of the predictor `paper`.
+    /// Smallest ratio of the constant baseline's RMSE to that of the predictor `paper`.
     pub constant_over_paper: Option<f64>,
-    /// Least ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
+    /// Smallest ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
     pub proxy_over_paper: Option<f64>,
     /// True if the bars of the calibration split apply.
     pub modality: bool,
@@ -111,7 +112,7 @@ pub struct Limits {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Named {
-    /// Its name in every table; `paper` has bars of its own.
+    /// Its name in every table; there are bars on `paper` in particular.
     pub name: String,
     /// Recipe of the predictor.
     #[serde(default)]
@@ -119,13 +120,13 @@ pub struct Named {
     /// True for boosted trees on the recipe's inputs: a reference that no model file can hold.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trees: bool,
-    /// Sets that it is made for; all unless given.
+    /// Sets for which it is trained; default: all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sets: Vec<String>,
-    /// Another recipe in the sets of these names: what suits one shading mode is not what suits another.
+    /// Other recipes for some sets, by name: shading modes need different ones.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub in_set: BTreeMap<String, Recipe>,
-    /// Which table it belongs to: `main`, `ablation`, `architecture`.
+    /// Its table: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub panel: String,
     /// True if it is trained again without one ensemble member after another and evaluated on that member:
@@ -135,7 +136,7 @@ pub struct Named {
 }
 
 impl Named {
-    /// True for a set that it is made for.
+    /// True for a set for which it is trained.
     pub fn is_of(&self, set: &str) -> bool {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }
@@ -146,7 +147,7 @@ impl Named {
     }
 }
 
-/// The panel that predictors are on unless another is named.
+/// The default table of predictors.
 pub(super) fn main_panel() -> String {
     "main".into()
 }
@@ -158,7 +159,7 @@ fn yes() -> bool {
 /// Reads a study.
 ///
 /// # Errors
-/// When the file cannot be read or says something that it may not.
+/// When the file cannot be read or holds an invalid value.
 pub fn read(path: &Path) -> Result<Study> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut study: Study =
@@ -198,7 +199,7 @@ pub fn read(path: &Path) -> Result<Study> {
 /// The clock by its name.
 ///
 /// # Errors
-/// For a name that is none.
+/// For an unknown name.
 pub fn clock(name: &str) -> Result<Clock> {
     [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu]
         .into_iter()

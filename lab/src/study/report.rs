@@ -14,7 +14,7 @@ use std::path::Path;
 pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement: a few \
                                     frames carry most of the squared error.";
 
-/// Errors, bounds and latencies of every predictor on a split; of one panel alone where one is named.
+/// Errors, bounds and latencies of every predictor on a split; of one panel only if it is named.
 pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
@@ -70,8 +70,8 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
     table
 }
 
-/// Errors on frames that a predictor was made of, on members that it was made without, and on those of the
-/// main split, each with its interval over volumes.
+/// Errors on training frames, on members that the predictor was trained without, and on the main split, each
+/// with its interval over volumes.
 pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
@@ -105,7 +105,7 @@ pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Ta
     table
 }
 
-/// Accuracy against latency with its frontier, and what each predictor on it gains per microsecond.
+/// Accuracy against latency with its frontier, and the gain of each predictor on it per microsecond.
 fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
     let mut points: Vec<(f64, f64, f64, String)> = models(found, set, split)
         .filter_map(|r| {
@@ -124,7 +124,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             front.push(p);
         }
     }
-    // Others lie too close to be named.
+    // Other points are too close to be labeled.
     let named = |p: &(f64, f64, f64, String)| {
         let name = front.iter().any(|f| f.3 == p.3) || [PAPER, DISTILLED].contains(&p.3.as_str());
         (p.0, p.2, if name { p.3.clone() } else { String::new() })

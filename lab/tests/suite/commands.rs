@@ -1,4 +1,4 @@
-//! `entire-lab` as a process: help, usage, and what it refuses before any work.
+//! `entire-lab` as a process: help, usage, and checks before any work.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -32,7 +32,7 @@ fn record_says_where_it_cannot_write_before_anything_is_drawn() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("file");
     std::fs::write(&file, "x").unwrap();
-    // Holds for every user: what should be the folder is a file.
+    // Works for every user: the folder's path is a file.
     let out = file.join("trace.json");
     let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
         .args([
@@ -97,7 +97,7 @@ fn tune_says_what_recorded_paths_cost() {
         assert_eq!(output.status.code(), Some(1));
         assert!(said.contains(why), "{said}");
     }
-    // From elsewhere, and one constant alone.
+    // From another start, and only one constant.
     let more = ["--set", "damping=0.4", "--only", "damping", "--rounds", "1", "--out", out.to_str().unwrap()];
     let output = tune(&both, "45fps,60fps", &more);
     assert!(output.status.success(), "{}", text(&output.stderr));
@@ -108,7 +108,7 @@ fn tune_says_what_recorded_paths_cost() {
         found["without"].as_array().unwrap().len(),
         HybridConstants::NAMES.len() + CorrectionConstants::NAMES.len()
     );
-    // Beside a neighbor that takes a core all the time, the same path costs more.
+    // Beside another program that takes a core all the time, the same path costs more.
     let more = [
         "--rounds",
         "0",

@@ -1,4 +1,4 @@
-//! The constants of the controller: what the book says of them, and what recorded paths do.
+//! The constants of the controller: their table in the book, and assumptions about recorded paths.
 
 use entire_core::control::{CorrectionConstants, HybridConstants};
 use entire_lab::trace::{Curve, Trace};

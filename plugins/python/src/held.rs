@@ -1,4 +1,4 @@
-//! A volume as an adapter holds it.
+//! A volume that an adapter steers.
 
 use crate::camera::Placement;
 use crate::frame::Shape;

@@ -141,8 +141,8 @@ impl TransferFunction {
         made(Description::Points(points.collect()), unit_distance, unit_length)
     }
 
-    /// Nodes as VTK and ParaView have them, evaluated as ``vtkPiecewiseFunction`` and
-    /// ``vtkColorTransferFunction`` do.
+    /// Nodes as in VTK and ParaView, evaluated like ``vtkPiecewiseFunction`` and
+    /// ``vtkColorTransferFunction``.
     ///
     /// Parameters
     /// ----------

@@ -14,20 +14,20 @@ use pyo3::sync::PyOnceLock;
 use pyo3::types::PyDict;
 use std::sync::{Arc, OnceLock};
 
-/// A volume's voxels, or the part of them that prediction needs.
+/// A volume's voxels, or the summary that prediction needs.
 pub(crate) struct Data {
     view: VolumeView<'static>,
     origin: [f64; 3],
     summary: OnceLock<VolumeSummary>,
     copied: bool,
-    /// Values that stand for voxels without data.
+    /// Fill values, which mark voxels without data.
     fill: Vec<f32>,
     /// Axes of the array along x, y, z.
     order: [usize; 3],
     /// State that time steps share, and the number of this one.
     series: Arc<Guarded<Series>>,
     step: u64,
-    /// Keeps the memory alive that `view` looks at.
+    /// Keeps the memory of `view` alive.
     owner: Py<PyAny>,
 }
 
@@ -73,7 +73,7 @@ impl Data {
     }
 }
 
-/// A scalar volume on a regular grid, looked at where it lies in memory.
+/// A scalar volume on a regular grid, read in place from memory.
 ///
 /// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` in the machine's byte order are neither copied
 /// nor changed, whatever their strides, as long as no stride is negative; the array is kept alive. ``bool``
@@ -171,13 +171,13 @@ fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'
     }
 }
 
-/// Values that stand for voxels without data, as Python gives them.
+/// Fill values, as Python gives them.
 pub(crate) enum Fill {
-    /// To be found.
+    /// To be detected.
     Auto,
     /// These; none for `None`.
     Values(Vec<f32>),
-    /// Those of an earlier time step, for which they were said.
+    /// Those of an earlier time step.
     Known(Vec<f32>),
 }
 
@@ -212,8 +212,8 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// A copy of an array in which voxels under a mask, and those of the values, hold the least of all others; and how
-/// many they are.
+/// A copy of an array in which voxels under a mask, and those with the values, get the minimum of all others;
+/// and their number.
 fn hide<'py>(
     array: &Bound<'py, PyAny>,
     mask: Option<&Bound<'py, PyAny>>,
@@ -223,7 +223,7 @@ fn hide<'py>(
     let numpy = py.import("numpy")?;
     calling(py, || {
         let copy = numpy.call_method1("array", (asarray(array)?,))?;
-        // As they are compared in a file: rounded to 32-bit floats.
+        // Compared as in a file: rounded to 32-bit floats.
         let narrow = copy.call_method1("astype", ("float32",))?;
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {
@@ -243,13 +243,13 @@ fn hide<'py>(
     })
 }
 
-/// Says something to whoever calls, once for each place.
+/// Warns the caller, once for each place.
 fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
     let text = std::ffi::CString::new(text)?;
     PyErr::warn(py, &py.get_type::<pyo3::exceptions::PyUserWarning>(), &text, 1)
 }
 
-/// A slice over everything that an array's strides reach.
+/// A slice over all elements within an array's strides.
 ///
 /// # Safety
 /// `at` points at the first element of an array of `T` whose memory lives as long as the result is used, and
@@ -358,7 +358,7 @@ impl Volume {
                      low end; fill=None takes it as data"
                 ),
             )?;
-            // Voxels below the range count as its low end as they are.
+            // Voxels below the range clamp to its low end without conversion.
             if found.iter().any(|f| *f > high) {
                 let (hidden, _) = hide(array, None, &found)?;
                 let none = Fill::Values(Vec::new());
@@ -421,9 +421,9 @@ impl Volume {
     }
 
     /// The next time step: another array of the same shape and type, or the same one after it was written to.
-    /// Spacing, origin, axes and range are this volume's. What changed is found in one pass over the voxels,
-    /// much faster than the scan of a volume, and only that is scanned again; the first time step is scanned
-    /// whole. :meth:`Session.set_volume` with it keeps what was learned of the scene.
+    /// Spacing, origin, axes and range are this volume's. Changes are found in one pass over the voxels, much
+    /// faster than the scan of a volume, and only changed cells are scanned again; the first time step is
+    /// scanned whole. :meth:`Session.set_volume` with it keeps the learned state of the scene.
     ///
     /// Parameters ---------- array : array_like, 3-D Voxels of the next time step. changed : ((int, int),
     /// (int, int), (int, int)), optional Where the caller knows what changed: first index and end along each

@@ -16,21 +16,21 @@ const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 /// not answer for 2 to 10 s, so that a sound device is far below this.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
-/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. They work through the largest
-/// tile in minutes, longer on a loaded host, and no driver ends them.
+/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. The largest tile takes them
+/// minutes, longer on a loaded host, and no driver ends them.
 pub const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 
-/// Puts functions of a test in the place of a device's.
+/// Replaces functions of the device by those of a test.
 pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 
-/// Which device, and whether under the validation layer.
+/// Choice of the device, and true to enable the validation layer.
 pub(crate) struct GpuOptions<'a> {
     /// Time limit of a submission; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
     pub(crate) longest_wait: Option<Duration>,
     /// Part of a device's name, in any case, or its index among all devices.
     pub(crate) device: Option<&'a str>,
     pub(crate) validation: bool,
-    /// Instance extensions of a window system; with any, the device presents (see
+    /// Instance extensions of a window system; with any, the device can present (see
     /// [`super::VulkanOptions::surface_extensions`]).
     pub(crate) surface_extensions: &'a [CString],
 }
@@ -57,12 +57,12 @@ impl TimestampClock {
 #[derive(Default)]
 struct Messages(Mutex<Vec<String>>);
 
-/// An open device. Everything made from it holds an `Arc` of it, so it goes last.
+/// An open device. Everything made from it holds an `Arc` of it, so it is freed last.
 pub(crate) struct Gpu {
     pub(crate) instance: ash::Instance,
     pub(crate) physical: vk::PhysicalDevice,
     pub(crate) device: ash::Device,
-    /// Held while something is submitted to it or presented by it.
+    /// Locked while something is submitted to it or presented by it.
     queue: Mutex<vk::Queue>,
     pub(crate) family: u32,
     pub(crate) timestamps: Option<TimestampClock>,
@@ -92,7 +92,7 @@ pub(crate) struct Gpu {
     entry: ManuallyDrop<ash::Entry>,
 }
 
-/// Makes an error of a failed Vulkan call, on a device where there is one already.
+/// Makes an error of a failed Vulkan call, on an open device.
 pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
@@ -124,12 +124,11 @@ pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) 
     Error::new(format!("{call} failed with {result:?}{on}; {remedy}"))
 }
 
-/// Maps the error of a Vulkan call, naming it.
+/// Names the Vulkan call of an error.
 pub(crate) trait NamedCall<T> {
     fn named(self, call: &str) -> Result<T>;
 
-    /// As [`NamedCall::named`] for a call on an open device, which is lost from then on where the call says
-    /// so.
+    /// As [`NamedCall::named`] for a call on an open device, which is marked lost if the call returns so.
     fn on(self, gpu: &Gpu, call: &str) -> Result<T>;
 }
 
@@ -149,7 +148,7 @@ impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
 }
 
 impl Gpu {
-    /// `wrap` stands between this crate and the device's functions.
+    /// `wrap` may replace the device's functions.
     pub(crate) fn open(options: &GpuOptions<'_>, wrap: WrapDevice<'_>) -> Result<Self> {
         // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
@@ -243,7 +242,7 @@ impl Gpu {
         self.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The queue, for as long as the guard lives.
+    /// The queue, locked during the lifetime of the guard.
     pub(crate) fn queue(&self) -> MutexGuard<'_, vk::Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -253,7 +252,7 @@ impl Gpu {
         &self.entry
     }
 
-    /// Notes that a call answered that the device is lost.
+    /// Records `VK_ERROR_DEVICE_LOST`.
     pub(crate) fn mark_lost(&self) {
         self.lost.store(true, Ordering::Relaxed);
     }
@@ -279,7 +278,7 @@ impl Gpu {
         self.abandoned.load(Ordering::Relaxed)
     }
 
-    /// Leaves everything made from the device where it is until the process ends.
+    /// Leaks everything made from the device until the process ends.
     pub(crate) fn abandon(&self) {
         self.abandoned.store(true, Ordering::Relaxed);
     }
@@ -405,7 +404,7 @@ fn create_instance(
     }
     let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
     let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
-    // Also hears what the layer says of the instance's own creation and destruction.
+    // Also receives the layer's messages on the instance's own creation and destruction.
     let mut messenger = messenger_info(messages);
     let mut info = vk::InstanceCreateInfo::default()
         .application_info(&application)
@@ -433,7 +432,7 @@ struct ChosenDevice {
     driver: String,
 }
 
-/// The device that was asked for, else the first of the best kind.
+/// The named device, else the first of the best kind.
 fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<ChosenDevice> {
     let wanted = options.device;
     let presents = !options.surface_extensions.is_empty();

@@ -7,8 +7,8 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::{Arc, PoisonError};
 
-/// A handle that destroys itself. Whoever holds one makes sure that the device no longer uses it when it
-/// drops, or that the device is abandoned, in which case it stays.
+/// A handle that destroys itself. Its owner ensures that the device no longer uses it when it drops, or that
+/// the device is abandoned, in which case it is leaked.
 pub(crate) struct Owned<T: Copy> {
     gpu: Arc<Gpu>,
     handle: T,
@@ -65,7 +65,7 @@ fn allocate(
         })
 }
 
-/// Frees an allocation. A failure could only be a foreign allocation, which cannot happen here.
+/// Frees an allocation. Only a foreign allocation could fail, which cannot happen here.
 fn free(gpu: &Gpu, allocation: Option<Allocation>) {
     if let Some(allocation) = allocation {
         let _ = gpu.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
@@ -112,7 +112,7 @@ impl Buffer {
         self.size
     }
 
-    /// The bytes, where the host sees them.
+    /// The bytes, if the host can access them.
     pub(crate) fn bytes(&self) -> Result<&[u8]> {
         self.allocation
             .as_ref()
@@ -121,7 +121,7 @@ impl Buffer {
             .ok_or_else(|| Error::new("a buffer that the host reads is not mapped; this is a driver fault"))
     }
 
-    /// The bytes, to write.
+    /// The bytes, for writing.
     pub(crate) fn bytes_mut(&mut self) -> Result<&mut [u8]> {
         let size = self.size as usize;
         self.allocation
@@ -224,7 +224,7 @@ impl Image {
         self.image
     }
 
-    /// The layout that shaders read it in.
+    /// The image layout in which shaders read it.
     pub(crate) fn layout(&self) -> vk::ImageLayout {
         if self.shape.storage { vk::ImageLayout::GENERAL } else { vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL }
     }

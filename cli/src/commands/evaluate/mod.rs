@@ -1,4 +1,4 @@
-//! `entire evaluate`: measure how well predictors do on collected frames.
+//! `entire evaluate`: errors of predictors on collected frames.
 
 mod report;
 
@@ -116,7 +116,7 @@ impl Loaded {
 /// Runs the command.
 ///
 /// # Errors
-/// When a model or table cannot be read, a model's inputs cannot be computed, or nothing is left to compare.
+/// When a model or table cannot be read, a model's inputs cannot be computed, or no frame is left.
 pub fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
@@ -284,5 +284,5 @@ fn assess(
     })
 }
 
-/// Rounds behind the intervals over members drawn anew.
+/// Rounds of the bootstrap over members.
 const BOOTSTRAP_ROUNDS: usize = 400;

@@ -18,18 +18,17 @@ pub(super) struct Predictor {
     pub(super) metrics: Metrics,
     pub(super) by_group: BTreeMap<String, Metrics>,
     pub(super) latency: Option<WarmLatency>,
-    /// Frames of groups that it learned from.
+    /// Frames of its training groups.
     pub(super) frames_seen: usize,
-    /// Share of frames that took no longer than the upper bound in its file.
+    /// Share of frames that took no longer than the model's upper bound.
     pub(super) bound_coverage: Option<f64>,
     /// Further measures of the upper bound: coverage of the slowest tenth, and quantile loss.
     pub(super) bound: Option<BoundMetrics>,
-    /// 95 % interval of RMSE/SD when ensemble members (volumes that belong to none) are drawn anew with
-    /// replacement.
+    /// 95 % interval of RMSE/SD by bootstrap over ensemble members (over volumes that belong to none).
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
     /// The same of MdAPE.
     pub(super) mdape_interval: Option<(f64, f64)>,
-    /// Errors by what frames are like.
+    /// Errors by kind of frame.
     pub(super) by_kind: Vec<(&'static str, Metrics)>,
     #[serde(skip)]
     pub(super) predicted: Vec<f64>,
@@ -47,9 +46,9 @@ pub(super) struct Evaluation<'a> {
     pub(super) unseen_only: bool,
     pub(super) frames: usize,
     pub(super) noise_floor: Option<NoiseFloor>,
-    /// The same of frames of each kind.
+    /// Noise floor of frames of each kind.
     pub(super) noise_by_kind: &'a [(&'static str, NoiseFloor)],
-    /// Errors in a session by the model's name, of the frames after the observed ones.
+    /// Errors in a session by the model's name, on the frames after the observed ones.
     pub(super) in_session: &'a BTreeMap<String, Metrics>,
     pub(super) predictors: &'a [Predictor],
 }
@@ -138,8 +137,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     (overall, bias, by_group)
 }
 
-/// Intervals, the upper bound and errors by kind of frame.
-/// Intervals, bounds, and errors by kind of frame, with what the repeats of one frame would leave.
+/// Intervals, bounds, and errors by kind of frame, beside the noise floor of repeats.
 pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, NoiseFloor)]) -> Table {
     let mut kinds: Vec<&str> = Vec::new();
     for (name, _) in predictors.iter().flat_map(|p| &p.by_kind) {
@@ -197,8 +195,8 @@ fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
     .series(Series::new("", Mark::Points(points)).color(color))
 }
 
-/// Share of frames by predicted / measured, on bins of equal ratio between a half and twice; the outermost
-/// bins hold everything beyond.
+/// Share of frames by predicted / measured, in bins of equal ratio between 1/2 and 2; the outermost bins
+/// include all values beyond.
 fn histogram(predictors: &[Predictor], measured: &[f64]) -> Chart {
     const BINS: usize = 41;
     let span = 2f64.ln();

@@ -23,13 +23,13 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Share of a frame that a coarser step does not save, as rivals take it that go by a response curve which
-/// nobody measured here.
+/// Share of a frame's time that a coarser step does not save, assumed for rivals that use a response curve,
+/// which is not measured here.
 const FIXED_SHARE: f32 = 0.1;
 
 /// The window's host: services of this program.
 pub(super) struct Surroundings {
-    /// The model file that was given, by its name.
+    /// The given model file, with its name.
     pub(super) model: Option<(String, Model)>,
     /// Options of reading volumes.
     pub(super) reading: Reading,
@@ -48,7 +48,7 @@ impl VolumeSource for Opened {
     }
 }
 
-/// Follows a file's reading for the window.
+/// Forwards the progress of reading to the window.
 struct Follower(Arc<Progress>);
 
 impl Watcher for Follower {
@@ -73,11 +73,11 @@ struct Predicts {
     calibrated: bool,
     /// The clock that the model states.
     clock: Option<Clock>,
-    /// Why the machine's model takes no part, where there is one.
+    /// Reason why the machine's model is ignored, if there is one.
     left_out: Option<String>,
 }
 
-/// The clock that the window's frames are timed by.
+/// The clock of the window's frames.
 const WINDOW: Clock = Clock::Wall;
 
 impl Steering for Predicts {
@@ -118,7 +118,7 @@ impl Steering for Predicts {
         };
         let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), prior);
         let mut session = Session::with_controller(predictor, steers);
-        // The window is drawn by the raycaster whose pictures the model knows.
+        // The window's renderer is the raycaster that the model's quality law is for.
         let pictures = session.quality().unwrap_or(RAYCASTER);
         session.set_timing_source("entire explore", WINDOW.name())?;
         session.set_quality(Some(pictures))?;
@@ -149,7 +149,7 @@ impl Host for Surroundings {
             (None, Some((path, file, Some(WINDOW)))) => {
                 (path.display().to_string(), file.to_model()?, true, None)
             }
-            // A machine's model of another clock does not say how long the window's frames take.
+            // A machine's model of another clock does not predict the window's times.
             (None, here) => {
                 let left_out = here.map(|(path, _, clock)| takes_no_part(&path, clock));
                 match shipped_file(shading)? {
@@ -182,12 +182,12 @@ impl Host for Surroundings {
     }
 
     fn calibration(&self, volume: &Path, shading: Shading) -> String {
-        // The window's frames are timed on the host.
+        // The window's frames are timed on the host, by wall time.
         format!("entire calibrate --shade {shading} --clock wall && entire explore {}", volume.display())
     }
 }
 
-/// A recording as a path file. What did not change is held by a keyframe before what did.
+/// A recording as a path file. A keyframe before each change holds the unchanged values.
 fn path_file(recording: &Recording) -> PathFile {
     let frames = &recording.frames;
     let mut keys: Vec<Keyframe> = (0..frames.len() as u32)

@@ -1,4 +1,4 @@
-//! Task lists, and which node does what in which order.
+//! Task lists, and their assignment to nodes.
 
 mod affinity;
 mod bound;
@@ -74,17 +74,17 @@ pub enum By {
     Uniform,
 }
 
-/// A task as its list has it.
+/// A task of a list.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Task {
-    /// Its name; its number where it has none.
+    /// Its name; default: its number.
     pub task: String,
     /// Predicted seconds on a node of speed 1.
     pub predicted_s: Option<f64>,
     /// Measured seconds on a node of speed 1.
     pub measured_s: Option<f64>,
-    /// Which data it needs.
+    /// The data that it needs.
     pub volume: String,
     /// Seconds to load that data.
     pub load_s: f64,
@@ -94,7 +94,7 @@ pub struct Task {
 /// commas); UTF-8, or UTF-16 with a byte order mark.
 ///
 /// # Errors
-/// Names the file, the task and what is wrong.
+/// Names the file, the task and the error.
 pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
     let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
     let json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
@@ -104,7 +104,7 @@ pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
 /// Reads a task list's bytes, JSON or CSV.
 ///
 /// # Errors
-/// Names the task and what is wrong.
+/// Names the task and the error.
 pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
     let text = decode_text(bytes)?;
     let mut tasks: Vec<Task> = if json { serde_json::from_str(&text)? } else { parse_csv(&text)? };
@@ -133,7 +133,7 @@ pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
-/// Reads CSV as programs write it, or spreadsheets: with semicolons or tabs where commas stand in numbers.
+/// Reads CSV of programs or spreadsheets: with semicolons or tabs if numbers have decimal commas.
 fn parse_csv(text: &str) -> Result<Vec<Task>> {
     let first = text.lines().next().unwrap_or("");
     let delimiter = [b',', b';', b'\t'].into_iter().find(|&d| first.as_bytes().contains(&d)).unwrap_or(b',');
@@ -160,7 +160,7 @@ fn parse_csv(text: &str) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
-/// The seconds of tasks that decide.
+/// The task times that a schedule uses.
 ///
 /// # Errors
 /// Names the task that lacks them.
@@ -227,15 +227,15 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
 /// A schedule before the run.
 #[derive(Clone, Debug)]
 pub enum Plan {
-    /// Every task's node, and the order.
+    /// Node of every task, and the order.
     Assigned(Assignment, Vec<usize>),
     /// An order from which a free node takes the next task.
     Queued(Vec<usize>),
-    /// An order from which a free node takes a task on the volume that it holds, where one is near the front.
+    /// An order from which a free node takes a task on its loaded volume, if one is near the front.
     Near(Vec<usize>),
 }
 
-/// Plans tasks whose seconds are expected to be `deciding`.
+/// Schedules tasks by the expected seconds `deciding`.
 ///
 /// # Errors
 /// When times or speeds are not finite and positive.
@@ -254,9 +254,8 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
     })
 }
 
-/// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn
-/// from the tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with
-/// standard deviation 0.15.
+/// Expected end, and its 90 % interval. Errors are drawn from the tasks' own ln(measured / predicted) if they
+/// have both times, else from a normal distribution with standard deviation 0.15.
 ///
 /// # Errors
 /// As [`play`].

@@ -1,4 +1,4 @@
-//! Scene 28: model files and states that were damaged.
+//! Scene 28: damaged model files and states.
 
 use super::super::{Limits, Noise, Verdict, judge};
 use super::scenes::{Block, shell};
@@ -70,7 +70,7 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     if refused < 100 {
         broken.push(format!("only {refused} of 203 damaged files were refused, {read} were read"));
     }
-    // States of this method, cut and of another one.
+    // States of this method, cut short or foreign.
     let mut session = contender(
         method,
         2.0,
