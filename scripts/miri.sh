@@ -15,7 +15,7 @@ if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
     skip miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
     exit 0
 fi
-# Miri runs some thousand times slower than the machine: small tests that reach every scalar kernel.
+# Miri is some thousand times slower than the machine: small tests that reach every scalar kernel.
 kernels=(
     kernels::level::
     kernels::helper::
@@ -42,7 +42,7 @@ export MIRIFLAGS="-Zmiri-disable-isolation"
 CARGO_TARGET_DIR=$(realpath -m "${CARGO_TARGET_DIR:-target}")/miri
 export CARGO_TARGET_DIR
 
-# Miri has no inline assembly, which libm uses for square roots unless told not to.
+# Miri has no inline assembly, which libm uses for square roots by default.
 core() { # core TARGET-OPTION... -- TEST...
     timeout "$seconds" "$cargo" +nightly miri test --package entire-core --lib --features libm/force-soft-floats "$@"
 }

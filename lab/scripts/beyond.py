@@ -55,7 +55,7 @@ def read(table, side):
 
 
 def fit_costs(work, seconds, prior):
-    """Unit costs that are drawn weakly to the prior's, errors of ln(seconds), outliers down-weighted."""
+    """Unit costs with a weak prior; errors of ln(seconds), outliers down-weighted."""
     paid = prior > 0
     work, log = work[:, paid], np.log(prior[paid])
     first = log.copy()
@@ -73,7 +73,7 @@ def fit_costs(work, seconds, prior):
 
 
 def train(inputs, logs):
-    """A factor of two hidden layers; a function of inputs and whether they are held."""
+    """A factor of two hidden layers; a function of inputs and of the flag that clamps them."""
     torch.manual_seed(1)
     generator = torch.Generator().manual_seed(1)
     mean, sd = inputs.mean(0), inputs.std(0) + 1e-9

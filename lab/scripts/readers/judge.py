@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Judges crates that read volumes by the fixtures of cli/tests and by files with hostile headers.
+"""Tests crates that read volumes on the fixtures of cli/tests and on files with hostile headers.
 
     cargo build --manifest-path lab/scripts/readers/Cargo.toml
     python3 lab/scripts/readers/judge.py [--without CRATE] [HOSTILE]

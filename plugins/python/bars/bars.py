@@ -24,7 +24,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
-# The very volume, path and functions of `make bars-vtk`.
+# The same volume, path and functions as `make bars-vtk`.
 sys.path[:0] = [str(HERE.parent / "tests"), str(ROOT / "plugins/vtk/python"), str(ROOT / "lab/scripts")]
 from bar_lines import Bars  # noqa: E402
 
@@ -75,7 +75,7 @@ class Path200:
 
 
 def calibrated(options):
-    """A model of 60 random frames of another volume than the one that is scored, enlarged to as many voxels."""
+    """A model of 60 random frames of another volume than the scored one, enlarged to as many voxels."""
     import entire.vtk
     from timing_table import read_nrrd, resampled
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Volumes in a VTK window, made of the parts that the tests of the C++ class use."""
+"""Volumes in a VTK window, from the parts of the C++ class's tests."""
 
 import math
 

@@ -69,7 +69,7 @@ public:
   };
 
   /**
-   * Which time of a frame counts.
+   * Clocks for a frame's time.
    */
   enum Clocks
   {
@@ -95,7 +95,7 @@ public:
   static bool CanSteer(vtkAbstractVolumeMapper* mapper);
 
   /**
-   * Lets go of the volume and forgets what was learned of it. The mapper is left as the application set it.
+   * Releases the volume and drops the learned state. The mapper gets the application's settings.
    */
   void Detach();
 
@@ -179,7 +179,7 @@ public:
 
   ///@{
   /**
-   * Which clock measures. Default WALL.
+   * The clock of frame times. Default WALL.
    */
   vtkSetClampMacro(Clock, int, WALL, PROCESS_CPU);
   vtkGetMacro(Clock, int);
@@ -227,7 +227,7 @@ public:
   ///@}
 
   /**
-   * Forgets what was learned.
+   * Resets the learned state.
    */
   void Reset();
 
@@ -248,12 +248,12 @@ public:
   ///@}
 
   /**
-   * Why the last frame was drawn as it was: a word such as "fits" or "held", "still", "off", or "fallback".
+   * Reason of the last frame's settings: a word such as "fits" or "held", "still", "off", or "fallback".
    */
   vtkGetStringMacro(Reason);
 
   /**
-   * In words, why the last frame was not steered, or what went wrong; empty where nothing did.
+   * Reason why the last frame was not steered, or an error; empty without either.
    */
   vtkGetStringMacro(Status);
 
@@ -275,7 +275,7 @@ public:
   ///@}
 
   /**
-   * Seconds that the last reading of a volume (at its first frame, and when it changes) took.
+   * Seconds of the last reading of a volume (at its first frame, and when it changes).
    */
   vtkGetMacro(VolumeTime, double);
 

@@ -31,7 +31,7 @@ except ImportError as error:
 
 
 class Seen(Exception):
-    """Leaves a wait that would block: its first callback has the states."""
+    """Ends a blocking wait: its first callback has the states."""
 
 
 def states(client, ids):

@@ -57,7 +57,7 @@ def input_of(mapper: Any) -> Any:
 
 
 class Grid:
-    """The voxels that a mapper draws, and where their middle lies."""
+    """The voxels that a mapper draws, and the position of their middle."""
 
     __slots__ = ("center", "direction", "range", "reference", "volume")
 
@@ -103,7 +103,7 @@ class Grid:
 
 
 def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
-    """The array that is drawn, and whether it belongs to cells."""
+    """The drawn array, and true if it belongs to cells."""
     point, cell = image.GetPointData(), image.GetCellData()
     mode = mapper.GetScalarMode()
     by_name = mapper.GetArrayAccessMode() != 0
