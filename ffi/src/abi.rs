@@ -1,4 +1,4 @@
-//! Pointers and by-value structs at the boundary: everything that reads or writes the caller's memory.
+//! Pointers and by-value structs at the boundary: all code that reads or writes the caller's memory.
 
 use crate::result::Failure;
 use crate::result::entire_result::*;
@@ -36,8 +36,8 @@ const LARGEST_STRUCT: usize = 1 << 16;
 pub(crate) unsafe trait ByValue: Copy {
     /// Its name in messages.
     const NAME: &'static str;
-    /// Its size when it was first released; a smaller one never existed. A struct that has grown since states
-    /// it.
+    /// Size of the struct in its first release; smaller ones never existed. Structs that have grown since
+    /// define it.
     const FIRST_SIZE: usize = size_of::<Self>();
     /// Default values: those of fields that the caller's older struct lacks, and those that `_init` writes.
     fn defaults() -> Self;
@@ -233,8 +233,8 @@ pub(crate) unsafe fn write<T>(at: *mut T, value: T, what: &str) -> Result<(), Fa
 }
 
 /// Copies `text` with a closing NUL into a buffer that may be too short (the text is then cut at a character)
-/// or NULL with capacity 0 (to ask for the length). `length`, where not NULL, receives the whole text's bytes
-/// without the NUL.
+/// or NULL with capacity 0 (to query the length). `length`, if not NULL, receives the length of the whole
+/// text in bytes without the NUL.
 ///
 /// # Safety
 /// `buffer` is NULL or valid for writes of `capacity` bytes; `length` is NULL or valid for one write.

@@ -20,7 +20,8 @@ pub const ENTIRE_CAMERA_VIEW: entire_camera = 2;
 pub type entire_projection = u32;
 /// By entire_frame.fov_y; rays leave the eye.
 pub const ENTIRE_PROJECTION_PERSPECTIVE: entire_projection = 1;
-/// By entire_frame.parallel_scale; rays leave the plane through the eye, all along the view (orthographic).
+/// Orthographic, with the height entire_frame.parallel_scale; rays start in the plane through the eye and run
+/// along the view direction.
 pub const ENTIRE_PROJECTION_PARALLEL: entire_projection = 2;
 
 /// Shading of each sample: one of the `ENTIRE_SHADING_*` numbers.
@@ -59,16 +60,16 @@ pub struct entire_frame {
     /// Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's
     /// distance from the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
     pub arcball: [f32; 3],
-    /// World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along
-    /// -z. Default identity.
+    /// World-to-eye matrix as in OpenGL: column-major, rotation and translation only, the eye looks along -z.
+    /// Default identity.
     pub view: [f32; 16],
     /// World position of the volume's center, for ENTIRE_CAMERA_VIEW; default 0, 0, 0.
     pub volume_center: [f32; 3],
-    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the session's
-    /// volume knows it (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
+    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: that of the
+    /// session's volume (entire_volume_info.bounding_radius), if world units are those of its spacing.
     pub volume_radius: f32,
-    /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is,
-    /// answered by entire_session_plan when steering is off.
+    /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. entire_session_predict
+    /// predicts for it; entire_session_plan ignores it unless steering is off, and then returns it.
     pub step: f32,
     /// Accumulated opacity at which a ray stops, over 0 and up to 1; 1 for never. Default 0.99.
     pub termination: f32,

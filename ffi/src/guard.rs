@@ -1,6 +1,5 @@
-//! The common entry of the library: every entry point runs its body in here. Handles are checked, panics
-//! become [`ENTIRE_PANIC`] and mark their handle unusable, and the text of a failure is kept for this thread
-//! and for the handle.
+//! Wrapper in which every entry point runs its body. Handles are checked, panics become [`ENTIRE_PANIC`] and
+//! mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
 
 use crate::abi::write_text;
 use crate::handle::{Handle, Owner};

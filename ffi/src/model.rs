@@ -45,7 +45,7 @@ pub struct entire_model_info {
     pub group_count: usize,
     /// Number of scene features that the model names (entire_model_scene_feature).
     pub scene_feature_count: usize,
-    /// Number of features that entire_model_encode writes; 0 where the file has no volume encoder.
+    /// Number of features that entire_model_encode writes; 0 if the file has no volume encoder.
     pub feature_count: usize,
     /// Voxels along each axis of the encoder's input; 0 where the file has no volume encoder.
     pub encoder_edge: usize,
@@ -277,7 +277,7 @@ pub unsafe extern "C" fn entire_model_open(
     })
 }
 
-/// Reads the model of this machine for a shading mode, as `entire calibrate` left it in the user's data
+/// Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
 /// folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
 /// XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
 /// entire.clock says whether it predicts cpu, wall or device seconds.
@@ -376,7 +376,7 @@ pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_
 }
 
 /// Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
-/// there whole or not at all: it is written beside `path` first.
+/// written under a temporary name and renamed, so that it never exists in part.
 ///
 /// Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
 /// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -464,7 +464,7 @@ pub unsafe extern "C" fn entire_model_input_group(
     }
 }
 
-/// The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the
+/// The name of the model's scene feature `index`, NULL if there is no such feature. Valid as long as the
 /// model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_scene_feature(
@@ -483,7 +483,7 @@ pub unsafe extern "C" fn entire_model_scene_feature(
 }
 
 /// A metadata value of the model file, such as "entire.renderer", "entire.device", "entire.step_reference" or
-/// "entire.provenance"; NULL where the file does not have the key. Valid as long as the model.
+/// "entire.provenance"; NULL if the file lacks the key. Valid as long as the model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_metadata(
     model: *const entire_model,
@@ -534,13 +534,13 @@ pub unsafe extern "C" fn entire_model_encode(
     }
 }
 
-/// Predicts one frame's time from the model's inputs in the file's order: the network alone, without a
-/// session's correction. May run on several threads at once; does not allocate as long as no more than
-/// ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. An answer below 1e-6 s, as networks
-/// give for cheap frames, comes back as 1e-6 s.
+/// Predicts one frame's time from the model's inputs in the file's order. Only the network is evaluated,
+/// without the correction that a session learns. May run on several threads at once; does not allocate as
+/// long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. Results below
+/// 1e-6 s, which networks give for cheap frames, are returned as 1e-6 s.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
-/// (an input that is not finite), ENTIRE_INVALID_MODEL (the model's answer is no frame time),
+/// (an input that is not finite), ENTIRE_INVALID_MODEL (the model's result is not a frame time),
 /// ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_predict(
@@ -631,9 +631,9 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
 }
 
 /// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
-/// `capacity` bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the
-/// whole text's length without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error
-/// is the simpler way where the thread that failed asks itself.
+/// `capacity` bytes with its closing NUL; empty if none failed. `length`, if not NULL, receives the length of
+/// the whole text without the NUL; `buffer` may be NULL with capacity 0 to query it. On the thread whose call
+/// failed, entire_last_error is simpler.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -647,8 +647,8 @@ pub unsafe extern "C" fn entire_model_last_error(
     unsafe { last_error_of(model, buffer, capacity, length) }
 }
 
-/// Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a
-/// model may be freed before they are.
+/// Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a
+/// model may be freed before the sessions that use it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_free(model: *mut entire_model) {
     // SAFETY: the pointer is as the crate's documentation demands.

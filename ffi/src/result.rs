@@ -15,7 +15,7 @@ pub enum entire_result {
     ENTIRE_INVALID_ARGUMENT = 1,
     /// A buffer is too short, or a product of sizes overflows.
     ENTIRE_SIZE_MISMATCH = 2,
-    /// The bytes are not a model file that this version reads, or the model's answer is no frame time.
+    /// The bytes are not a model file that this version reads, or the model's result is not a frame time.
     ENTIRE_INVALID_MODEL = 3,
     /// A tensor of the model is missing or has another shape than its neighbors require.
     ENTIRE_INVALID_TENSOR = 4,
@@ -23,14 +23,14 @@ pub enum entire_result {
     ENTIRE_MISSING_INPUT = 5,
     /// The call needs something that was not set before it (volume, transfer function, model).
     ENTIRE_NOT_READY = 6,
-    /// An observation was refused (unknown plan, non-positive time, duplicate); nothing was learned from it.
+    /// An observation was refused (unknown plan, non-positive time, duplicate); it changed nothing.
     ENTIRE_REJECTED_OBSERVATION = 7,
     /// A feature that this build or this model does not have.
     ENTIRE_UNSUPPORTED = 8,
     /// A pointer that must not be NULL is.
     ENTIRE_NULL_ARGUMENT = 100,
-    /// `struct_size` is not set, too small, or the caller's newer struct asks for what this library does not
-    /// know.
+    /// `struct_size` is not set, too small, or the caller's newer struct sets fields that this library does
+    /// not know.
     ENTIRE_STRUCT_SIZE = 101,
     /// A file cannot be read.
     ENTIRE_IO = 102,
@@ -80,8 +80,8 @@ impl entire_result {
     }
 }
 
-/// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for a number that is none.
-/// Static, never NULL.
+/// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. Static,
+/// never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_result_name(result: u32) -> *const c_char {
     let known = entire_result::ALL.into_iter().find(|known| *known as u32 == result);
@@ -119,8 +119,8 @@ pub(crate) fn is_frame_time(seconds: f32) -> bool {
     seconds > 0.0 && seconds < *PREDICTED_SECONDS.end()
 }
 
-/// A network's answer as the seconds of a frame. One under 1e-6, as networks give for cheap frames, becomes
-/// the shortest prediction.
+/// Converts a network's result to the seconds of a frame. Results under 1e-6, which networks give for cheap
+/// frames, become the shortest prediction.
 #[inline]
 pub(crate) fn frame_time(answer: f32) -> Result<f32, Failure> {
     let mut seconds = answer;

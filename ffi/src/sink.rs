@@ -16,9 +16,9 @@ pub const ENTIRE_LOG_WARNING: entire_log_level = 2;
 /// Rare events: a model was loaded, a volume was read.
 pub const ENTIRE_LOG_INFO: entire_log_level = 3;
 
-/// Receives log messages. `message` is UTF-8 and valid during the call only. Called by whichever thread made
-/// the call that logs, by several at once. Must return normally (no exception, no longjmp) and call nothing
-/// of this library.
+/// Receives log messages. `message` is UTF-8 and valid only during the call. Runs on the thread whose call
+/// logs, so it may run on several threads at the same time. Must return normally (no exception, no longjmp)
+/// and must not call this library.
 pub type entire_log_callback =
     Option<unsafe extern "C" fn(user_data: *mut c_void, level: entire_log_level, message: *const c_char)>;
 
@@ -35,7 +35,7 @@ unsafe impl Send for Sink {}
 unsafe impl Sync for Sink {}
 
 static SINK: RwLock<Option<Sink>> = RwLock::new(None);
-/// The highest level that the callback receives; read first, so that a quiet library takes no lock.
+/// The highest level that the callback receives; read first, so that calls take no lock if nothing is logged.
 static LEVEL: AtomicU32 = AtomicU32::new(ENTIRE_LOG_OFF);
 
 thread_local! {

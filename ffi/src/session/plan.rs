@@ -82,7 +82,8 @@ pub struct entire_plan {
     pub seconds: f32,
     /// Upper bound of the seconds.
     pub upper: f32,
-    /// 0 where the inputs lie inside the model's training range, 1 at the edge of trust, growing beyond.
+    /// 0 if the inputs are inside the model's training range, 1 at the limit up to which the prediction is
+    /// trusted, larger beyond.
     pub out_of_range: f32,
     /// Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
     pub absent: u32,
@@ -200,12 +201,12 @@ fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
     checked(plan).inspect_err(|_| session.withdraw(plan.id))
 }
 
-/// Predicts a frame's time at the frame's own step, corrected by what was observed; changes nothing that
-/// later plans depend on. Set prediction->struct_size first.
+/// Predicts a frame's time at the frame's own step, corrected by the observed frames; does not influence
+/// later plans. Set prediction->struct_size first.
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
-/// ENTIRE_INVALID_MODEL (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// ENTIRE_INVALID_MODEL (the model's result is not a frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_predict(
     session: *mut entire_session,
@@ -236,7 +237,7 @@ pub unsafe extern "C" fn entire_session_predict(
 }
 
 /// Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose
-/// upper bound fits. Draw with plan->step, then tell entire_session_observe how long it took. Set
+/// upper bound fits. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
 /// plan->struct_size first. Does not allocate.
 ///
 /// Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
@@ -260,8 +261,9 @@ pub unsafe extern "C" fn entire_session_plan(
 }
 
 /// Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else
-/// the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives which one, `plan` its plan,
-/// to be observed like any other. The frame's own step, size and modes do not count. Does not allocate.
+/// the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen
+/// settings, and `plan` their plan, to be observed like any other. The step, size and modes in the frame
+/// itself are ignored. Does not allocate.
 ///
 /// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
 /// range, and with ENTIRE_SIZE_MISMATCH for too many.
