@@ -1,5 +1,5 @@
-//! Gives the shared library its SONAME: the part of the version whose change breaks the ABI, as cargo-c has
-//! it (`MAJOR`, or `0.MINOR` before 1.0).
+//! Gives the shared library its SONAME: the part of the version whose change breaks the ABI, as in cargo-c
+//! (`MAJOR`, or `0.MINOR` before 1.0).
 
 use std::env;
 

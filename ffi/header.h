@@ -7,7 +7,7 @@
  *
  * CONVENTIONS
  *
- * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or why it failed, with explicit
+ * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or an error code, with explicit
  * numbers that never change. entire_last_error() gives the text for the calling thread,
  * entire_<noun>_last_error() that of a handle: what is wrong, what was found, what is accepted and what to
  * do. The few functions that return something else return NULL or a neutral value on failure and leave the
@@ -21,7 +21,7 @@
  * Handles. entire_model, entire_volume, entire_transfer_function and entire_session are opaque. The call that
  * makes one writes it into its last argument; the caller frees it, once, with entire_<noun>_free, which takes
  * NULL too. Strings that the library returns belong to the library: they are valid as long as their
- * documentation says and are never freed. What a handle is made from may be freed as soon as it is made,
+ * documentation says and are never freed. The inputs of a call that makes a handle may be freed after the call,
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
  * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const`
@@ -29,40 +29,40 @@
  * for themselves. In other words: share models, volumes and transfer functions once they are made; give every
  * render loop a session of its own.
  *
- * Names. Functions are entire_<noun>_<what they do>. A function that only reads is called after what it
- * gives, without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
- * entire_<noun>_describe fills the struct entire_<noun>_info with all that is known of a handle. A function
- * that makes a handle is entire_<noun>_new, or says from what: entire_model_open, entire_volume_from_bricks.
- * Setters are entire_<noun>_set_<what>.
+ * Names. Functions are entire_<noun>_<what they do>. A function that only reads is named after its result,
+ * without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
+ * entire_<noun>_describe fills the struct entire_<noun>_info with all properties of a handle. A function that
+ * makes a handle is entire_<noun>_new, or is named after its source: entire_model_open,
+ * entire_volume_from_bricks. Setters are entire_<noun>_set_<what>.
  *
  * Structs by value. Each starts with `size_t struct_size`, set to its sizeof (the entire_<struct>_init
- * functions do it, and set defaults). Later versions only add fields at the end: older programs go on working
- * with newer libraries, and a newer program works with an older library as long as it leaves the fields that
- * are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
- * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and
- * never change.
+ * functions do it, and set defaults). Later versions only add fields at the end: older programs continue to
+ * work with newer libraries, and a newer program works with an older library as long as it leaves the fields
+ * that are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
+ * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
+ * change.
  *
  * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
  * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
  * Images in pixels. Strings are UTF-8. Axis order is x, y, z; x runs fastest.
  *
  * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says
- * so; it is never zero. Zero, negative, infinite and NaN inputs have a documented answer.
+ * so; it is never zero. The result for zero, negative, infinite and NaN inputs is documented.
  *
- * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything
- * is allocated or read; a larger one gives ENTIRE_SIZE_MISMATCH. Memory for what the caller declares (copies,
- * features, batches) and for what a file holds is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
- * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB where the system refuses them; when
- * half of it is held, calls that make or set something give ENTIRE_OUT_OF_MEMORY. Hot calls ask for no memory.
+ * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything is
+ * allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory whose size the caller or a file
+ * determines (copies, features, batches) is requested in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
+ * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB if the system refuses them; while half
+ * of it is in use, calls that make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
- * whose `absent` says so. A model whose answer is anything else gives ENTIRE_INVALID_MODEL.
+ * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
  *
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
- * not allocate, lock or call the system when they succeed and nobody listens to the log; entire_model_predict
+ * not allocate, lock or call the system when they succeed and no log callback is set; entire_model_predict
  * as long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time, further ones
  * allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same bits.
  *
- * Bugs. No exception and no panic crosses this boundary. A bug in the library comes back as ENTIRE_PANIC,
+ * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
  * with its place in the error text; the handle then refuses every call but free.
  */

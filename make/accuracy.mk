@@ -15,7 +15,7 @@ FRAMES_OPTIONS := --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) --judged $(FRA
     --priors $(FRAMES_MODELS:%=models/%.safetensors)
 
 .PHONY: study-frames
-study-frames: ## How many frames of another make of machine a calibration needs
+study-frames: ## Calibration error by number of frames of another make of machine
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
 
 .PHONY: bars-accuracy

@@ -7,7 +7,7 @@ explore-build:
 	@$(CARGO) build --release --quiet --package entire-cli --bin entire --features explore
 
 .PHONY: explore
-explore: setup explore-build ## Explore a volume in a window whose frame time stays put (VOLUME=path for your own)
+explore: setup explore-build ## Explore a volume in a window that holds a target frame time (VOLUME=path for your own)
 	@target/release/entire explore $(or $(VOLUME),data/nyx_cosmology/m01/t0010.nrrd) $(EXPLORE_FLAGS)
 
 .PHONY: test-explore

@@ -1,4 +1,4 @@
-# What README, book and source promise a reader. scripts/test.sh runs the quick part of it.
+# Promises of README, book and source to a reader. scripts/test.sh runs the quick part of them.
 # HOUSE_BEFORE: the revision whose release build the build of HEAD is compared with (many minutes).
 .PHONY: bars-house
 bars-house: ## Check README, links, commands, file lengths, public items, dependencies, build time; fails when one is short

@@ -3,9 +3,9 @@
 #
 #   scripts/bars-robust.sh [part...]        parts: mutants kills states vtk miri; default: all
 #
-# MUTANTS sets how many mutants of model files are tried (100000), FIRST_SEED the first one's seed (0), KILLS and FULL how
-# many commands are ended at random moments (200) and on a full disk (20). What a part needs and does not find is said; its
-# bars are short then, as after fewer than that, and where no test ran.
+# MUTANTS sets the number of mutants of model files (100000), FIRST_SEED the first one's seed (0), KILLS and FULL the
+# number of commands that are ended at random moments (200) and on a full disk (20). A part without its tools says so;
+# its bars are short then, as with lower numbers, and without a test that ran.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . lab/scripts/bar_lines.sh
@@ -50,12 +50,12 @@ mutants() {
             echo "mutants: $line"
             break
         fi
-        # The process ended by itself: the seed that it worked on is to blame, the one after it comes next.
+        # The process ended by itself: its current seed is the cause, and the run continues with the next one.
         aborts=$((aborts + 1))
         panics=$((panics + $(grep -c '^panic at' "$folder/err" || true)))
         next=$(awk '{ print $1 }' "$folder/progress" 2>/dev/null || echo "$next")
         echo "mutant with seed $next ended the process (status $code): $(tail -n 1 "$folder/err")"
-        # How long those before it took is not known.
+        # The duration of earlier ones is unknown.
         slowest=unknown
         next=$((next + 1))
         if ((aborts >= 20)); then
@@ -96,7 +96,7 @@ states() {
 vtk() {
     local counts why
     make --no-print-directory test-vtk-asan >"$log" 2>&1 || true
-    # What the step cannot run on this machine it says, and ends well; ctest ends well too where it finds no test.
+    # The step says what it cannot run on this machine, and ends well; ctest ends well too where it finds no test.
     counts=$(sed -n 's/.*tests passed, \([0-9]*\) tests\{0,1\} failed out of \([0-9]*\).*/\1 \2/p' "$log" | tail -n 1)
     why=$(sed -n 's/^test-vtk-asan: skipped: //p' "$log" | tail -n 1)
     if [[ -z $counts || $counts == *" 0" ]]; then
@@ -124,7 +124,7 @@ miri() {
         all=$((all + failed))
         if ((passed + failed == 0)); then code=nothing; fi
     done
-    # A filter that no test matches lets cargo end well.
+    # With a filter that no test matches, cargo ends with success.
     grep -q '^test kernels::scalar::' "$folder/core" || code=nothing
     if ((all == 0)) && [[ $code == 0 ]]; then
         bar miri_reports 0 0

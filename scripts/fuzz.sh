@@ -5,8 +5,8 @@
 #   fuzz.sh keep SECONDS [TARGET...]      with a new seed each time, from the committed corpus and what earlier runs kept
 #                                         under out/fuzz/TARGET, where new inputs stay
 #
-# A crash is kept under fuzz/artifacts and fails the run, after the other targets had their time.
-# Where the sanitizer is not to be had, the corpus and its mutations are replayed by the plain test.
+# A crash is kept under fuzz/artifacts and fails the run, after the other targets had their time. Without a sanitizer,
+# the corpus and its mutations are replayed by the plain test.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
@@ -30,8 +30,8 @@ esac
 # libFuzzer itself is C++ and compiled by the build.
 command -v "${CXX:-c++}" >/dev/null || plain "there is no C++ compiler"
 
-# The sanitizer and coverage flags are unstable; the compiler takes them from a stable toolchain with this. The host is
-# named as target so that the flags are not for build scripts.
+# The sanitizer and coverage flags are unstable; with this setting a stable compiler accepts them. The host is named as
+# target so that the flags are not for build scripts.
 export RUSTC_BOOTSTRAP=1 CARGO_INCREMENTAL=0
 host=$(rustc -vV | sed -n 's/^host: //p')
 coverage=(-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4

@@ -3,14 +3,15 @@
 
 have() { command -v "$1" >/dev/null 2>&1; }
 
-# skip NAME REASON: says what does not run here and why, with the remedy, and adds it to the list of skips (CONTRIBUTING.md).
+# skip NAME REASON: prints what does not run here, the reason and the remedy, and adds it to the list of skips
+# (CONTRIBUTING.md).
 skip() {
     printf '%s: skipped: %s\n' "$1" "$2"
     [[ -z ${ENTIRE_SKIPPED:-} ]] || printf '%s: %s\n' "$1" "$2" >>"$ENTIRE_SKIPPED"
 }
 
 # sdk: prints the folder of the installed C library. The gate installs it once and names it in ENTIRE_SDK; a script that
-# runs by itself installs what `make install` installs.
+# runs alone installs the same as `make install`.
 sdk() {
     if [[ -n ${ENTIRE_SDK:-} ]]; then
         echo "$ENTIRE_SDK"

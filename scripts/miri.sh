@@ -15,7 +15,7 @@ if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
     skip miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
     exit 0
 fi
-# Miri runs some thousand times slower than the machine: small tests that reach every scalar kernel.
+# Miri is some thousand times slower than the machine: small tests that reach every scalar kernel.
 kernels=(
     kernels::level::
     kernels::helper::
@@ -25,7 +25,7 @@ kernels=(
     nn::prednet::tests::a_batch_without_scratch_or_with_wrong_sizes_is_refused
     nn::prednet::tests::small_networks_agree_with_plain_loops
 )
-# What depends on the width of an address and on the order of bytes: sizes, files, packed weights.
+# Code that depends on the width of an address and on the order of bytes: sizes, files, packed weights.
 portable=(
     kernels::scalar::
     memory::
@@ -42,7 +42,7 @@ export MIRIFLAGS="-Zmiri-disable-isolation"
 CARGO_TARGET_DIR=$(realpath -m "${CARGO_TARGET_DIR:-target}")/miri
 export CARGO_TARGET_DIR
 
-# Miri has no inline assembly, which libm uses for square roots unless told not to.
+# Miri has no inline assembly, which libm uses for square roots by default.
 core() { # core TARGET-OPTION... -- TEST...
     timeout "$seconds" "$cargo" +nightly miri test --package entire-core --package entire-steer --lib --features libm/force-soft-floats "$@"
 }

@@ -1,4 +1,4 @@
-"""Reads a database of `entire farm` with Cinema's own reader and looks at every image.
+"""Reads a database of `entire farm` with Cinema's own reader and checks every image.
 
     python3 scripts/read-cinema.py NAME.cdb"""
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Checks for what building and rendering need, and installs from the distribution what is missing where this user may.
-# Says what it does; changes nothing the second time. ENTIRE_SETUP_INSTALL=no makes it only look.
+# Checks for what building and rendering need, and installs missing packages from the distribution if this user may.
+# Prints its steps; a second run changes nothing. ENTIRE_SETUP_INSTALL=no makes it only check.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 say() { printf 'setup: %s\n' "$*"; }
 
-# How to run the package manager, or nothing where this user may not.
+# Prefix that runs the package manager; empty where this user may not.
 may_install() {
     [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]] || return 1
     command -v apt-get >/dev/null || return 1
@@ -18,7 +18,7 @@ as_root() {
     if [[ "$(id -u)" == 0 ]]; then "$@"; else sudo -n "$@"; fi
 }
 
-# install_packages REASON PACKAGE…: true when they are there afterwards.
+# install_packages REASON PACKAGE…: true if they are installed afterwards.
 install_packages() {
     local reason=$1
     shift
@@ -26,7 +26,7 @@ install_packages() {
     log=$(mktemp)
     say "$reason: installing $* with apt-get"
     local get=(env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "$@")
-    # A machine that is thrown away afterwards need not wait for its disk.
+    # A disposable machine need not wait for its disk.
     [[ -z ${CI:-} ]] || get+=(-o Dpkg::Options::=--force-unsafe-io)
     if as_root "${get[@]}" >"$log" 2>&1 ||
         { as_root apt-get update >"$log" 2>&1 && as_root "${get[@]}" >>"$log" 2>&1; }; then
@@ -74,7 +74,7 @@ else
     missing=1
 fi
 
-# Vulkan: a loader, and a driver that has something to drive. Mesa's software driver (lavapipe) always has.
+# Vulkan: a loader, and a driver with a device. Mesa's software driver (lavapipe) always has one.
 vulkan() {
     ldconfig -p 2>/dev/null | grep 'libvulkan\.so\.1' >/dev/null || return 1
     local named=${VK_DRIVER_FILES:-${VK_ICD_FILENAMES:-}}
@@ -105,7 +105,7 @@ else
     say "reported as ignored. To have one: apt-get install mesa-vulkan-drivers libvulkan1"
 fi
 
-# What tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
+# Programs that tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
 # ENTIRE_SETUP_FOR is the gate that is to be run: test, change or nightly (see scripts/test.sh); nothing for `make demo`.
 for=${ENTIRE_SETUP_FOR:-}
 packages=()
@@ -114,14 +114,14 @@ case $for in
         packages+=(cmake make ninja-build clang g++ pkg-config valgrind strace vulkan-validationlayers)
         ;;&
     change | nightly)
-        # VTK and its Python, ParaView, a display, and a person's hands before the window.
+        # VTK and its Python, ParaView, a display, and simulated user input for the window.
         packages+=(libvtk9-dev python3-vtk9 python3-numpy python3-venv xvfb xauth xdotool)
         packages+=(paraview paraview-dev openmpi-bin qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev
             libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev
             libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
         ;;&
     nightly)
-        # Slurm, and what Qt opens windows with.
+        # Slurm, and the library that Qt needs to open windows.
         packages+=(slurm-wlm munge libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
             libxcb-xinerama0 libxkbcommon-x11-0 libegl1 libdbus-1-3)
         ;;
@@ -137,7 +137,7 @@ if ((${#packages[@]})) && command -v dpkg-query >/dev/null; then
     fi
 fi
 
-# Tools of the gate's own, in target/tools.
+# The gate's own tools, in target/tools.
 tools=${CARGO_TARGET_DIR:-target}/tools
 pip_tool() { # pip_tool NAME VERSION
     command -v "$1" >/dev/null || [[ -x $tools/bin/$1 ]] && return

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tests `entire farm` end to end: processes of this machine, HyperQueue, Slurm, Cinema's reader, OpenJD's checker. What is not
-# there and cannot be installed is skipped by name.
+# Tests `entire farm` end to end: processes of this machine, HyperQueue, Slurm, Cinema's reader, OpenJD's checker. Parts
+# that are missing and cannot be installed are skipped by name.
 #
 #   scripts/test-farm.sh           without Slurm and ParaView
 #   scripts/test-farm.sh --full    all tests
@@ -18,7 +18,7 @@ trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$
 # No part may hang: a farm of this script takes seconds.
 within=(timeout --kill-after=10 120)
 
-# The environment's packages, each with the version that was tried.
+# The environment's packages, each with the tested version.
 packages=(hyperqueue==0.27.0 cinemasci==1.7.9 openjd-cli==0.8.0)
 
 python() {
@@ -34,7 +34,7 @@ python() {
     for package in "${packages[@]}"; do
         [[ -e $folder/made-${package%%=*} ]] && continue
         [[ ${ENTIRE_SETUP_INSTALL:-yes} != no ]] || continue
-        # Those that do not install here are skipped by name below.
+        # Packages that cannot be installed here are skipped by name below.
         if "${within[@]}" "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --retries 1 \
             --timeout 15 "$package" >&2; then
             touch "$folder/made-${package%%=*}"
@@ -44,7 +44,7 @@ python() {
 }
 
 has() { "$python" -c "import $1" 2>"$work/has.log"; }
-# lacks PACKAGE: why `has` said no
+# lacks PACKAGE: the reason for which `has` returned false
 lacks() { echo "$(tail -n 1 "$work/has.log") (pip install $1)"; }
 
 python=$(python || true)
@@ -150,7 +150,7 @@ echo "import paraview.simple" >"$work/import.py"
 if ! command -v pvbatch >/dev/null; then
     skip "test-farm, paraview" "there is no pvbatch (apt-get install paraview python3-paraview)"
 elif ! "${within[@]}" pvbatch "$work/import.py" >"$work/pvbatch.log" 2>&1; then
-    # Some distributions package pvbatch and its Python modules apart.
+    # Some distributions package pvbatch and its Python modules separately.
     skip "test-farm, paraview" "pvbatch: $(sed '/^$/d' "$work/pvbatch.log" | tail -n 1) (apt-get install python3-paraview)"
 else
     cat >"$work/paraview.toml" <<TOML

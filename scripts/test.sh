@@ -8,8 +8,8 @@
 # All steps share one build (`profile.dev` of Cargo.toml, the features of the whole workspace) and one installed C library.
 # Wall and processor seconds of each step go to out/test/steps.csv; `make bars-gate` compares them.
 #
-# A step that needs something that this machine lacks says so and is listed as skipped at the end, never as passed. So are
-# tests that are ignored. The list is kept in out/test/skipped-GATE, which ENTIRE_SKIPPED names to every script.
+# A step that lacks something on this machine says so and is listed as skipped at the end, never as passed. So are
+# ignored tests. The list is kept in out/test/skipped-GATE, which ENTIRE_SKIPPED names to every script.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
@@ -20,10 +20,10 @@ case $gate in
     *) echo "test.sh: found word \"$gate\"; use change, nightly or nothing" >&2; exit 2 ;;
 esac
 
-# The same property-test cases for everybody: a change fails here for what it does, not for the draw of the day.
-# `make test-properties` draws new ones.
+# The same property-test cases for everybody: a change fails here for its own effect, not for a random draw. `make
+# test-properties` draws new ones.
 export PROPTEST_RNG_SEED=${PROPTEST_RNG_SEED:-20261121}
-# Nothing here is built twice, so that what a second build could reuse need not be written.
+# Nothing here is built twice, so incremental data need not be written.
 export CARGO_INCREMENTAL=${CARGO_INCREMENTAL:-0}
 
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
@@ -56,7 +56,7 @@ step() { # step NAME COMMAND...
     before=$cpu
     if ! "$@"; then
         printf '\nFAILED: %s\n' "$name" >&2
-        # A night is not over with its first failure.
+        # The nightly gate continues after a failure.
         if [[ $gate != nightly ]]; then exit 1; fi
         failed+=("$name")
         return
@@ -68,7 +68,7 @@ step() { # step NAME COMMAND...
     passed+=("$(printf '%4d s, processor %4d s  %s' "$wall" "$cpu" "$name")")
 }
 
-# With all targets, so that the crates that only tests use are part of the one choice of features.
+# With all targets, so that test-only crates are part of the one choice of features.
 build() { "$cargo" build --quiet "${everything[@]}" --all-targets; }
 
 # Notes ignored tests of cargo's own runner: `test NAME ... ignored, REASON`.
@@ -77,7 +77,7 @@ note_ignored() {
         while read -r line; do echo "workspace, $line" >>"$ENTIRE_SKIPPED"; done
 }
 
-# The same tests with either runner: nextest has none of the documentation's.
+# The same tests with either runner: nextest does not run documentation tests.
 workspace_tests() {
     if have cargo-nextest; then
         "$cargo" nextest run "${everything[@]}" --no-fail-fast --status-level fail --final-status-level fail || return 1
@@ -106,7 +106,7 @@ if have python3; then
 else
     skip "house rules" "python3 is not installed (apt-get install python3)"
 fi
-# Where the set-up puts tools of its own.
+# Folder of the tools that the set-up installs.
 PATH=$PATH:$target/tools/bin
 if have typos; then
     step "spelling" typos

@@ -7,12 +7,12 @@ use entire_io::quiet;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-/// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it
-/// inside its budget.
+/// Predicts the render time of a volume-rendered frame before it is drawn, and picks the ray step that keeps
+/// it within its time budget.
 #[derive(Debug, Parser)]
 #[command(name = "entire", version, propagate_version = true)]
 struct Cli {
-    /// No progress bar and no notes: results and errors alone.
+    /// Print only results and errors: no progress bar, no notes.
     #[arg(long, global = true)]
     quiet: bool,
     #[command(subcommand)]
@@ -21,7 +21,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Render many random frames of volumes and write down how long each took.
+    /// Render many random frames of volumes and write their render times to a table.
     Collect(commands::collect::Options),
     /// Fit a model to this machine in a minute and a half.
     Calibrate(commands::calibrate::Options),
@@ -29,7 +29,7 @@ enum Command {
     Features(commands::features::Options),
     /// Train or fine-tune a predictor on collected frames.
     Train(commands::train::Options),
-    /// Measure how well predictors do on collected frames.
+    /// Measure the errors of predictors on collected frames.
     Evaluate(commands::evaluate::Options),
     /// Predict seconds for rows of model inputs.
     Predict(commands::predict::Options),
@@ -37,20 +37,20 @@ enum Command {
     Encode(commands::encode::Options),
     /// Render one frame and time it.
     Render(commands::render::Options),
-    /// Measure what this machine needs for each part of a frame.
+    /// Measure this machine's rates for rays, samples and skips.
     Probe(commands::probe::Options),
     /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
-    /// Explore a volume in a window whose frame time stays where it is put.
+    /// View a volume in an interactive window that holds a target frame time.
     Explore(commands::explore::Options),
-    /// Decide which node of a farm renders what, in which order.
+    /// Assign the tasks of a render farm to its nodes, in order.
     Schedule(commands::schedule::Options),
-    /// Render an image database on a farm, and say when it will be done.
+    /// Render an image database on a farm and predict its end.
     Farm(commands::farm::Options),
     /// A worker of `entire farm`; engines start it.
     #[command(hide = true)]
     FarmWorker(commands::farm::WorkerOptions),
-    /// Calibrate, explore and report: the main job, end to end.
+    /// Calibrate, play a path under several controllers, and report.
     Demo(commands::demo::Options),
 }
 
@@ -61,7 +61,7 @@ pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     program::run("entire", move || Cli::parse_from(args).run())
 }
 
-/// The commands with their options, as `--help` tells of them.
+/// The commands with their options, as in `--help`.
 pub fn command() -> clap::Command {
     Cli::command()
 }

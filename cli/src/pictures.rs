@@ -1,12 +1,12 @@
-//! Pictures: their sizes, and how far one lies from another.
+//! Pictures: their sizes, and the error between two.
 
 use entire_vk_raycaster::Image;
 
 /// Pictures that are equal, or closer than this, count as this many decibels.
 pub const BEST_PSNR: f64 = 100.0;
 
-/// A picture brought to another size, bilinearly; where it shrinks, by a triangle as wide as the new pixels. `None`
-/// for a picture without pixels.
+/// Resizes a picture bilinearly; where it shrinks, by a triangle filter as wide as the new pixels. `None` for
+/// a picture without pixels.
 pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     let (from, to) =
         ([picture.width, picture.height].map(|n| n as usize), [width, height].map(|n| n as usize));
@@ -119,9 +119,9 @@ fn luma(picture: &Image) -> Vec<f64> {
         .collect()
 }
 
-/// Structural similarity of two pictures of one size, 0 to 1: SSIM over windows of 8 × 8 pixels of their luma that do
-/// not overlap, averaged by area. Variances and covariance are sums over a window, as `image-compare` 0.5 has them.
-/// `None` when the pictures differ in size or have no pixels.
+/// Structural similarity of two pictures of one size, 0 to 1: SSIM over non-overlapping windows of 8 × 8
+/// pixels of their luma, averaged by area. Variances and covariance are sums over a window, as in
+/// `image-compare` 0.5. `None` when the pictures differ in size or have no pixels.
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
     let (width, height) = (a.width as usize, a.height as usize);
     let (first, second) = (luma(a), luma(b));

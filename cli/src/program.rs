@@ -1,5 +1,4 @@
-//! What a program of this project does around its commands: one line for whatever goes wrong, and the exit
-//! status.
+//! Common frame of the programs' commands: errors as one line, and the exit status.
 
 use anyhow::Result;
 use std::io::Write;
@@ -7,10 +6,10 @@ use std::panic::UnwindSafe;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 
-/// Runs a command. Exit status: 0, 1 for an error or a panic (one line on standard error that says why and
-/// what to do). Output that nobody reads to its end is no error.
+/// Runs a command. Exit status: 0, or 1 for an error or a panic (one line on standard error with cause and
+/// remedy). A closed output is no error.
 pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> ExitCode {
-    // What went wrong is told once, below, in one line: the hook only remembers where.
+    // Errors are printed once, below, in one line: the hook only stores the place.
     let location = Arc::new(Mutex::new(None));
     let noted = location.clone();
     std::panic::set_hook(Box::new(move |info| {
@@ -21,7 +20,7 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
     let result = std::panic::catch_unwind(command);
     let line = match result {
         Ok(Ok(())) => return ExitCode::SUCCESS,
-        // Whoever read our output has seen enough.
+        // The reader of our output closed it.
         Ok(Err(error)) if error.chain().any(is_broken_pipe) => return ExitCode::SUCCESS,
         Ok(Err(error)) => format!("{error:#}"),
         Err(panic) => {

@@ -3,7 +3,7 @@
 use clap::{Arg, Command};
 use std::fmt::Write as _;
 
-/// The page about a program: one section for each of its commands, with a table of what the command takes.
+/// The page of a program: one section for each of its commands, with a table of its options.
 pub fn page(mut program: Command, intro: &str) -> String {
     program.build();
     let name = program.get_name().to_owned();
@@ -12,8 +12,8 @@ pub fn page(mut program: Command, intro: &str) -> String {
     out
 }
 
-/// The example lines at the end of a program's helps, each with the name of its command; `None` stands for a
-/// command that has no examples.
+/// The example lines in a program's help texts, each with the name of its command; `None` for a command
+/// without examples.
 pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
     program.build();
     let name = program.get_name().to_owned();
@@ -23,7 +23,7 @@ pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
             definition.get_after_help().map(ToString::to_string).unwrap_or_default().replace("\\\n", " ");
         let before = found.len();
         for line in help.lines().filter(|l| l.starts_with("  ")) {
-            // What stands before it runs the program: variables, another program, a pipe.
+            // Text before the program's name runs it: variables, another program, a pipe.
             if let Some(at) = line.find(&format!("{name} ")) {
                 found.push((command.clone(), Some(line[at..].to_owned())));
             }
@@ -35,7 +35,7 @@ pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
     found
 }
 
-/// The commands below one, those of several words included, with their whole names.
+/// The commands below one with their full names, including those of several words.
 fn commands<'a>(command: &'a Command, name: &str) -> Vec<(String, &'a Command)> {
     let mut all = Vec::new();
     for below in command.get_subcommands().filter(|c| !c.is_hide_set() && c.get_name() != "help") {
@@ -91,7 +91,8 @@ fn row(arg: &Arg, out: &mut String) {
         arg.get_default_values().iter().map(|v| v.to_string_lossy().into_owned()).collect();
     let default = match defaults.join(",") {
         _ if !arg.get_action().takes_values() => String::new(),
-        // Some say it themselves, since they have no other way to know whether the option was given.
+        // Options that must know whether they were given have no default in clap and state it in their help
+        // text.
         none if none.is_empty() => match help.rsplit_once("[default: ") {
             Some((_, said)) => format!("`{}`", said.trim_end_matches(['.', ']'])),
             None if arg.is_required_set() => "required".to_owned(),

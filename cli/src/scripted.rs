@@ -1,4 +1,4 @@
-//! A renderer for tests: draws nothing, and its times follow a law that is known.
+//! A renderer for tests: it draws nothing, and its times follow a known law.
 
 use entire_core::scene::{Frame, TransferTable, VolumeView};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};

@@ -1,5 +1,5 @@
-//! Arbitrary bytes in place of volumes, models, tables, paths and task lists: the committed corpus as it is,
-//! and mutations of it. Never a panic, never more memory than the bytes at hand call for.
+//! Arbitrary bytes in place of volumes, models, tables, paths and task lists: the committed corpus and
+//! mutations of it. Readers never panic and never allocate more memory than the input justifies.
 
 // The fuzz targets' own checks.
 #[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Mutations tried in one run where `PROPTEST_CASES` names no other number. The fuzz targets try many more.
+/// Default number of mutations in one run; `PROPTEST_CASES` sets another. The fuzz targets try many more.
 const CASES: u32 = 3_000;
 
 #[derive(Clone, Copy, Debug)]
@@ -65,7 +65,7 @@ fn corpus() -> Vec<(Target, PathBuf, Vec<u8>)> {
     found
 }
 
-/// Runs a target's check and says how many bytes were allocated at most beyond what was before.
+/// Runs a target's check and returns the peak of additionally allocated bytes.
 fn peak_of(target: Target, input: &[u8]) -> usize {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
@@ -77,8 +77,8 @@ fn peak_of(target: Target, input: &[u8]) -> usize {
     MEMORY.peak_usage().saturating_sub(before)
 }
 
-/// Bytes that a reader may take for an input: buffers, the input's own text and numbers a few times over, and
-/// what a deflate stream of that length can unpack to at most.
+/// Limit of a reader's memory for an input: buffers, a few times the input's own text and numbers, and the
+/// largest output of a deflate stream of that length.
 fn bound(input: &[u8]) -> usize {
     let packed = input.windows(2).any(|w| w == [0x1f, 0x8b])
         || [
@@ -104,9 +104,9 @@ enum Change {
     Cut(prop::sample::Index),
     Remove(prop::sample::Index, usize),
     Double(prop::sample::Index, usize),
-    /// Puts a word in the place of the n-th number.
+    /// Replaces the n-th number by a word.
     Number(prop::sample::Index, &'static str),
-    /// Puts eight bytes somewhere.
+    /// Writes eight bytes at a position.
     Word(prop::sample::Index, u64),
 }
 
@@ -211,7 +211,7 @@ fn arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for() -
     result.map_err(|error| error.to_string().into())
 }
 
-// One trial in a program of its own: memory is counted for the whole process.
+// One trial per process: memory is counted for the whole process.
 fn main() {
     let arguments = Arguments::from_args();
     let check = arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for;

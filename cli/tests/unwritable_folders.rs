@@ -1,5 +1,5 @@
-//! What commands say of a folder in which nothing can be written: one line that names the file, status 1, and
-//! nothing left behind. Where no folder can be made read-only for this user, that test is reported as ignored.
+//! Commands in a folder that cannot be written: one line that names the file, status 1, and no file left
+//! behind. Where no folder can be made read-only for this user, that test is reported as ignored.
 
 mod support;
 
@@ -8,10 +8,10 @@ use std::path::Path;
 use std::process::{Command, Output};
 use support::{render, stderr};
 
-/// Makes the folder `$1` read-only for what follows, whoever runs it: permissions do not bind root.
+/// Makes the folder `$1` read-only for the rest, for root too, whom permissions do not bind.
 const MOUNTED: &str = r#"mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" && shift && exec "$@""#;
 
-/// How a folder is made read-only.
+/// Ways to make a folder read-only.
 #[derive(Clone, Copy)]
 enum How {
     Permissions,
@@ -30,7 +30,7 @@ fn set_writable(folder: &Path, writable: bool) {
     std::fs::set_permissions(folder, permissions).unwrap();
 }
 
-/// The first way that holds here.
+/// The first way that works here.
 fn how() -> Option<How> {
     let folder = tempfile::tempdir().unwrap();
     let probe = folder.path().join("probe");
@@ -41,7 +41,7 @@ fn how() -> Option<How> {
         return Some(How::Permissions);
     }
     let _ = std::fs::remove_file(&probe);
-    // It must work, and nothing must be written.
+    // The way must work, and no file may be written.
     let ran =
         mounted(folder.path()).args(["sh", "-c", r#"! touch "$1" 2>/dev/null"#, "sh"]).arg(&probe).output();
     ran.is_ok_and(|o| o.status.success()).then_some(How::Mount)
@@ -56,7 +56,7 @@ fn workshop() -> tempfile::TempDir {
     folder
 }
 
-/// Every command that writes, into a folder.
+/// Every command that writes, with a target folder.
 fn commands(into: &str) -> Vec<(String, Vec<String>)> {
     let owned = |words: &[&str]| words.iter().map(|w| (*w).to_owned()).collect::<Vec<_>>();
     let out = |name: &str| format!("{into}/{name}");
@@ -99,7 +99,7 @@ fn commands(into: &str) -> Vec<(String, Vec<String>)> {
     ]
 }
 
-/// One line about the file, and no more.
+/// Checks for one line about the file, and no more.
 fn check(output: &Output, file: &str) -> Result<(), Failed> {
     let told = stderr(output);
     let lines: Vec<&str> = told.lines().filter(|l| l.starts_with("entire: ")).collect();
@@ -111,7 +111,7 @@ fn check(output: &Output, file: &str) -> Result<(), Failed> {
     Ok(())
 }
 
-/// Holds for every user: what should be the folder is a file.
+/// Works for every user: the folder's path is a file.
 fn below_a_file() -> Result<(), Failed> {
     let folder = workshop();
     std::fs::write(folder.path().join("file"), "x")?;

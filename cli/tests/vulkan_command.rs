@@ -1,4 +1,4 @@
-//! `entire render` on Vulkan. Where no Vulkan device exists the test is reported as ignored.
+//! `entire render` on Vulkan. Without a Vulkan device the test is reported as ignored.
 
 mod support;
 
@@ -6,7 +6,7 @@ use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
 use support::*;
 
-/// The same frame on Vulkan and on the twin: pictures agree, and both say what they did.
+/// The same frame on Vulkan and on the CPU version: pictures agree, and both report their work.
 fn agrees_with_the_twin() -> Result<(), Failed> {
     let folder = workshop();
     let at = folder.path();
@@ -44,10 +44,11 @@ fn agrees_with_the_twin() -> Result<(), Failed> {
     Ok(())
 }
 
-/// The probe's own comparison with the twin, and what only a device has.
+/// The probe's own comparison with the CPU version, and the values that only a device has.
 fn probe_describes_the_device() -> Result<(), Failed> {
     let folder = workshop();
-    // Beside other programs short frames are timed too roughly, which the command says: then longer ones.
+    // Beside other programs the times of short frames are too noisy, which the command reports: then longer
+    // ones are tried.
     let output = ["10", "40", "160"]
         .into_iter()
         .map(|ms| {
@@ -68,8 +69,7 @@ fn probe_describes_the_device() -> Result<(), Failed> {
     Ok(())
 }
 
-/// A device that does not finish in the time it is given: one line, status 1, and the process ends while the
-/// device works.
+/// A device that exceeds its time limit: one line, status 1, and the process ends while the device works.
 fn a_hanging_device_ends_in_one_line() -> Result<(), Failed> {
     let folder = workshop();
     let arguments = [

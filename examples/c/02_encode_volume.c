@@ -64,7 +64,7 @@ int main(int argc, char **argv) {
     for (size_t i = 0; i < count; ++i) printf(" %.6g", features[i]);
     printf("\n");
 
-    /* In a later run: no voxels are looked at again when a session is given this volume. */
+    /* In a later run, a session with this volume does not read voxels again. */
     check(entire_volume_set_features(volume, features, count));
 
     free(features);

@@ -19,7 +19,7 @@ static void check(entire_result result) {
     }
 }
 
-/* What a renderer would measure, in seconds: the thinner the medium, the further rays go. */
+/* Seconds that a renderer would measure: the thinner the medium, the further rays go. */
 static float draw(float step, int dense) {
     return 0.004f + (dense ? 0.05f : 0.2f) / step;
 }

@@ -15,7 +15,7 @@ static const char columns[] = "frame,repeat,volume,member,time_step,dims_x,dims_
 static const char *const shadings[] = {"", "none", "local", "scatter"};
 static const char *const skippings[] = {"", "none", "blocks", "distance"};
 
-/* Stands for your renderer: work that grows with the pixels and shrinks with the step. */
+/* Substitute for your renderer: work that grows with the pixels and shrinks with the step. */
 static volatile float sink;
 static double draw(const entire_frame *frame) {
     struct timespec a, b;

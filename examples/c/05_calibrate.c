@@ -18,7 +18,7 @@ static void check(entire_result result) {
     }
 }
 
-/* What a renderer would measure, in seconds. */
+/* Seconds that a renderer would measure. */
 static float draw(const entire_frame *frame, float step) {
     return 1e-3f + (float)(frame->width * frame->height) * (2e-8f + 1.5e-7f / (step * frame->arcball[2]));
 }

@@ -78,7 +78,7 @@ class Scene:
         return {"task": task["task"], "load_s": load_s, "seconds": time.perf_counter() - begin - load_s}
 
 
-# ParaView puts objects of its own in the places of sys.stdin and sys.stdout.
+# ParaView replaces sys.stdin and sys.stdout by its own objects.
 tasks, answers = os.fdopen(0), os.fdopen(os.dup(1), "w")
 scene = Scene()
 for line in tasks:

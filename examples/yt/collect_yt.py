@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of yt's volume rendering on the CPU, as `entire collect` writes them of its own raycaster.
+"""Timing tables of yt's volume rendering on the CPU, in the format of `entire collect`.
 
     python3 -m venv venv && venv/bin/pip install yt
     venv/bin/python collect_yt.py --out yt.csv --max-size 128 VOLUME.nrrd...

@@ -1,4 +1,4 @@
-//! The window: opens it, listens to it, and decides what is done next.
+//! The window: opens it, handles its events, and decides the next work.
 
 mod commands;
 mod frame;
@@ -27,26 +27,26 @@ use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
 use winit::window::{Window, WindowId};
 
-/// How the interface names the two pictures, whatever textures they have.
+/// Texture ids of the two pictures in the interface, whatever textures they have.
 pub(crate) const STEERED: TextureId = TextureId::User(u64::MAX);
 pub(crate) const FULL: TextureId = TextureId::User(u64::MAX - 1);
 
-/// A second loss of the device within this time is not recovered from.
+/// Time within which a second loss of the device is fatal.
 const LOST_AGAIN: Duration = Duration::from_secs(10);
 
 /// The pictures on the device.
 struct Pictures {
     steered: Picture,
     full: Picture,
-    /// What the interface's renderer calls them.
+    /// Texture ids in the interface's renderer.
     steered_id: TextureId,
     full_id: TextureId,
     size: [u32; 2],
-    /// The part of `steered` that is in use.
+    /// The used part of `steered`.
     used: [u32; 2],
 }
 
-/// What a script waits for.
+/// Event that a script waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Waiting {
     Nothing,
@@ -55,7 +55,7 @@ enum Waiting {
     Screenshot,
 }
 
-// Fields go in this order: what is on the device before the device, all of it before the window.
+// Fields are dropped in this order: objects of the device before the device, all of it before the window.
 struct App {
     loading: Option<Loading>,
     scene: Option<Scene>,
@@ -72,21 +72,21 @@ struct App {
     proxy: EventLoopProxy<Wake>,
     state: State,
     refinement: Option<Refinement>,
-    /// Whether the view is at full quality.
+    /// True if the view is at full quality.
     refined: bool,
     screenshot: Option<Screenshot>,
     script: Option<Script>,
     waiting: Waiting,
     log: Option<Log>,
-    /// Frames that were drawn, and pictures that the window has shown.
+    /// Numbers of drawn frames, and of pictures that the window has shown.
     number: u64,
     shown: u64,
-    /// Pictures that had been shown when the oldest event came that no picture knows of.
+    /// Number of shown pictures at the oldest event that no picture includes yet.
     event_at: Option<u64>,
     last_change: Instant,
     last_paint: Instant,
     repaint_at: Option<Instant>,
-    /// When the volume on its way was asked for.
+    /// Time of the request for the volume that is loading.
     asked: Option<Instant>,
     swapped: Instant,
     /// Modes whose shaders are compiled.
@@ -152,19 +152,19 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         failed: None,
     };
     event_loop.run_app(&mut app).map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
-    // What the validation layer said, where it was asked to speak.
+    // Messages of the validation layer, where it is on.
     let said = app.device.as_ref().map(SharedDevice::validation_messages).unwrap_or_default();
     if let Some(error) = app.failed.take() {
         return Err(error);
     }
     if let Some(first) = said.first() {
-        bail!("the validation layer said {} things, the first: {first}", said.len());
+        bail!("the validation layer reported {} messages, the first: {first}", said.len());
     }
     Ok(())
 }
 
 impl App {
-    /// Opens the window, where there is none, and the device.
+    /// Opens the window, if there is none, and the device.
     fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
         if self.window.is_none() {
             let (width, height) = self.options.size;
@@ -197,7 +197,7 @@ impl App {
         let first = VulkanRaycaster::new(self.vulkan.clone()).context("the window needs a Vulkan device")?;
         let device = first.shared_device();
         self.state.device = first.device();
-        // Smoothed edges are twice the triangles, each of which a software driver feels.
+        // Smoothed edges double the number of triangles, which is slow on software drivers.
         let software = first.limits().is_some_and(|limits| limits.is_software);
         self.egui.tessellation_options_mut(|options| options.feathering = !software);
         drop(first);
@@ -210,7 +210,7 @@ impl App {
         Ok(())
     }
 
-    /// Opens everything anew after the device was lost; the volume is in memory still.
+    /// Opens everything again after the device was lost; the volume is still in memory.
     fn recover(&mut self) -> Result<()> {
         if self.lost.is_some_and(|at| at.elapsed() < LOST_AGAIN) {
             bail!(
@@ -226,7 +226,7 @@ impl App {
         (self.presenter, self.device) = (None, None);
         self.state.picture = None;
         self.warm.clear();
-        // The fonts are textures of the lost device: the interface starts anew.
+        // The fonts are textures of the lost device: the interface is rebuilt.
         self.egui = egui::Context::default();
         self.egui.set_theme(egui::Theme::Dark);
         if let Some(window) = &self.window {
@@ -255,7 +255,7 @@ impl App {
         Ok(())
     }
 
-    /// Starts to load; a load under way is given up.
+    /// Starts a load; a running load is cancelled.
     fn start(&mut self, job: Job) -> Result<()> {
         let device = self.device.as_ref().context("there is no device")?;
         if let Some(before) = self.loading.take() {
@@ -273,12 +273,12 @@ impl App {
         }
     }
 
-    /// Whether a script says what happens, and does not wait for anything.
+    /// True if a script plays and does not wait for anything.
     fn is_scripted(&self) -> bool {
         self.script.is_some() && self.waiting == Waiting::Nothing
     }
 
-    /// Ends the window with an error, or deals with it.
+    /// Ends the window with an error, or recovers from it.
     fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
         let Err(error) = result else { return };
         let is_lost = self.device.as_ref().is_some_and(SharedDevice::is_lost);

@@ -1,17 +1,17 @@
-//! Where the eye stands and looks, and how a person moves it.
+//! Eye and view direction, and their change by a person.
 
 use anyhow::Result;
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
 use glam::{Mat3, Mat4, Vec3};
 
-/// Nearest and farthest distance from what is looked at, bounding-sphere radii.
+/// Nearest and farthest distance from the target point, bounding-sphere radii.
 pub(crate) const DISTANCES: std::ops::RangeInclusive<f32> = 0.02..=200.0;
 
-/// Distance of an orthographic view's eye from the volume's center, or as much farther as the view is panned:
-/// the volume lies before it. Nothing that is seen depends on it.
+/// Distance of an orthographic view's eye from the volume's center, increased by the pan, so that the volume
+/// lies before it. The picture does not depend on it.
 const ORTHOGRAPHIC_DISTANCE: f32 = 2.0;
 
-/// Where a part of a volume lies in the whole, in the whole's scene space.
+/// Place of a part of a volume in the whole, in the whole's scene space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Placement {
     pub(crate) center: Vec3,
@@ -23,20 +23,20 @@ impl Placement {
     pub(crate) const WHOLE: Self = Self { center: Vec3::ZERO, radius: 1.0 };
 }
 
-/// The eye, in the scene space of the whole volume: angles and distance about a point that is looked at.
+/// The eye, in the scene space of the whole volume: angles and distance about a target point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Viewpoint {
     /// As [`Arcball`]'s, degrees.
     pub(crate) rx: f32,
     pub(crate) ry: f32,
-    /// From the point that is looked at, bounding-sphere radii. With an orthographic view, the distance from
+    /// Distance from the target point, bounding-sphere radii. With an orthographic view, the distance from
     /// which the field of view would show as much.
     pub(crate) distance: f32,
-    /// The point that is looked at.
+    /// The target point.
     pub(crate) target: Vec3,
     /// Vertical field of view, degrees.
     pub(crate) fov_y: f32,
-    /// Whether rays are parallel.
+    /// True if rays are parallel.
     pub(crate) orthographic: bool,
 }
 
@@ -96,22 +96,22 @@ impl Viewpoint {
         self.target + self.distance * self.axes()[2]
     }
 
-    /// Half of the height that is seen at what is looked at, bounding-sphere radii.
+    /// Half of the visible height at the target point, bounding-sphere radii.
     fn half_height(&self) -> f32 {
         self.distance * (0.5 * self.fov_y.to_radians()).tan()
     }
 
-    /// Half of the height that is seen, with an orthographic view.
+    /// Half of the visible height of an orthographic view.
     pub(crate) fn parallel_scale(&self) -> Option<f32> {
         self.orthographic.then(|| self.half_height())
     }
 
-    /// Sets the half of the height that is seen.
+    /// Sets half of the visible height.
     pub(crate) fn set_parallel_scale(&mut self, scale: f32) {
         self.zoom(scale / self.half_height());
     }
 
-    /// The default view through the lens at hand.
+    /// The default view with the current field of view and projection.
     pub(crate) fn reset(&mut self) {
         *self = Self { fov_y: self.fov_y, orthographic: self.orthographic, ..Self::default() };
     }
@@ -133,8 +133,8 @@ impl Viewpoint {
         })
     }
 
-    /// The pose about the volume's center; where the view is panned, that of the eye. An orthographic view has
-    /// its direction, and stands before the volume.
+    /// The pose about the volume's center; for a panned view, that of the eye. The pose of an orthographic
+    /// view has its direction, and stands before the volume.
     pub(crate) fn arcball(&self) -> Arcball {
         if self.orthographic {
             return Arcball { rx: self.rx, ry: self.ry, dz: ORTHOGRAPHIC_DISTANCE };
@@ -155,13 +155,13 @@ impl Viewpoint {
         *self = Self { rx: pose.rx, ry: pose.ry, distance: pose.dz, target: Vec3::ZERO, ..*self };
     }
 
-    /// Turns about what is looked at, degrees.
+    /// Turns about the target point, degrees.
     pub(crate) fn orbit(&mut self, right: f32, down: f32) {
         self.ry = (self.ry - right) % 360.0;
         self.rx = (self.rx + down).clamp(-90.0, 90.0);
     }
 
-    /// Moves what is looked at, in heights of the view at its distance.
+    /// Moves the target point, in heights of the view at its distance.
     pub(crate) fn pan(&mut self, right: f32, down: f32) {
         let height = 2.0 * self.half_height();
         let [x, y, _] = self.axes();
@@ -176,7 +176,7 @@ impl Viewpoint {
         }
     }
 
-    /// Turns the head where the eye stands, degrees.
+    /// Turns the view direction at the eye, degrees.
     pub(crate) fn look(&mut self, right: f32, down: f32) {
         let eye = self.eye();
         self.ry = (self.ry - right) % 360.0;
@@ -217,8 +217,8 @@ impl Viewpoint {
         self.fov_y = degrees;
     }
 
-    /// Where a point of the scene is seen, in halves of the image from its middle, x right and y up; `None`
-    /// behind the eye. `aspect` is width over height.
+    /// Projects a point of the scene, in halves of the image from its middle, x right and y up; `None` behind
+    /// the eye. `aspect` is width over height.
     pub(crate) fn project(&self, point: Vec3, aspect: f32) -> Option<[f32; 2]> {
         let [x, y, z] = self.axes();
         if let Some(scale) = self.parallel_scale() {
@@ -245,7 +245,7 @@ mod tests {
         let view = Viewpoint { rx: 25.0, ry: 130.0, distance: 2.5, ..Default::default() };
         let arcball = Camera::from_arcball(Arcball { rx: 25.0, ry: 130.0, dz: 2.5 }).unwrap();
         assert_eq!(view.camera(Placement::WHOLE).unwrap(), arcball);
-        // By way of the matrix it is the same but for rounding.
+        // Through the matrix it is the same but for rounding.
         let panned = Viewpoint { target: Vec3::splat(1e-9), ..view };
         close(panned.camera(Placement::WHOLE).unwrap().view(), arcball.view());
     }
@@ -285,7 +285,7 @@ mod tests {
         view.orthographic = true;
         let after = view.project(across, 1.5).unwrap();
         assert!((before[1] - after[1]).abs() < 1e-5, "{before:?} {after:?}");
-        // Whatever lies nearer or farther is seen as large.
+        // Points at any depth are seen at the same size.
         assert!((view.project(across + 0.7 * view.axes()[2], 1.5).unwrap()[1] - after[1]).abs() < 1e-5);
         let scale = view.parallel_scale().unwrap();
         view.zoom(0.5);
@@ -305,7 +305,7 @@ mod tests {
         for placement in [Placement::WHOLE, part] {
             let camera = view.camera(placement).unwrap();
             let (origin, direction) = camera.ray_basis(300, 200);
-            // The ray through a point of the image meets the point of the scene that is seen there.
+            // The ray through a point of the image meets the projected point of the scene there.
             for point in [Vec3::new(0.35, 0.0, -0.1), Vec3::new(0.2, 0.3, -0.4)] {
                 let [u, v] = view.project(point, 1.5).unwrap();
                 let from = origin[0] + u * origin[1] + v * origin[2];

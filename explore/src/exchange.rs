@@ -1,11 +1,11 @@
-//! Transfer functions in files: JSON of the window's own, and ParaView's color map presets.
+//! Transfer functions in files: JSON of this program, and ParaView's color map presets.
 //!
-//! The window's own: one object, `format` is `"entire-transfer-1"`; `opacity` holds either
+//! This program's format: one object, `format` is `"entire-transfer-1"`; `opacity` holds either
 //! `{"points": [[scalar, opacity], …]}` or `{"lobes": [[center, width, height], …]}`; `colors` holds
 //! `[[scalar, red, green, blue], …]`. Scalars are normalized, 0 to 1.
 //!
-//! ParaView's: an array of presets of which the first is read; `RGBPoints` holds (scalar, red, green, blue) and
-//! `Points` (scalar, opacity, midpoint, sharpness) in the data's own scalars.
+//! ParaView's: an array of presets of which the first is read; `RGBPoints` holds (scalar, red, green, blue)
+//! and `Points` (scalar, opacity, midpoint, sharpness) in the data's own scalars.
 
 use crate::transfer::{Curve, Opacity};
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -20,7 +20,7 @@ const FORMAT: &str = "entire-transfer-1";
 /// Largest file that is read, bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// Points that a bent segment between two of ParaView's nodes becomes.
+/// Number of points for a curved segment between two of ParaView's nodes.
 const BENT: usize = 16;
 
 #[derive(Serialize, Deserialize)]
@@ -38,10 +38,10 @@ enum FileOpacity {
     Lobes(Vec<[f32; 3]>),
 }
 
-/// Reads either kind of file. `range` are the scalars that map to [0, 1].
+/// Reads either kind of file. `range` holds the scalars that map to 0 and 1.
 ///
 /// # Errors
-/// What is wrong with the file.
+/// The error in the file.
 pub(crate) fn load(path: &Path, range: (f32, f32)) -> Result<Curve> {
     let shown = path.display();
     let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
@@ -60,7 +60,7 @@ fn parse(text: &str, range: (f32, f32)) -> Result<Curve> {
         Value::Object(fields) if fields.contains_key("RGBPoints") => from_paraview(&value, range)?,
         _ => from_own(serde_json::from_value(value)?)?,
     };
-    // Everything that the core refuses is refused here.
+    // Curves that the core refuses are refused here.
     curve.table()?;
     Ok(curve)
 }
@@ -77,7 +77,7 @@ fn from_own(file: File) -> Result<Curve> {
     Ok(Curve { opacity, colors: file.colors.into_iter().map(|[s, r, g, b]| (s, [r, g, b])).collect() })
 }
 
-/// The curve as the window's own JSON.
+/// The curve as this program's JSON.
 pub(crate) fn to_own(curve: &Curve) -> Result<String> {
     let opacity = match &curve.opacity {
         Opacity::Points(points) => FileOpacity::Points(points.clone()),
@@ -119,7 +119,7 @@ fn numbers(value: &Value, key: &str) -> Result<Option<Vec<[f64; 4]>>> {
 
 fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
     let colors = numbers(preset, "RGBPoints")?.ok_or_else(|| anyhow!("there are no RGBPoints"))?;
-    // A preset without opacity leaves a ramp; presets over 0…1 are stretched to the data's range.
+    // A preset without opacity becomes a ramp; presets over 0…1 are stretched to the data's range.
     let opacity = numbers(preset, "Points")?;
     let (low, high) = (f64::from(range.0), f64::from(range.1));
     let ends = |list: &[[f64; 4]]| (list[0][0], list[list.len() - 1][0]);
@@ -139,7 +139,7 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
             .map(|(position, opacity)| OpacityNode { position, opacity, midpoint: 0.5, sharpness: 0.0 })
             .to_vec(),
     };
-    // The core checks the nodes and evaluates those that are not straight.
+    // The core checks the nodes and evaluates the curved segments.
     let table = TransferFunction::Nodes(Nodes {
         opacity: opacity_nodes.clone(),
         color: color_nodes,
@@ -186,7 +186,7 @@ mod tests {
             let again = parse(&to_paraview(&points, (-50.0, 200.0)).unwrap(), (-50.0, 200.0)).unwrap();
             for i in 0..=50 {
                 let s = i as f32 / 50.0;
-                // Two points at one place make a step, which a sample at the step may meet on either side.
+                // Two points at one place make a step; a sample there may have either value.
                 let step = name == "solid" && (s - histogram.quantile(0.5)).abs() < 0.01;
                 assert!(step || (again.opacity_at(s) - points.opacity_at(s)).abs() < 1e-4, "{name} at {s}");
                 let (a, b) = (again.color_at(s), points.color_at(s));

@@ -1,11 +1,11 @@
-//! How often each value occurs in a volume.
+//! Histogram of a volume's values.
 
 use entire_core::scene::VolumeView;
 
 /// Bins over the normalized scalars.
 pub(crate) const BINS: usize = 256;
 
-/// Voxels that are looked at at most.
+/// Maximum number of voxels that are read.
 const SAMPLED: u64 = 4_000_000;
 
 /// Counts of normalized values.
@@ -15,7 +15,7 @@ pub(crate) struct Histogram {
 }
 
 impl Histogram {
-    /// Of every voxel, or of [`SAMPLED`] spread evenly.
+    /// From every voxel, or from [`SAMPLED`] evenly spread ones.
     pub(crate) fn of(view: &VolumeView<'_>) -> Self {
         let [nx, ny, _] = view.shape().dims;
         let stride = (view.shape().voxels / SAMPLED).max(1);
@@ -39,8 +39,8 @@ impl Histogram {
         self.counts.iter().map(|&n| log(n) / most).collect()
     }
 
-    /// The value below which a share of the voxels lies; those of the lowest bins are taken for background
-    /// where enough others are left.
+    /// The quantile of the voxels' values; those of the lowest bins count as background if enough others are
+    /// left.
     pub(crate) fn quantile(&self, share: f32) -> f32 {
         let background = BINS / 25;
         let all: u64 = self.counts.iter().sum();

@@ -1,4 +1,4 @@
-//! What the window needs of the program that opens it.
+//! Services that the window needs of the program that opens it.
 
 use crate::recording::Recording;
 use anyhow::{Result, bail};
@@ -21,37 +21,37 @@ pub trait VolumeSource: Send + Sync {
 
 /// A predictor that is ready for one volume.
 pub trait Steering: Send + Sync {
-    /// What predicts, for people.
+    /// Name of the predictor, for display.
     fn title(&self) -> String;
 
-    /// VolumeNet's output for the volume, where the predictor takes it.
+    /// VolumeNet's output for the volume, if the predictor uses it.
     fn volume_features(&self) -> Option<&[f32]>;
 
-    /// A session that has learned nothing, under one of the [`Host::controllers`].
+    /// A new session under one of the [`Host::controllers`].
     ///
     /// # Errors
     /// When the predictor cannot be made.
     fn session(&self, controller: &str) -> Result<Session>;
 }
 
-/// The program around the window. It is called from the threads that load as well.
+/// The program that opens the window. It is also called from loading threads.
 pub trait Host: Send + Sync {
-    /// Reads a volume file, telling how far it is, and stops once it is cancelled.
+    /// Reads a volume file, reports its progress, and stops once it is cancelled.
     ///
     /// # Errors
-    /// What is wrong with the file; [`Progress::check`]'s error when cancelled.
+    /// The error in the file; [`Progress::check`]'s error when cancelled.
     fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>>;
 
     /// The predictor for a volume and shading mode.
     ///
     /// # Errors
-    /// When a model file is wrong.
+    /// When a model file is invalid.
     fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>>;
 
     /// Name and title of every controller.
     fn controllers(&self) -> Vec<(&'static str, &'static str)>;
 
-    /// Writes a file, whole or not at all: an earlier one stays until then.
+    /// Writes a file, whole or not at all: an earlier file stays until then.
     ///
     /// # Errors
     /// Names the file that cannot be written.
@@ -67,7 +67,7 @@ pub trait Host: Send + Sync {
     fn calibration(&self, volume: &Path, shading: Shading) -> String;
 }
 
-/// How far a file has been read, shared between who reads and who watches.
+/// Share of a file that has been read, shared between the reader and the window.
 #[derive(Debug, Default)]
 pub struct Progress {
     done: AtomicU64,
@@ -76,27 +76,27 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Adds to the bytes that there are to read.
+    /// Adds to the number of bytes to read.
     pub fn expect(&self, bytes: u64) {
         self.total.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Adds to the bytes that were read.
+    /// Adds to the number of bytes read.
     pub fn advance(&self, bytes: u64) {
         self.done.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Asks whoever reads to stop.
+    /// Asks the reader to stop.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
     }
 
-    /// Whether [`Progress::cancel`] was called.
+    /// True if [`Progress::cancel`] was called.
     pub fn is_cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
     }
 
-    /// Stops whoever was asked to.
+    /// Fails if the reader was asked to stop.
     ///
     /// # Errors
     /// When it was cancelled.
@@ -114,18 +114,18 @@ impl Progress {
     }
 }
 
-/// How the window opens.
+/// Options of the window.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The volume, or those of a time series in order; none for an empty window.
     pub volumes: Vec<PathBuf>,
-    /// Seconds that a frame should take at most.
+    /// Target frame time, seconds.
     pub target: f64,
     /// One of [`Host::controllers`].
     pub controller: String,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which a ray stops.
     pub termination: f32,
@@ -133,6 +133,6 @@ pub struct Options {
     pub size: (u32, u32),
     /// Events to play instead of waiting for a person: JSON lines.
     pub script: Option<PathBuf>,
-    /// Where every frame is written as a row of CSV.
+    /// File to which every frame is written as a row of CSV.
     pub log: Option<PathBuf>,
 }

@@ -1,11 +1,11 @@
-//! The window of `entire`: a volume explorer whose frame time stays where it is put.
+//! The window of `entire`: a volume explorer that holds a target frame time.
 //!
-//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_steer::Session`] and
-//! told to it afterwards; a graph shows the prediction with its bound beside what the frame took. The picture
+//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_steer::Session`], which
+//! then observes its time; a graph shows the prediction with its bound beside the measured time. The picture
 //! never leaves the device: the compute shader writes it, the interface samples it.
 //!
-//! What surrounds the window (readers of volume files, predictors, controllers, path files) comes from the
-//! program that opens it, through [`Host`].
+//! Readers of volume files, predictors, controllers and path files come from the program that opens the
+//! window, through [`Host`].
 #![deny(unsafe_code)]
 
 mod app;

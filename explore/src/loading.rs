@@ -1,5 +1,5 @@
-//! Volumes come in the background: read, summed up, brought onto the device by a raycaster of their own, and
-//! drawn once in small, so that the frame in which they appear is a frame like any other.
+//! Volumes are loaded in the background: read, summarized, uploaded to the device by a separate raycaster,
+//! and drawn once in small size, so that the frame in which they appear takes no longer than others.
 
 use crate::camera::Placement;
 use crate::histogram::Histogram;
@@ -25,35 +25,35 @@ pub(crate) enum Wake {
     Loaded,
 }
 
-/// What to load.
+/// A volume to load.
 #[derive(Clone)]
 pub(crate) struct Job {
     pub(crate) path: PathBuf,
-    /// Which of a time series.
+    /// Index in a time series.
     pub(crate) index: usize,
-    /// The volume, where it is in memory.
+    /// The volume, if it is in memory.
     pub(crate) source: Option<Arc<dyn VolumeSource>>,
     pub(crate) crop: Option<Crop>,
-    /// The transfer function to prepare with; a preset for the volume where there is none.
+    /// The initial transfer function; by default a preset for the volume.
     pub(crate) curve: Option<Curve>,
     pub(crate) shading: Shading,
     pub(crate) skipping: Skipping,
 }
 
-/// A volume that is ready to be shown.
+/// A volume that is ready for display.
 pub(crate) struct Loaded {
     pub(crate) scene: Scene,
     pub(crate) summary: VolumeSummary,
     pub(crate) steering: [Arc<dyn Steering>; 3],
     pub(crate) curve: Curve,
-    /// From the request on.
+    /// Seconds since the request.
     pub(crate) seconds: f64,
 }
 
-/// The parts of a load, for people.
-const STAGES: [&str; 4] = ["reading", "summing up", "bringing onto the device", "first picture"];
+/// The stages of a load, for display.
+const STAGES: [&str; 4] = ["reading", "summing up", "uploading to the device", "first picture"];
 
-/// A load under way.
+/// A running load.
 pub(crate) struct Loading {
     pub(crate) path: PathBuf,
     progress: Arc<Progress>,
@@ -62,7 +62,7 @@ pub(crate) struct Loading {
 }
 
 impl Loading {
-    /// Starts a thread; it wakes the event loop once it is done.
+    /// Starts a thread; it wakes the event loop at its end.
     ///
     /// # Errors
     /// When the system starts no thread.
@@ -90,7 +90,7 @@ impl Loading {
             .spawn(move || {
                 let shown = job.path.display().to_string();
                 let loaded = worker.load(job, begin).with_context(|| shown);
-                // Nobody listens where the window was closed.
+                // The receiver is gone if the window was closed.
                 let _ = send.send(loaded.map(Box::new));
                 let _ = wake.send_event(Wake::Loaded);
             })
@@ -108,7 +108,7 @@ impl Loading {
         (STAGES[stage.min(STAGES.len() - 1)], self.progress.share())
     }
 
-    /// The volume, once it is there.
+    /// The volume, once it is loaded.
     pub(crate) fn poll(&self) -> Option<Result<Box<Loaded>>> {
         self.result.try_recv().ok()
     }
@@ -144,7 +144,7 @@ impl Worker {
         };
         let view = part.as_ref().map_or_else(|| whole.view(), VolumeSource::view);
         let mut raycaster = VulkanRaycaster::on_device(&self.device, self.options.clone())?;
-        // The processor sums up while the device takes the voxels, each with threads of its own.
+        // The processor summarizes while the device takes the voxels, each with its own threads.
         let (summed, uploaded) = std::thread::scope(|scope| {
             let summed = scope.spawn(|| -> Result<_> {
                 let summary = VolumeSummary::new(&view, SummaryOptions::default())?;
@@ -158,7 +158,7 @@ impl Worker {
             (summed.join(), uploaded)
         });
         uploaded?;
-        let Ok(summed) = summed else { anyhow::bail!("summing up the volume failed") };
+        let Ok(summed) = summed else { anyhow::bail!("summarizing the volume failed") };
         let (summary, histogram, steering) = summed?;
         self.enter(3)?;
         let curve = match job.curve {

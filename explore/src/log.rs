@@ -6,24 +6,24 @@ use std::fs::File;
 use std::io::{LineWriter, Write};
 use std::path::Path;
 
-/// What stands beside a frame's record.
+/// Values besides a frame's record.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Beside<'a> {
     pub(crate) controller: &'a str,
-    /// Frames that were shown between an event and its picture, itself counted; 0 without an event.
+    /// Number of shown frames from an event to its picture, which counts; 0 without an event.
     pub(crate) input_frames: u64,
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Seconds of the frame before its plan, and those of the interface on the device.
+    /// Seconds of the frame before its plan, and of the interface on the device.
     pub(crate) before: f64,
     pub(crate) shown: f64,
-    /// Processor seconds in which the picture was handed to the display, which are none of the interface's.
+    /// Processor seconds of presentation, which are not part of the interface's.
     pub(crate) handing: f64,
 }
 
-/// A table in the making.
+/// A log file in the making.
 pub(crate) struct Log {
-    /// By lines, so that a row is there for who watches.
+    /// Line-buffered, so that watchers see each row at once.
     out: LineWriter<File>,
 }
 
@@ -74,7 +74,7 @@ impl Log {
         Ok(())
     }
 
-    /// Something else that took time: `kind`, seconds in all, of ray casting, and of the longest slice.
+    /// Another timed activity: `kind`, total seconds, seconds of ray casting, and of the longest slice.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -94,14 +94,14 @@ impl Log {
     }
 }
 
-/// Memory of this process that is in use; 0 where the system does not tell.
+/// Memory of this process in use; 0 if the system does not report it.
 pub(crate) fn resident_bytes() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm").ok();
     let pages = pages.and_then(|t| t.split_whitespace().nth(1)?.parse::<u64>().ok());
     pages.unwrap_or(0) * 4096
 }
 
-/// Processor time of the calling thread, seconds; 0 where the system does not tell.
+/// Processor time of the calling thread, seconds; 0 if the system does not report it.
 pub(crate) fn thread_seconds() -> f64 {
     #[cfg(unix)]
     {

@@ -1,12 +1,12 @@
-//! The volumes that were opened last.
+//! Recently opened volumes.
 
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 
-/// Files that are kept.
+/// Maximum number of files in the list.
 const MOST: usize = 12;
 
-/// Paths, the last one first, kept in the user's state folder.
+/// Paths, the most recent first, stored in the user's state folder.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Recent {
     file: Option<PathBuf>,
@@ -14,7 +14,7 @@ pub(crate) struct Recent {
 }
 
 impl Recent {
-    /// What was kept; nothing where there is no state folder.
+    /// The saved list; empty where there is no state folder.
     pub(crate) fn load() -> Self {
         let variable = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let folder = variable("XDG_STATE_HOME")
@@ -30,8 +30,7 @@ impl Recent {
         Self { file, paths }
     }
 
-    /// Puts a file first and keeps the list by `write`. That it cannot be kept is no error: it is a
-    /// convenience.
+    /// Puts a file first and stores the list by `write`. A failure is ignored: the list is a convenience.
     pub(crate) fn add(&mut self, path: &Path, write: impl FnOnce(&Path, &[u8]) -> Result<()>) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         self.paths.retain(|p| *p != path);

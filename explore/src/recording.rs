@@ -1,11 +1,11 @@
-//! What a person did, frame by frame, to be played again.
+//! A person's actions, frame by frame, to be played again.
 
 use crate::camera::Viewpoint;
 use crate::transfer::{Curve, RecordedTransfer};
 use anyhow::Result;
 use entire_core::scene::Arcball;
 
-/// Most frames of a recording.
+/// Maximum number of frames of a recording.
 pub(crate) const MOST_FRAMES: usize = 1_000_000;
 
 /// A frame that was drawn.
@@ -13,13 +13,13 @@ pub(crate) const MOST_FRAMES: usize = 1_000_000;
 pub struct RecordedFrame {
     /// The pose of the eye about the volume's center.
     pub camera: Arcball,
-    /// Half of the height that an orthographic view shows, bounding-sphere radii; none for a perspective one.
+    /// Half of the visible height of an orthographic view, bounding-sphere radii; none for a perspective one.
     pub parallel_scale: Option<f32>,
-    /// Whether the camera jumped here.
+    /// True if the camera jumped here.
     pub camera_switched: bool,
-    /// The transfer function, where it differs from the frame before.
+    /// The transfer function, if it differs from the frame before.
     pub transfer: Option<RecordedTransfer>,
-    /// Whether it was replaced, not dragged.
+    /// True if it was replaced, not dragged.
     pub transfer_switched: bool,
 }
 
@@ -37,11 +37,11 @@ pub struct Recording {
 pub(crate) struct Recorder {
     recording: Recording,
     last: Option<(Arcball, Option<f32>, Curve)>,
-    /// Whether a frame was panned, which path files do not hold.
+    /// True if a frame was panned, which path files cannot hold.
     pub(crate) panned: bool,
 }
 
-/// Degrees, and ratio of distances or scales, beyond which the camera counts as having jumped.
+/// Degrees, and ratio of distances or scales, above which the camera has jumped.
 const JUMP: (f32, f32) = (20.0, 1.5);
 
 impl Recorder {
@@ -49,10 +49,10 @@ impl Recorder {
         Self { recording: Recording { fov_y_degrees, frames: Vec::new() }, last: None, panned: false }
     }
 
-    /// Notes a frame.
+    /// Records a frame.
     ///
     /// # Errors
-    /// When the transfer function is none.
+    /// When the transfer function is invalid.
     pub(crate) fn note(&mut self, view: &Viewpoint, curve: &Curve, replaced: bool) -> Result<()> {
         if self.recording.frames.len() >= MOST_FRAMES {
             return Ok(());
@@ -62,7 +62,7 @@ impl Recorder {
         let mut switched = false;
         let parallel_scale = view.parallel_scale();
         if let Some((before, scale, _)) = &self.last {
-            // Angles go on beyond a turn, so that what lies between two frames is the short way.
+            // Angles continue beyond a full turn, so that the way between two frames is the short one.
             camera.ry += 360.0 * ((before.ry - camera.ry) / 360.0).round();
             let turned = (camera.ry - before.ry).abs().max((camera.rx - before.rx).abs());
             let moved = match (parallel_scale, *scale) {

@@ -1,4 +1,4 @@
-//! Work that goes on in slices: a picture region by region, each slice within a budget.
+//! Work in slices: a picture region by region, each slice within a budget.
 
 use anyhow::Result;
 use entire_core::scene::Frame;
@@ -11,17 +11,17 @@ const BAND: u32 = 32;
 /// Columns of the smallest piece of a band.
 const PIECE: u32 = 16;
 
-/// How much longer than the one before a piece may take.
+/// Largest ratio of a piece's time to that of the one before.
 const CAUTION: f64 = 1.3;
 
-/// Where the work on a picture stands: bands from top to bottom, each from left to right.
+/// Progress of a picture: bands from top to bottom, each from left to right.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Cursor {
     width: u32,
     height: u32,
     x: u32,
     y: u32,
-    /// Seconds per piece, as expected of the next.
+    /// Expected seconds of the next piece.
     piece: f64,
     /// Seconds so far.
     spent: f64,
@@ -39,7 +39,7 @@ impl Cursor {
         self.y >= self.height
     }
 
-    /// What is done: columns × rows of whole bands, and the part of the band at hand.
+    /// Finished part: columns × rows of whole bands, and the part of the current band.
     pub(crate) fn covered(&self) -> [Option<Region>; 2] {
         let part = |x, y, width, height| (width > 0 && height > 0).then_some(Region { x, y, width, height });
         [
@@ -48,23 +48,22 @@ impl Cursor {
         ]
     }
 
-    /// The share that is done, 0 to 1.
+    /// The finished share, 0 to 1.
     pub(crate) fn share(&self) -> f64 {
         let done: u64 = self.covered().iter().flatten().map(Region::pixels).sum();
         done as f64 / (f64::from(self.width) * f64::from(self.height))
     }
 
-    /// Seconds that the rest is expected to take.
+    /// Expected seconds of the rest.
     pub(crate) fn remaining(&self) -> f64 {
         let pieces = f64::from(self.width.div_ceil(PIECE)) * f64::from(self.height.div_ceil(BAND));
         let share = self.share();
-        // What is done tells more the more of it there is.
+        // The estimate relies on the finished part the more, the larger it is.
         let whole = share * (self.spent / share.max(1e-6)) + (1.0 - share) * self.piece * pieces;
         (1.0 - share) * whole
     }
 
-    /// Works for about `budget` seconds, and on one piece at least. `work` answers the seconds that a region
-    /// took.
+    /// Works for about `budget` seconds, and on at least one piece. `work` returns the seconds of a region.
     ///
     /// # Errors
     /// Those of `work`.
@@ -98,7 +97,7 @@ impl Cursor {
 pub(crate) struct Refinement {
     pub(crate) frame: Frame,
     pub(crate) cursor: Cursor,
-    /// When it began.
+    /// Time of its start.
     pub(crate) begin: Instant,
     /// The longest slice so far, seconds.
     pub(crate) longest: f64,
@@ -113,7 +112,7 @@ impl Refinement {
         Self { frame, cursor, begin: Instant::now(), longest: 0.0, cast: 0.0 }
     }
 
-    /// Goes on for about `budget` seconds.
+    /// Continues for about `budget` seconds.
     ///
     /// # Errors
     /// Those of the raycaster.
@@ -164,7 +163,7 @@ mod tests {
                     Ok(cost(r))
                 })
                 .unwrap();
-            // Where the cost jumps by ten, one region may run over.
+            // Where the cost jumps by ten, one region may exceed the budget.
             assert!(total <= 0.02 + 1e-9 || largest > 0.02, "{total}");
             slices += 1;
             let done: u64 = cursor.covered().iter().flatten().map(Region::pixels).sum();

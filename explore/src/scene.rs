@@ -1,4 +1,4 @@
-//! The volume in the window, on the device and off it.
+//! The volume in the window, on the device and in memory.
 
 use crate::camera::Placement;
 use crate::histogram::Histogram;
@@ -13,10 +13,10 @@ use std::sync::Arc;
 /// First and last voxel of a part along each axis.
 pub(crate) type Crop = [[usize; 2]; 3];
 
-/// A volume that is on the device, all of it or a part.
+/// A volume on the device, whole or a part.
 pub(crate) struct Scene {
     pub(crate) path: PathBuf,
-    /// Which of a time series.
+    /// Index in a time series.
     pub(crate) index: usize,
     pub(crate) whole: Arc<dyn VolumeSource>,
     pub(crate) crop: Option<Crop>,
@@ -26,16 +26,16 @@ pub(crate) struct Scene {
     pub(crate) facts: Facts,
 }
 
-/// What is said of a volume.
+/// Description of a volume.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Facts {
     pub(crate) dims: [usize; 3],
     pub(crate) kind: &'static str,
     pub(crate) range: (f32, f32),
-    /// The least and the greatest value of its voxels.
+    /// The minimum and maximum of its voxels.
     pub(crate) own_range: (f32, f32),
     pub(crate) spacing: Vec3,
-    /// Half the whole box in its scene space.
+    /// Half the extent of the whole box in its scene space.
     pub(crate) half_extent: Vec3,
 }
 
@@ -51,7 +51,7 @@ impl Facts {
         }
     }
 
-    /// The corners of a part, or of all, in the whole's scene space.
+    /// The corners of a part, or of the whole, in the whole's scene space.
     pub(crate) fn corners(&self, crop: Option<Crop>) -> [Vec3; 2] {
         let end =
             |a: usize, voxel: usize| self.half_extent[a] * (2.0 * voxel as f32 / self.dims[a] as f32 - 1.0);
@@ -93,7 +93,7 @@ impl VolumeSource for Spanned {
     }
 }
 
-/// A part of a volume, copied, so that renderer and predictor both know it for what it is.
+/// A copied part of a volume, which renderer and predictor treat as a volume.
 pub(crate) struct Part {
     voxels: Voxels,
     dims: [usize; 3],
@@ -181,7 +181,7 @@ mod tests {
         for (x, y, z) in [(0, 0, 0), (1, 3, 3), (1, 0, 2)] {
             assert_eq!(cut.value(x, y, z), view.value(x + 1, y, z + 4));
         }
-        // A voxel's corner is at one place of the world in both.
+        // A voxel's corner has the same world position in both.
         let world = |v: &VolumeView<'_>, at: Vec3| {
             let corner = Vec3::from_array(v.shape().dims.map(|n| n as f32)) * v.shape().spacing * 0.5;
             at * v.shape().spacing - corner

@@ -26,7 +26,7 @@ impl Screenshot {
         self.cursor.share()
     }
 
-    /// Goes on for about `budget` seconds; true once the file is written.
+    /// Continues for about `budget` seconds; true once the file is written.
     ///
     /// # Errors
     /// Those of the raycaster, and when the file cannot be written.
@@ -45,7 +45,7 @@ impl Screenshot {
                 let start = ((region.y as usize + row) * width + region.x as usize) * 3;
                 let out = &mut rgb[start..start + 3 * region.width as usize];
                 for (out, pixel) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
-                    // Over black, which premultiplied colors already are.
+                    // Blends over black; premultiplied colors already are.
                     out.copy_from_slice(&pixel[..3]);
                 }
             }

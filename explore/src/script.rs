@@ -1,5 +1,5 @@
-//! Events from a file in the place of a person's: JSON lines, each an object with one action and the number of
-//! the drawn frame, counted from 0, before which it happens.
+//! Events from a file instead of a person: JSON lines, each an object with one action and the number of the
+//! drawn frame, counted from 0, before which it happens.
 //!
 //! | action | value |
 //! |---|---|
@@ -38,7 +38,7 @@ use std::path::{Path, PathBuf};
 /// Largest script, bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// What happens.
+/// Action of an event.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Action {
@@ -100,7 +100,7 @@ pub(crate) struct Script {
 
 impl Script {
     /// # Errors
-    /// Names the line and what is wrong with it.
+    /// Names the line and its error.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let shown = path.display();
         let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
@@ -126,7 +126,7 @@ impl Script {
         Ok(Self { events, ..Self::default() })
     }
 
-    /// The next event before a frame, once it is due.
+    /// The next event that is due before a frame.
     pub(crate) fn next(&mut self, frame: u64) -> Option<Action> {
         self.events.pop_front_if(|(at, _)| *at <= frame).map(|(_, action)| action)
     }

@@ -1,4 +1,4 @@
-//! What the interface shows and edits. The application acts on it.
+//! State that the interface shows and edits. The application acts on it.
 
 use crate::camera::Viewpoint;
 use crate::histogram::Histogram;
@@ -14,7 +14,7 @@ use entire_core::scene::{COLOR_RAMP, Shading, Skipping};
 use entire_vk_raycaster::Region;
 use std::path::PathBuf;
 
-/// What a person asks for that the interface cannot do itself.
+/// Requests of a person that the interface cannot fulfil itself.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Command {
     Open(PathBuf),
@@ -22,7 +22,7 @@ pub(crate) enum Command {
     Step(usize),
     Cancel,
     Crop(Option<Crop>),
-    /// Lets the voxels' own range map to [0, 1].
+    /// Maps the voxels' own range to [0, 1].
     SpanData,
     LoadTransfer(PathBuf),
     SaveTransfer {
@@ -34,12 +34,12 @@ pub(crate) enum Command {
         size: [u32; 2],
     },
     SaveRecording(PathBuf),
-    /// Counts where the samples of the view go.
+    /// Counts the samples of the view by cell.
     MapWork,
     Forget,
 }
 
-/// What changed since the last frame.
+/// Changes since the last frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Changed {
     pub(crate) camera: bool,
@@ -48,41 +48,41 @@ pub(crate) struct Changed {
     pub(crate) transfer: bool,
     /// The transfer function was replaced.
     pub(crate) replaced: bool,
-    /// Modes, sizes, target, controller: the picture is to be drawn anew.
+    /// Modes, sizes, target, controller: the picture must be drawn again.
     pub(crate) settings: bool,
 }
 
 impl Changed {
-    /// Whether the picture is to be drawn anew.
+    /// True if the picture must be drawn again.
     pub(crate) fn any(&self) -> bool {
         *self != Self::default()
     }
 
-    /// Whether it changed abruptly.
+    /// True if it changed abruptly.
     pub(crate) fn abrupt(&self) -> bool {
         self.cut || self.replaced
     }
 }
 
-/// A picture as the interface shows it.
+/// A picture in the interface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shown {
     /// The steered picture. Its texture coordinates are set after the frame's size was chosen.
     pub(crate) steered: TextureId,
-    /// The picture at full quality, its size, and what of it is done.
+    /// The picture at full quality, its size, and its finished regions.
     pub(crate) full: Option<(TextureId, [u32; 2], [Option<Region>; 2])>,
 }
 
-/// The wait for full quality.
+/// Progress of the refinement to full quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Rest {
     pub(crate) share: f64,
     pub(crate) remaining: f64,
-    /// Seconds that it took, once it is done.
+    /// Its seconds, once it is finished.
     pub(crate) took: Option<f64>,
 }
 
-/// What is being dragged in the editor.
+/// Handle that is dragged in the editor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Handle {
     Point(usize),
@@ -90,7 +90,7 @@ pub(crate) enum Handle {
     Width(usize),
 }
 
-/// Text that is typed.
+/// Text input.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Texts {
     pub(crate) open: String,
@@ -99,7 +99,7 @@ pub(crate) struct Texts {
     pub(crate) recording: String,
 }
 
-/// Everything that the interface knows.
+/// The interface's state.
 pub(crate) struct State {
     pub(crate) steer: Steer,
     pub(crate) view: Viewpoint,
@@ -122,11 +122,11 @@ pub(crate) struct State {
     pub(crate) crop: Option<Crop>,
     pub(crate) crop_draft: Crop,
 
-    /// The volumes of a time series, and which of them is shown.
+    /// The volumes of a time series, and the index of the current one.
     pub(crate) series: Vec<PathBuf>,
     pub(crate) index: usize,
     pub(crate) playing: bool,
-    /// Seconds for which each is shown.
+    /// Seconds per volume.
     pub(crate) hold: f32,
 
     pub(crate) fly: bool,
@@ -139,12 +139,12 @@ pub(crate) struct State {
 
     pub(crate) recorder: Option<Recorder>,
     pub(crate) recent: Recent,
-    /// What is being loaded: the file, the stage, and the share that was read.
+    /// File that is loading, its stage, and the share that was read.
     pub(crate) loading: Option<(String, &'static str, f32)>,
     pub(crate) screenshot_share: Option<f64>,
     pub(crate) screenshot_size: [u32; 2],
     pub(crate) rest: Option<Rest>,
-    /// The last thing that is to be said, and whether it is an error.
+    /// The last message, and true if it is an error.
     pub(crate) said: Option<(String, bool)>,
 
     pub(crate) quit: bool,
@@ -215,12 +215,12 @@ impl State {
         self.said = Some((text.into(), false));
     }
 
-    /// Says what went wrong.
+    /// Shows an error.
     pub(crate) fn complain(&mut self, error: &anyhow::Error) {
         self.said = Some((format!("{error:#}"), true));
     }
 
-    /// Takes over a preset.
+    /// Applies a preset.
     pub(crate) fn preset(&mut self, name: &str) -> bool {
         let Some(mut curve) = self.histogram.as_ref().and_then(|h| Curve::preset(name, h)) else {
             return false;

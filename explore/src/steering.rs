@@ -1,4 +1,4 @@
-//! Plans every frame, hears how long it took, and remembers both for the graph.
+//! Plans every frame, observes its time, and stores both for the graph.
 
 use crate::host::Steering;
 use anyhow::{Context, Result};
@@ -11,38 +11,38 @@ use entire_steer::{Plan, Session, VolumeSummary};
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-/// Frames that the graph shows.
+/// Number of frames in the graph.
 pub(crate) const REMEMBERED: usize = 300;
 
-/// Frames whose other work says what that of the next frame will be.
+/// Number of frames from which the other work of the next frame is estimated.
 const OTHER_WORK: usize = 15;
 
-/// The least share of the target that ray casting is planned with, whatever else the frame has to do.
+/// The smallest share of the target for ray casting, whatever else the frame has to do.
 const LEAST_SHARE: f64 = 0.15;
 
-/// The step is coarsened alone up to this many times the finest one, then together with the image.
+/// Up to this many times the finest step, only the step is coarsened, then step and image together.
 const STEP_ALONE: f32 = 2.0;
 
-/// A frame that was drawn. Times are seconds.
+/// A drawn frame. Times are seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FrameRecord {
     pub(crate) number: u64,
-    /// From the first event that was looked at to the picture's handing over.
+    /// From the first processed event to the presentation of the picture.
     pub(crate) seconds: f64,
-    /// Of it, ray casting.
+    /// Part of it for ray casting.
     pub(crate) cast: f64,
     /// Processor time of the thread that lays out and records the interface.
     pub(crate) interface: f64,
     pub(crate) target: f64,
-    /// Ray casting and everything else; NaN where nothing was expected.
+    /// Predicted time of ray casting and all other work; NaN without a prediction.
     pub(crate) predicted: f64,
     pub(crate) upper: f64,
     pub(crate) step: f32,
     pub(crate) image_sample_distance: f32,
     pub(crate) reason: Reason,
-    /// Whether something changed abruptly.
+    /// True if something changed abruptly.
     pub(crate) switched: bool,
-    /// What the frame would have taken at full quality, as predicted; NaN where unknown.
+    /// Predicted time of the frame at full quality; NaN where unknown.
     pub(crate) full: f64,
 }
 
@@ -52,18 +52,18 @@ pub(crate) struct Planned {
     pub(crate) plan: Plan,
     /// The frame with the plan's step and image size.
     pub(crate) frame: Frame,
-    /// Seconds that all other work of the frame is expected to take, so far and from here on.
+    /// Expected seconds of all other work of the frame, past and to come.
     pub(crate) other: f64,
 }
 
-/// A session with what it was told of.
+/// A session with its current inputs.
 struct Loop {
     session: Session,
     volume: u64,
     transfer: u64,
 }
 
-/// What sessions are told.
+/// Inputs of the sessions.
 struct Known {
     summary: VolumeSummary,
     steering: [Arc<dyn Steering>; 3],
@@ -74,16 +74,16 @@ struct Known {
 pub(crate) struct Steer {
     /// Name and title.
     pub(crate) controllers: Vec<(&'static str, &'static str)>,
-    /// Which of them steers.
+    /// Index of the one that steers.
     pub(crate) controller: usize,
     pub(crate) enabled: bool,
     /// Seconds.
     pub(crate) target: f64,
-    /// The coarsest step, and the most pixels between rays.
+    /// The coarsest step, and the largest number of pixels between rays.
     pub(crate) coarsest: f32,
     pub(crate) distance: f32,
     pub(crate) history: VecDeque<FrameRecord>,
-    /// Prediction for the frame at hand at full quality, seconds: expected and bound.
+    /// Prediction for the current frame at full quality, seconds: expected and bound.
     pub(crate) full: Option<(f64, f64)>,
     loops: HashMap<(usize, usize), Loop>,
     known: Option<Known>,
@@ -125,8 +125,8 @@ impl Steer {
         }
     }
 
-    /// A volume comes: what was learned stays where the predictor takes the new one's inputs as well, which
-    /// all do but those with features of the volume.
+    /// Sets a volume: the learned state is kept if the predictor takes the same inputs, which all do except
+    /// those with volume features.
     pub(crate) fn set_volume(&mut self, summary: VolumeSummary, steering: [Arc<dyn Steering>; 3]) {
         self.known = Some(Known { summary, steering, table: None });
         self.volume += 1;
@@ -145,25 +145,25 @@ impl Steer {
         self.changes.camera = true;
     }
 
-    /// Forgets what every controller learned.
+    /// Resets every controller.
     pub(crate) fn forget(&mut self) {
         self.loops.clear();
         self.other.clear();
     }
 
-    /// What predicts, for people.
+    /// Name of the predictor, for display.
     pub(crate) fn predictor(&self, shading: Shading) -> String {
         self.known.as_ref().map_or(String::new(), |k| k.steering[shading_index(shading)].title())
     }
 
-    /// The rays along each side of the probe, and how many of them met the volume.
+    /// The rays along each side of the probe, and the number of them that met the volume.
     pub(crate) fn probe(&self, shading: Shading) -> Option<(usize, u32)> {
         let running = self.loops.get(&(self.controller, shading_index(shading)))?;
         let features = running.session.features();
         Some((features.probe_side(), features.probe_rays()))
     }
 
-    /// The session that steers, told of everything.
+    /// The steering session with its current inputs.
     fn session(&mut self, shading: Shading) -> Result<&mut Session> {
         let known = self.known.as_ref().context("no volume is open")?;
         let key = (self.controller, shading_index(shading));
@@ -189,15 +189,15 @@ impl Steer {
         Ok(&mut running.session)
     }
 
-    /// Seconds that a frame's other work takes from its plan on: what three of four of the last frames stayed
-    /// below, since the plan's bound is one of ray casting alone.
+    /// Expected seconds of a frame's other work after its plan: the 75 % quantile of the last frames, since
+    /// the plan's bound is of ray casting only.
     fn other_work(&self) -> f64 {
         let mut all: Vec<f64> = self.other.iter().copied().collect();
         all.sort_by(f64::total_cmp);
         all.get(all.len() * 3 / 4).copied().unwrap_or(0.0)
     }
 
-    /// Seconds that a frame is expected to take, and their bound.
+    /// Expected seconds of a frame, and their bound.
     pub(crate) fn predict(&mut self, frame: &Frame) -> Result<(f64, f64)> {
         let p = self.session(frame.shading)?.predict(frame)?;
         Ok((f64::from(p.seconds), f64::from(p.upper)))
@@ -209,7 +209,7 @@ impl Steer {
         Ok(())
     }
 
-    /// Plans a frame of full size at the reference step. `spent`: seconds that the frame has taken so far.
+    /// Plans a frame of full size at the reference step. `spent`: seconds of the frame so far.
     pub(crate) fn plan(&mut self, frame: &Frame, spent: f64) -> Result<Planned> {
         let rest = self.other_work();
         let other = spent + rest;
@@ -235,7 +235,7 @@ impl Steer {
         Ok(Planned { plan, frame: drawn, other })
     }
 
-    /// Tells the session how long ray casting took. `unusual`: the time holds other work too.
+    /// Gives the session the time of ray casting. `unusual`: the time includes other work.
     pub(crate) fn observe(
         &mut self,
         planned: &Planned,
@@ -244,12 +244,12 @@ impl Steer {
         unusual: bool,
     ) -> Result<()> {
         let flags = ObserveFlags { unusual, ..ObserveFlags::default() };
-        // A time that no frame can have (a suspended machine) is refused and leaves no trace.
+        // An impossible time (of a suspended machine) is refused and has no effect.
         let _ = self.session(shading)?.observe(planned.plan.id, cast as f32, flags);
         Ok(())
     }
 
-    /// Remembers a finished frame. `rest`: seconds of other work from the plan on.
+    /// Stores a finished frame. `rest`: seconds of other work after the plan.
     pub(crate) fn remember(&mut self, record: FrameRecord, rest: f64) {
         if self.other.len() == OTHER_WORK {
             self.other.pop_front();
@@ -291,7 +291,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         Reason::TargetUnreachable => {
             format!("the coarsest that the quality floor allows; even that is not expected to fit {target}")
         }
-        Reason::History => "the prediction was not trusted here (out of its range, or wrong lately): recent \
+        Reason::History => "the prediction was not trusted (out of range, or large recent errors): recent \
                             frames decided"
             .to_owned(),
         Reason::NoInformation => "the coarsest allowed: nothing is known yet".to_owned(),
@@ -339,7 +339,7 @@ mod tests {
         (steer, Frame::new(camera, 640, 480).unwrap())
     }
 
-    /// Seconds of a frame that costs so much per ray and sample.
+    /// Seconds of a frame with given costs per ray and sample.
     fn cost(frame: &Frame) -> f64 {
         f64::from(frame.width) * f64::from(frame.height) * (2e-8 + 4e-7 / f64::from(frame.step))
     }
@@ -371,7 +371,7 @@ mod tests {
             steer.remember(record, after);
         }
         assert!((last / steer.target - 1.0).abs() < 0.1, "{last}");
-        // Off, it is the full frame that is drawn.
+        // With steering off, the full frame is drawn.
         steer.enabled = false;
         let planned = steer.plan(&frame, before).unwrap();
         assert_eq!(planned.frame, frame);

@@ -20,7 +20,7 @@ pub(crate) type OpacityPoint = [f32; 2];
 /// A point of the color map: normalized scalar; red, green, blue.
 pub(crate) type ColorPoint = (f32, [f32; 3]);
 
-/// Where opacity comes from.
+/// Source of opacity.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Opacity {
     /// Piecewise linear through points, ascending.
@@ -61,11 +61,11 @@ pub(crate) const COLOR_MAPS: [(&str, &[ColorPoint]); 5] = [
     ),
 ];
 
-/// Opacity curves that are made to fit a volume's values, by name.
+/// Names of opacity presets, which adapt to a volume's values.
 pub(crate) const PRESETS: [&str; 6] = ["ramp", "shell", "haze", "core", "layers", "solid"];
 
 impl Curve {
-    /// A preset for a volume's values; `None` for a name that is none of [`PRESETS`].
+    /// A preset for a volume's values; `None` for a name that is not in [`PRESETS`].
     pub(crate) fn preset(name: &str, histogram: &Histogram) -> Option<Self> {
         let q = |share| histogram.quantile(share);
         let lobe = |center: f32, width: f32, height| GaussianLobe { center, width: width * width, height };
@@ -117,12 +117,12 @@ impl Curve {
         }
     }
 
-    /// Whether the color map is that of Gaussian transfer functions.
+    /// True if the color map is that of Gaussian transfer functions.
     fn has_ramp(&self) -> bool {
         self.colors == COLOR_RAMP
     }
 
-    /// The lobes, where there are such.
+    /// The lobes, if opacity consists of lobes.
     pub(crate) fn lobes(&self) -> Option<&[GaussianLobe]> {
         match &self.opacity {
             Opacity::Lobes(lobes) => Some(lobes),
@@ -130,7 +130,7 @@ impl Curve {
         }
     }
 
-    /// The table that renderer and session take.
+    /// The table for renderer and session.
     ///
     /// # Errors
     /// When the core refuses a lobe or point.
@@ -160,7 +160,7 @@ impl Curve {
         Ok(TransferTable::new(rgba)?)
     }
 
-    /// As recordings hold it: lobes where they say it all, else a point for each entry of the table.
+    /// For recordings: lobes if they define the curve, else a point for each entry of the table.
     ///
     /// # Errors
     /// As [`Curve::table`].
@@ -177,7 +177,7 @@ impl Curve {
         Ok(RecordedTransfer::Points(points.collect()))
     }
 
-    /// A curve from what recordings hold.
+    /// A curve from a recording.
     #[cfg(test)]
     fn from_recorded(transfer: &RecordedTransfer) -> Self {
         match transfer {
@@ -207,17 +207,17 @@ impl Curve {
     }
 }
 
-/// A curve with everything that it was before.
+/// A curve with its undo history.
 #[derive(Clone, Debug)]
 pub(crate) struct Edited {
     past: Vec<Curve>,
     future: Vec<Curve>,
-    /// As it was when the edit at hand began.
+    /// The curve before the current edit.
     settled: Curve,
     pub(crate) curve: Curve,
 }
 
-/// Edits that can be taken back.
+/// Maximum number of undo steps.
 const UNDO_STEPS: usize = 200;
 
 impl Edited {
@@ -225,7 +225,7 @@ impl Edited {
         Self { past: Vec::new(), future: Vec::new(), settled: curve.clone(), curve }
     }
 
-    /// Ends an edit (a drag, a typed value): it is one step of undo from here on.
+    /// Ends an edit (a drag, a typed value), which becomes one undo step.
     pub(crate) fn settle(&mut self) {
         if self.settled != self.curve {
             self.past.push(std::mem::replace(&mut self.settled, self.curve.clone()));
@@ -236,7 +236,7 @@ impl Edited {
         }
     }
 
-    /// Replaces the curve, as one step of undo.
+    /// Replaces the curve, as one undo step.
     pub(crate) fn replace(&mut self, curve: Curve) {
         self.settle();
         self.curve = curve;
@@ -313,7 +313,7 @@ mod tests {
     fn undo_goes_back_edit_by_edit_and_forth_again() {
         let curve = |opacity| Curve { opacity: Opacity::Points(vec![[0.0, opacity]]), colors: vec![] };
         let mut edited = Edited::new(curve(0.1));
-        // A drag is one edit, whatever it passes through.
+        // A drag is one edit, with any number of intermediate values.
         for i in 2..=5 {
             edited.curve = curve(0.1 * i as f32);
         }

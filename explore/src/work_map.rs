@@ -1,4 +1,4 @@
-//! Where the samples of a frame go: counted by the raycaster, cell by cell of the image.
+//! Samples of a frame by cell of the image, counted by the raycaster.
 
 use anyhow::Result;
 use entire_core::scene::Frame;
@@ -19,10 +19,10 @@ pub(crate) struct WorkMap {
 }
 
 impl WorkMap {
-    /// Of a frame's view, at full quality.
+    /// For a frame's view, at full quality.
     ///
     /// # Errors
-    /// When the frame is none.
+    /// When the frame is invalid.
     pub(crate) fn new(frame: &Frame) -> Result<Self> {
         let coarse = Frame {
             termination: frame.termination,
@@ -39,7 +39,7 @@ impl WorkMap {
         self.next == CELLS[0] * CELLS[1]
     }
 
-    /// Counts cells for about `budget` seconds, one at least.
+    /// Counts cells for about `budget` seconds, at least one.
     ///
     /// # Errors
     /// Those of the raycaster.

@@ -1,4 +1,4 @@
-"""The window as a person uses it, under Xvfb with xdotool: open, drag, edit, switch, resize, screenshot, close.
+"""The window under Xvfb, used through xdotool: open, drag, edit, switch, resize, screenshot, close.
 
     python3 explore/tests/window.py ENTIRE [TEST…]
     python3 explore/tests/window.py --can
@@ -37,15 +37,16 @@ def at(frame, **action):
     return json.dumps({"frame": frame, **action})
 
 
-# Beside every window, so that no pointer and no hint lies in a picture: Xvfb draws the pointer into its frame buffer.
+# A point beside every window, so that no pointer and no hint is in a picture: Xvfb draws the pointer into its frame
+# buffer.
 AWAY = (1390, 940)
 
-# How often in a row the picture must be the same, 0.3 s apart: on a busy machine a slice of the refinement takes long.
+# Number of equal pictures in a row, 0.3 s apart: on a busy machine a slice of the refinement takes long.
 STILL = 7
 
 
 class Person:
-    """A window with a person before it."""
+    """A window with a simulated user."""
 
     def __init__(self, command, display, folder, volume):
         self.display, self.folder = display, folder
@@ -71,7 +72,7 @@ class Person:
         return self.display.pixels((100, 120, 420, 320))
 
     def rests(self):
-        """Whether the last frame is of full quality, or has been refined to it, as far as the log tells."""
+        """True if the last frame is of full quality, or has been refined to it, as far as the log tells."""
         rows = list(csv.DictReader(self.log.read_text().splitlines())) if self.log.exists() else []
         last = next((row for row in reversed(rows) if row["kind"] in ("frame", "rest")), None)
         if last is None or last["kind"] == "rest":
@@ -79,7 +80,7 @@ class Person:
         return float(last["step"]) <= 1 and float(last["image_sample_distance"]) <= 1
 
     def settle(self, seconds=40):
-        """Takes the pointer away and waits until the picture stands still, at full quality where that comes in time."""
+        """Moves the pointer away and waits until the picture is still, at full quality if that comes in time."""
         self.display.xdotool("mousemove", *AWAY)
         end = time.monotonic() + seconds
         before = self.view()
@@ -93,7 +94,7 @@ class Person:
         return before
 
     def differs(self, picture, seconds=0.5):
-        """Whether the view changes from a picture within some time."""
+        """True if the view changes from a picture within some time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if tools.mean_difference(picture, self.view()) > 0.2:
@@ -121,7 +122,7 @@ class Person:
 
 
 def a_person_explores(command, display, folder):
-    """Open, turn, zoom, edit, take back, switch, resize, screenshot, close; nothing to say for the validation layer."""
+    """Open, turn, zoom, edit, undo, switch, resize, screenshot, close, without a message of the validation layer."""
     person = Person(command, display, folder, BANANA)
     first = person.view()
     assert len(set(first[2])) > 20, "the view is empty"
@@ -139,10 +140,10 @@ def a_person_explores(command, display, folder):
 
     person.key("r")
     start = person.settle()
-    # The editor stands in the upper right corner, 340 points wide: a handle for opacity is taken and pulled down,
-    # wherever it is along the curve. One edit is enough; it is seen once the editor's hint, which reaches into the view,
-    # is gone and the camera is back: where a frame is slow, a whole pull falls into it, and what lies where it ended is
-    # taken, which may be the view.
+    # The editor is in the upper right corner, 340 points wide: an opacity handle is caught and pulled down, wherever it
+    # is along the curve. One edit is enough; it is checked once the editor's hint, which overlaps the view, is gone and
+    # the camera is back: with slow frames a whole pull falls into one frame, and the widget at its end is caught, which
+    # may be the view.
     def changed():
         person.key("r")
         return tools.mean_difference(start, person.settle()) > 0.2
@@ -152,10 +153,10 @@ def a_person_explores(command, display, folder):
         if person.differs(start) and changed():
             break
     else:
-        # No handle stood on that row: a new one does.
+        # There was no handle on that row: a new one is made.
         display.xdotool("mousemove", 900, 80, "click", "--repeat", 2, "--delay", 60, 1)
         assert changed(), "editing changed nothing"
-    # One edit, or a few where the picture came later than the next pull or a pull counted as a double click.
+    # One edit, or a few if the picture came later than the next pull or a pull counted as a double click.
     for _ in range(12):
         person.key("ctrl+z")
         back = person.settle()
@@ -170,7 +171,7 @@ def a_person_explores(command, display, folder):
         time.sleep(0.2)
     top = person.settle()
     assert tools.mean_difference(back, top) > 1, "keys switched nothing"
-    # From straight above a slab looks alike in both projections, but not as large; from aside it does not.
+    # From straight above a slab looks alike in both projections, but differs in size; from the side it differs.
     person.key("5")
     parallel = person.settle()
     assert tools.mean_difference(top, parallel) > 0.1, "the orthographic view is the perspective one"
@@ -210,7 +211,7 @@ def a_person_explores(command, display, folder):
 
 
 def screenshots_are_those_of_render(command, display, folder):
-    """The same pixels as `entire render`, whatever the window does."""
+    """The same pixels as `entire render`, independent of the window."""
     camera, size = [20, 35, 2.5], [333, 257]
     for shading, parallel in (("none", False), ("local", False), ("scatter", False), ("none", True), ("local", True)):
         name = f"{shading}-{'parallel' if parallel else 'perspective'}"
@@ -227,7 +228,7 @@ def screenshots_are_those_of_render(command, display, folder):
         tf = ",".join(str(v) for lobe in LOBES for v in lobe)
         arguments = ["--camera", ",".join(map(str, camera)), "--tf", tf, "--size", "x".join(map(str, size))]
         if parallel:
-            # As much as the window's lens of 45° shows from there. The distance is another: nothing depends on it.
+            # As much as the window's field of view of 45° shows from there. The distance differs, which has no effect.
             scale = camera[2] * math.tan(math.radians(22.5))
             arguments[1] = "20,35,3.7"
             arguments += ["--parallel-scale", repr(scale)]
@@ -241,7 +242,7 @@ def screenshots_are_those_of_render(command, display, folder):
 
 
 def a_script_switches_everything(command, display, folder):
-    """Controllers, modes, sizes, parts, files, a lost device: every frame is drawn, the layer says nothing."""
+    """Controllers, modes, sizes, parts, files, a lost device: every frame is drawn, without a validation message."""
     transfer, path = folder / "transfer.json", folder / "path.json"
     lines = [at(0, record=True), at(0, spin=[1.5, 0.3])]
     for i, name in enumerate(["hybrid", "olp", "algorithm1", "pid", "hybrid"]):
@@ -296,7 +297,7 @@ def a_script_switches_everything(command, display, folder):
 
 
 def a_series_plays_in_the_background(command, display, folder):
-    """Steps of a series come one after the other while the one before is shown."""
+    """Steps of a series follow one another while the previous one is shown."""
     steps = sorted((ROOT / "data/nyx_cosmology/m01").glob("*.nrrd"))[:2]
     if len(steps) < 2:
         steps = [BANANA, BANANA]

@@ -1,4 +1,4 @@
-"""What tests and bars of the window need: a display of its own, its pixels, PNG files, volumes, the frame log.
+"""Tools of the window's tests and bars: a display of its own, its pixels, PNG files, volumes, the frame log.
 
 Only the standard library: the tests run wherever Xvfb, xdotool and a Vulkan driver are.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 
 
 def missing():
-    """Why the window cannot be tested here, with the remedy; None where it can."""
+    """Reason why the window cannot be tested here, with the remedy; None if it can."""
     packages = [name.lower() for name in ("Xvfb", "xdotool") if not shutil.which(name)]
     if packages:
         return f"{' and '.join(packages)} not installed (apt-get install xvfb xdotool)"
@@ -27,7 +27,7 @@ def missing():
 
 
 def has_validation():
-    """Whether the Khronos validation layer is installed."""
+    """True if the Khronos validation layer is installed."""
     return Path("/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json").is_file()
 
 
@@ -60,13 +60,13 @@ class Display:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def xdotool(self, *arguments):
-        """Runs xdotool and answers what it prints."""
+        """Runs xdotool and returns its output."""
         command = ["xdotool", *map(str, arguments)]
         done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=30)
         return done.stdout.strip()
 
     def window(self, title, seconds=60):
-        """The window with a title, once it is there."""
+        """The window with a title, once it exists."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             found = self.xdotool("search", "--name", title).split()
@@ -101,7 +101,7 @@ def write_png(path, width, height, rgb):
     before = bytes(3 * width)
     for y in range(height):
         row = rgb[3 * width * y : 3 * width * (y + 1)]
-        # Filter 2: what differs from the row above.
+        # Filter 2: differences from the row above.
         rows.append(b"\x02" + bytes((a - b) & 255 for a, b in zip(row, before)))
         before = row
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
@@ -167,7 +167,7 @@ def mean_difference(a, b):
 
 
 def where_different(a, b):
-    """In words: how many pixels of two pictures differ, and within which box."""
+    """Text: number of different pixels of two pictures, and their bounding box."""
     width = a[0]
     places = [i // 3 for i, (x, y) in enumerate(zip(a[2], b[2])) if abs(x - y) > 2]
     if not places:
@@ -202,7 +202,7 @@ def read_log(path):
 
 
 def run_script(command, display, lines, folder, arguments=(), seconds=600, validation=False):
-    """Plays a script in a window; answers the log. `command`: the `entire` command."""
+    """Plays a script in a window; returns the log. `command`: the `entire` command."""
     script, log = Path(folder) / "events.jsonl", Path(folder) / "frames.csv"
     script.write_text("\n".join(lines) + "\n")
     environment = {**display.environment, "XDG_STATE_HOME": str(Path(folder) / "state")}

@@ -10,9 +10,9 @@ use std::collections::HashMap;
 /// An image of the database.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// What was measured.
+    /// Measured times and result.
     pub answer: Answer,
-    /// Seconds that were expected when it was sent.
+    /// Expected seconds when it was sent.
     pub predicted_s: f64,
 }
 

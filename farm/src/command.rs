@@ -1,4 +1,4 @@
-//! Command lines with placeholders. Arguments go to the program as they are; no shell takes part, so names
+//! Command lines with placeholders. Arguments are passed to the program directly, without a shell, so names
 //! and paths need no quoting.
 
 use anyhow::{Result, bail};
@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 pub struct Placeholders(pub Vec<(&'static str, String)>);
 
 impl Placeholders {
-    /// The names that a command line may hold in braces.
+    /// The accepted names in braces.
     pub const NAMES: [&'static str; 14] = [
         "volume",
         "volume_name",
@@ -31,7 +31,7 @@ impl Placeholders {
     }
 }
 
-/// What an argument is made of.
+/// Parts of an argument.
 enum Part<'a> {
     Text(&'a str),
     Brace(char),
@@ -63,7 +63,7 @@ fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
 /// Checks the placeholders of an argument.
 ///
 /// # Errors
-/// Names the one that is unknown, and those that are accepted.
+/// Names the unknown placeholder, and the accepted ones.
 pub fn check(argument: &str, names: &[&str]) -> Result<()> {
     for part in parts(argument)? {
         if let Part::Name(name) = part
@@ -75,7 +75,7 @@ pub fn check(argument: &str, names: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// An argument with its placeholders filled in. What is filled in is not looked at again.
+/// An argument with its placeholders filled in. Inserted text is not expanded again.
 ///
 /// # Errors
 /// As [`check`].
@@ -94,7 +94,7 @@ pub fn fill(argument: &str, values: &Placeholders) -> Result<String> {
     Ok(out)
 }
 
-/// A word for a POSIX shell: what the scripts of batch systems need.
+/// A word quoted for a POSIX shell, for the scripts of batch systems.
 pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }

@@ -1,4 +1,4 @@
-//! A job's database on the disk: what is done, by the journal and by what workers wrote since.
+//! A job's database on the disk: finished tasks, from the journal and from later answers of workers.
 
 use super::cinema::{self, Row};
 use super::job::Job;
@@ -14,23 +14,23 @@ use entire_io::files::{make_folder, note, write_whole};
 use entire_io::identity::{self, Identity};
 use std::collections::{BTreeMap, HashMap, HashSet};
 
-/// A job's database, open for writing: journal, and what is done.
+/// A job's database, open for writing: journal and finished tasks.
 pub struct Database<'a> {
     pub(super) job: &'a Job,
     pub(super) journal: Journal,
     pub(super) numbers: HashMap<u64, u32>,
-    /// What is known of every task that is done.
+    /// Results of finished tasks.
     pub(super) done: HashMap<u32, Row>,
     pub(super) quarantined: HashMap<u32, String>,
     pub(super) run: u64,
 }
 
 impl<'a> Database<'a> {
-    /// Opens the database of a job: makes its folders, locks it, reads its journal, takes over what workers
-    /// have finished since the last driver ended.
+    /// Opens the database of a job: makes its folders, locks it, reads its journal, and adds the tasks that
+    /// workers have finished since the last driver ended.
     ///
     /// # Errors
-    /// When it was begun before and `resume` is not set, another driver is at work, or a file cannot be read
+    /// When it was begun before and `resume` is not set, another driver is running, or a file cannot be read
     /// or written.
     pub fn open(job: &'a Job, options: &Options) -> Result<Self> {
         let state = job.state();
@@ -55,7 +55,7 @@ impl<'a> Database<'a> {
                 Entry::Done { answer, predicted_s } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
-                        // The last: a picture that was gone was rendered again.
+                        // The last entry counts: a missing picture was rendered again.
                         done.insert(task, Row { answer, predicted_s });
                     } else {
                         gone.extend(parse_id(&answer.task));
@@ -76,7 +76,7 @@ impl<'a> Database<'a> {
             job.output.display()
         );
         let run = run_number(&state).unwrap_or(0) + 1;
-        // From here on workers of the run before begin no further task.
+        // From here on, workers of the previous run begin no further task.
         write_whole(&state.join("run"), run.to_string().as_bytes())?;
         let renderer = serde_json::to_vec(&job.renderer)?;
         write_whole(&state.join("renderer.json"), &renderer)?;
@@ -93,8 +93,8 @@ impl<'a> Database<'a> {
         Ok(new)
     }
 
-    /// Says which pictures that the journal names are none of the job's as it is now, removes those of files
-    /// that were written anew, and keeps what the files are. `then` is what they were.
+    /// Prints a note on pictures in the journal that no longer belong to the job, removes those of changed
+    /// files, and stores the files' identities. `then` are the earlier identities.
     fn compare_inputs(
         &mut self,
         then: Option<BTreeMap<String, Vec<Identity>>>,
@@ -131,15 +131,14 @@ impl<'a> Database<'a> {
                 n => format!(" and {n} other files"),
             };
             note(&format!(
-                "{first}{more}: another input than before; {count} pictures of what it was are removed and \
-                 rendered anew"
+                "{first}{more} changed; {count} pictures of the old content are removed and rendered again"
             ));
         }
         if !gone.is_empty() {
             let why = if known {
-                "belong to no task of the job as it is now"
+                "belong to no task of the job"
             } else {
-                "do not tell what they were made of and are rendered anew"
+                "have no record of their inputs and are rendered again"
             };
             note(&format!(
                 "{} pictures in {} {why}; they are left out of the table",
@@ -156,7 +155,7 @@ impl<'a> Database<'a> {
         self.run
     }
 
-    /// Takes over what workers wrote to the spool and no driver to the journal.
+    /// Adds answers that workers wrote to the spool and no driver to the journal.
     pub fn take_over(&mut self) -> Result<()> {
         let state = self.job.state();
         let folder = state.join("spool");
@@ -206,7 +205,7 @@ impl<'a> Database<'a> {
         !whole || std::fs::read(&path).is_ok_and(|bytes| crc32fast::hash(&bytes) == answer.crc32)
     }
 
-    /// Images that are gone or damaged are rendered again.
+    /// Missing or damaged images are rendered again.
     fn check_images(&mut self, whole: bool) -> Result<()> {
         let missing: Vec<u32> =
             self.done.iter().filter(|(_, row)| !self.is_there(&row.answer, whole)).map(|(t, _)| *t).collect();
@@ -215,14 +214,14 @@ impl<'a> Database<'a> {
         }
         if !missing.is_empty() {
             note(&format!(
-                "{} images that the journal names are gone or damaged; they are rendered again",
+                "{} images in the journal are missing or damaged; they are rendered again",
                 missing.len()
             ));
         }
         Ok(())
     }
 
-    /// The plan of what is left, corrected by what is done; nothing waits in it.
+    /// The plan of the remaining tasks, corrected by the finished ones; no task is queued in it yet.
     pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
         let mut planner = planner(self.job, base, setting);
         for (task, row) in &self.done {
@@ -232,7 +231,7 @@ impl<'a> Database<'a> {
         planner
     }
 
-    /// A task for a worker.
+    /// The order of a task for a worker.
     pub fn order(&self, task: u32, predicted_s: f64) -> Order {
         let job = self.job;
         let at = job.place(task as usize);
@@ -265,10 +264,10 @@ impl<'a> Database<'a> {
     }
 }
 
-/// The tasks that a job's journal names as done and whose pictures are there, with their seconds.
+/// The tasks that a job's journal lists as finished and whose pictures exist, with their seconds.
 ///
 /// # Errors
-/// When there is a journal that cannot be read.
+/// When its journal cannot be read.
 pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
     if !job.state().join("journal.jsonl").exists() {
         return Ok(Vec::new());
@@ -286,12 +285,12 @@ pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
     Ok(out.into_iter().collect())
 }
 
-/// Whether volumes are loaded apart from rendering.
+/// True if volumes are loaded separately from rendering.
 fn tells_loads(job: &Job) -> bool {
     !matches!(job.renderer, super::job::Renderer::Command { .. })
 }
 
-/// The plan of a job for an engine of so many slots.
+/// The plan of a job for an engine with this many slots.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
     let told = job.predict.model.is_some() || job.predict.list.is_some();

@@ -1,5 +1,5 @@
-//! Which task next: longest first with late binding. Where loading costs, a node stays with the volume that
-//! it holds as long as that pays.
+//! Choice of the next task: longest first with late binding. If loading is expensive, a node keeps its volume
+//! as long as that pays.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -7,28 +7,28 @@ use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-/// Most tasks of a bundle.
+/// Maximum number of tasks in a bundle.
 const MOST: usize = 4096;
-/// A bundle is worth at most so many times what sending it costs, and at least so many times.
+/// A bundle's time over its overhead, at most and at least.
 const WORTH: (f64, f64) = (50.0, 3.0);
-/// Remaining work per slot is cut into at least so many bundles.
+/// Minimum number of bundles into which the remaining work per slot is cut.
 const CUTS: f64 = 4.0;
 
-/// A node's question for work.
+/// A node's request for work.
 pub struct Ask<'a> {
-    /// The volume that it holds.
+    /// Its loaded volume.
     pub held: Option<usize>,
-    /// Whether it keeps a volume from one bundle to the next.
+    /// True if it keeps a volume from one bundle to the next.
     pub keeps: bool,
-    /// Seconds to load a volume that it does not hold.
+    /// Seconds to load another volume.
     pub load: &'a dyn Fn(usize) -> f64,
-    /// Seconds that sending a bundle costs.
+    /// Overhead of a bundle, seconds.
     pub overhead: f64,
     /// Slots that share the work.
     pub slots: usize,
-    /// Expected seconds that a bundle may not exceed, unless it is a single task.
+    /// Limit of a bundle's expected seconds, unless it is a single task.
     pub limit: f64,
-    /// Whether nothing is known of how long tasks take: bundles are a share of their number then.
+    /// True if task times are unknown: bundles are then a share of the number of tasks.
     pub blind: bool,
 }
 
@@ -52,7 +52,7 @@ impl Ord for Front {
     }
 }
 
-/// Tasks that wait, by volume, the longest last.
+/// Waiting tasks by volume, the longest last.
 #[derive(Clone, Debug)]
 pub struct Dispatcher {
     seconds: Vec<f32>,
@@ -63,14 +63,14 @@ pub struct Dispatcher {
     counts: Vec<u32>,
     holders: Vec<u32>,
     heap: BinaryHeap<Front>,
-    /// Which volumes have an entry in the heap; its seconds may be outdated and are checked when it comes up.
+    /// Volumes with an entry in the heap; its seconds may be outdated and are checked when it is taken.
     listed: Vec<bool>,
     pending: usize,
     asked: u32,
     sent: Vec<u32>,
-    /// Every so many questions are answered with a task for the sake of learning; 0 for never.
+    /// Interval of requests that are answered with a task for learning; 0 for never.
     explore: u32,
-    /// Whether loading costs enough to heed it, and at which question that was looked at.
+    /// True if loading costs enough to be considered, and the request at which that was decided.
     loading: bool,
     looked: u32,
     uniform: bool,
@@ -78,18 +78,18 @@ pub struct Dispatcher {
     rng: ChaCha8Rng,
 }
 
-/// In which order tasks are sent.
+/// Order in which tasks are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// Longest first by expected seconds.
     #[default]
     LongestFirst,
-    /// As the job lists them.
+    /// In the order of the job.
     Arrival,
 }
 
 impl Dispatcher {
-    /// For tasks with these expected seconds and volumes; none waits yet.
+    /// For tasks with these expected seconds and volumes; none is queued yet.
     pub fn new(seconds: Vec<f32>, volume: Vec<u32>, volumes: usize, order: Order) -> Self {
         let n = seconds.len();
         Self {
@@ -119,7 +119,7 @@ impl Dispatcher {
         self.pending
     }
 
-    /// Expected seconds of the tasks that wait.
+    /// Expected seconds of all waiting tasks.
     pub fn work(&self) -> f64 {
         self.work.iter().sum()
     }
@@ -129,22 +129,22 @@ impl Dispatcher {
         self.seconds[task as usize]
     }
 
-    /// The tasks that wait, in ascending number.
+    /// The waiting tasks, in ascending number.
     pub fn waiting(&self) -> impl Iterator<Item = u32> + '_ {
         self.waits.iter().enumerate().filter(|(_, w)| **w).map(|(i, _)| i as u32)
     }
 
-    /// Answers every so many questions with a task of the volume that least was sent of; 0 for never.
+    /// Answers every n-th request with a task of the volume with the fewest sent tasks; 0 for never.
     pub fn set_explore(&mut self, every: u32) {
         self.explore = every;
     }
 
-    /// Takes all tasks for equally long, which is what a scheduler without predictions does.
+    /// Takes all tasks as equally long, like a scheduler without predictions.
     pub fn set_uniform(&mut self) {
         self.uniform = true;
     }
 
-    /// Lets tasks wait.
+    /// Queues tasks.
     pub fn add(&mut self, tasks: impl IntoIterator<Item = u32>) {
         for task in tasks {
             if self.wait(task) {
@@ -154,7 +154,7 @@ impl Dispatcher {
         self.sort();
     }
 
-    /// Lets a task wait again.
+    /// Queues a task again.
     pub fn add_again(&mut self, task: u32) {
         if !self.wait(task) {
             return;
@@ -166,7 +166,7 @@ impl Dispatcher {
         let place = lane.partition_point(|t| self.key(*t) <= key);
         lane.insert(place, task);
         self.lanes[v] = lane;
-        // It may be longer than the entry says.
+        // The task may be longer than the entry says.
         self.listed[v] = false;
         self.push_front(v);
     }
@@ -184,7 +184,7 @@ impl Dispatcher {
         new
     }
 
-    /// Expected seconds have changed.
+    /// Updates expected seconds.
     pub fn reorder(&mut self, seconds: Vec<f32>) {
         self.seconds = seconds;
         self.sort();
@@ -195,7 +195,7 @@ impl Dispatcher {
         let by_number = self.arrival || self.uniform;
         self.lanes.par_iter_mut().zip(&mut self.work).for_each(|(lane, work)| {
             let waiting = lane.iter().filter(|t| waits[**t as usize]);
-            // A task as a number that sorts as it does, the longest last: positive seconds sort as their bits.
+            // A sort key of a task, the longest last: positive seconds sort as their bits.
             let key = |t: u32| {
                 let bits = if by_number { 0 } else { seconds[t as usize].to_bits() };
                 u64::from(bits) << 32 | u64::from(u32::MAX - t)
@@ -250,7 +250,7 @@ impl Dispatcher {
         None
     }
 
-    /// A node holds a volume from now on, and no more the one before.
+    /// Records that a node has loaded a volume instead of the one before.
     pub fn hold(&mut self, before: Option<usize>, after: Option<usize>) {
         if let Some(v) = before {
             self.holders[v] = self.holders[v].saturating_sub(1);
@@ -260,7 +260,7 @@ impl Dispatcher {
         }
     }
 
-    /// The next bundle for a node; `None` where nothing is left that is worth its while.
+    /// The next bundle for a node; `None` if no remaining task is worth its while.
     pub fn next(&mut self, ask: &Ask<'_>) -> Option<Vec<u32>> {
         if self.pending == 0 {
             return None;
@@ -268,7 +268,7 @@ impl Dispatcher {
         self.asked += 1;
         let slots = ask.slots.max(1) as f64;
         let total = self.work();
-        // With many tasks this changes slowly.
+        // With many tasks this changes slowly, so it is updated rarely.
         if self.pending < 10_000 || self.looked == 0 || self.asked - self.looked >= 64 {
             self.looked = self.asked;
             let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && ask.held != Some(*v));
@@ -322,11 +322,11 @@ impl Dispatcher {
                 None => {}
             }
         }
-        // Every lane with a task has an entry; none is left.
+        // Every volume with a task has an entry; none is left.
         None
     }
 
-    /// A task at random of the volume of which least was sent.
+    /// A random task of the volume with the fewest sent tasks.
     fn probe(&mut self) -> Option<u32> {
         let v = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0).min_by_key(|v| self.sent[*v])?;
         let lane = &self.lanes[v];
@@ -343,15 +343,15 @@ impl Dispatcher {
         task
     }
 
-    /// The volume that a node works on where loading costs.
+    /// The volume that a node works on if loading is expensive.
     ///
-    /// A node stays with what it holds. It leaves early only for a volume that nobody works on and that alone
-    /// would last as long as all the rest. When its volume is used up it joins where most work per node is
-    /// left, unless those who are there would be done before it had loaded.
+    /// A node keeps its volume. It leaves early only for a volume without a node that would take as long as
+    /// all remaining work. When its volume is finished it joins where most work per node is left, unless the
+    /// nodes there would finish before it had loaded.
     fn choose(&self, ask: &Ask<'_>, share: f64) -> Option<usize> {
         let held = ask.held.filter(|v| self.counts[*v] > 0);
         let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && held != Some(*v));
-        // Whoever holds a volume works on it; to join makes one more.
+        // Work per node of a volume, including a node that joins.
         let per_node = |v: usize| self.work[v] / f64::from(self.holders[v] + 1);
         let best = open.max_by(|a, b| {
             let alone = |v: &usize| self.holders[*v] == 0;
@@ -360,7 +360,7 @@ impl Dispatcher {
         let Some(held) = held else {
             let v = best?;
             let load = (ask.load)(v);
-            // What is left for the one who joins, after all have worked on while it loads.
+            // Work left for a joining node, after the others worked on while it loads.
             let left = self.work[v] - f64::from(self.holders[v]) * load;
             let shortest = f64::from(self.seconds[*self.lanes[v].first()? as usize]);
             return (self.holders[v] == 0 || left > shortest).then_some(v);

@@ -14,7 +14,7 @@ fn the_longest_is_first_and_every_task_comes_once() {
         assert_eq!(bundle.len(), 1);
         out.extend(bundle);
         if out.len() == 100 {
-            // A task that comes back finds its place again; one that waits is not doubled.
+            // A returned task finds its place again; a waiting task is not queued twice.
             d.add_again(out[3]);
             d.add_again(*d.lanes[0].last().unwrap());
         }
@@ -47,7 +47,8 @@ fn bundles_are_as_large_as_their_sending_is_worth_and_shrink_at_the_end() {
     while let Some(bundle) = d.next(&Ask { overhead: 0.5, ..ask(None, &load, 4) }) {
         sizes.push(bundle.len());
     }
-    // 50 times half a second at most (249 tasks and a rounding error); at the end what it is worth.
+    // At most 50 times half a second (249 tasks and a rounding error); at the end according to the remaining
+    // work.
     assert!((249..=250).contains(&sizes[0]) && sizes.iter().sum::<usize>() == 10_000, "{sizes:?}");
     assert!(*sizes.last().unwrap() <= 15 && sizes[sizes.len() - 2] >= 4, "{sizes:?}");
     assert!(sizes.windows(2).all(|w| w[1] <= w[0]), "{sizes:?}");
@@ -75,8 +76,8 @@ fn a_node_stays_with_its_volume_where_loading_costs() {
 
 #[test]
 fn orders_are_those_of_a_plain_search() {
-    // Many equal times, corrections on the way, tasks that come back: each question is answered with the longest
-    // that waits, of equal ones that of the first volume and the first number.
+    // With many equal times, corrections and returned tasks, each request is answered with the longest
+    // waiting task, among equal ones that of the first volume and the first number.
     let n = 900u32;
     let seconds =
         |round: u32| (0..n).map(|t| 0.5 + ((t * 7919 + round * 31) % 97) as f32 / 8.0).collect::<Vec<_>>();
@@ -88,7 +89,7 @@ fn orders_are_those_of_a_plain_search() {
     for step in 0..n {
         if step % 60 == 59 {
             known = seconds(step);
-            // One that was sent waits again, and its place is found with the others'.
+            // A sent task is queued again, in the order of the others.
             let back = (0..n).find(|t| !waits[*t as usize]).unwrap();
             waits[back as usize] = true;
             d.add_again(back);

@@ -1,4 +1,4 @@
-//! The driver: hands out bundles, takes note of what became of them, and says when all will be done.
+//! The driver: sends bundles, records their results, and predicts the end.
 
 use super::database::{Database, planner};
 use super::engine::{Bundle, Engine, Event};
@@ -16,18 +16,18 @@ use std::collections::{HashMap, HashSet};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-/// How often the expected end is worked out anew.
+/// Interval between estimates of the end.
 const ETA_EVERY: Duration = Duration::from_millis(1000);
-/// How often the database's table is written while the farm works.
+/// Interval between writings of the database's table during a run.
 const TABLE_EVERY: Duration = Duration::from_secs(30);
-/// Times that an engine is started again without a task done in between.
+/// Number of times that an engine is restarted without a finished task in between.
 const RESTARTS: u32 = 3;
 /// Level of the upper bounds that become time requests.
 const UPPER: f64 = 0.99;
-/// In a preview one view of so many comes first.
+/// In a preview one of this many views comes first.
 const PREVIEW: usize = 8;
 
-/// What a run did.
+/// Result of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     /// Images of the database.
@@ -36,15 +36,15 @@ pub struct Summary {
     pub tasks: usize,
     /// Ids of the tasks that were given up.
     pub quarantined: Vec<String>,
-    /// Tasks that were done in this run.
+    /// Tasks finished in this run.
     pub now: usize,
     /// Seconds of this run.
     pub seconds: f64,
-    /// What was said of the end: seconds from the run's beginning, share done, end at 5, 50, 95 percent.
+    /// Estimates of the end: seconds since the run's start, share done, end at 5, 50, 95 percent.
     pub said: Vec<(f64, f64, [f64; 3])>,
 }
 
-/// Tasks in the order of stages: the preview's first where it is asked for.
+/// Tasks in the order of stages: with a preview, its tasks first.
 pub fn stages(job: &Job, preview: bool, wanted: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
     let all = (0..job.len() as u32).filter(|t| wanted(*t));
     if !preview {
@@ -68,7 +68,7 @@ struct Drive<'a, 'b> {
     loaded: HashSet<(usize, usize)>,
     failures: HashMap<u32, u32>,
     losses: HashMap<u32, u32>,
-    /// The task that the worker of a bundle is at.
+    /// The current task of a bundle's worker.
     at: HashMap<u64, u32>,
     predicted: HashMap<u64, HashMap<u32, f64>>,
     busy: f64,
@@ -85,7 +85,7 @@ struct Drive<'a, 'b> {
 /// Runs a job to its end.
 ///
 /// # Errors
-/// When the engine cannot be used, the disk is full, Ctrl-C is pressed; what is done stays done.
+/// When the engine cannot be used, the disk is full, Ctrl-C is pressed; finished tasks stay finished.
 pub fn run(
     database: &mut Database<'_>,
     base: Vec<f32>,
@@ -95,7 +95,7 @@ pub fn run(
     let job = database.job;
     let engine = start(database.run)?;
     if !engine.bound() {
-        // A run before may have finished images while its queue was cleared.
+        // Workers of the previous run may have finished images while its queue was cleared.
         database.take_over()?;
     }
     let setting = Setting {
@@ -188,7 +188,7 @@ impl Drive<'_, '_> {
             );
             let events = self.engine.poll(Duration::from_millis(100))?;
             let refit = self.take(events)?;
-            // New work first, then the disk: what is done is safe in the spool until then.
+            // New work first, then the disk: finished tasks are safe in the spool until then.
             self.send()?;
             self.database.journal.flush()?;
             if refit {
@@ -201,7 +201,7 @@ impl Drive<'_, '_> {
                 restarts += 1;
                 done_then = self.now;
                 if restarts > RESTARTS {
-                    bail!("{why}; it was started {RESTARTS} times in vain");
+                    bail!("{why}; {RESTARTS} restarts failed");
                 }
                 entire_io::files::note(&format!("{why}; it is started again"));
                 self.restart(start)?;
@@ -266,7 +266,7 @@ impl Drive<'_, '_> {
         format!("{:016x}", self.database.job.id(task as usize))
     }
 
-    /// Sends bundles to whoever can take one.
+    /// Sends bundles to free slots.
     fn send(&mut self) -> Result<()> {
         let now = unix_now();
         let mut bundles = Vec::new();
@@ -321,7 +321,7 @@ impl Drive<'_, '_> {
         self.engine.submit(&ready)
     }
 
-    /// Bundles that have not begun, the most urgent first.
+    /// Waiting bundles, the most urgent first.
     fn urgency(&self) -> Vec<u64> {
         let seconds = |b: &u64| self.planner.open(*b).iter().map(|t| self.planner.expected(*t)).sum::<f64>();
         let mut waits = self.waits.clone();
@@ -329,7 +329,7 @@ impl Drive<'_, '_> {
         waits
     }
 
-    /// Takes note of what happened. True where expected times have changed.
+    /// Processes events. True if expected times have changed.
     fn take(&mut self, events: Vec<Event>) -> Result<bool> {
         let before = self.planner.learner().observed();
         for event in events {
@@ -461,7 +461,7 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// The engine is gone: what it had is lost, but for what workers wrote.
+    /// The engine has ended: its bundles are lost, except for answers that workers wrote.
     fn restart(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<()> {
         let open: Vec<u64> = self.predicted.keys().copied().collect();
         for bundle in open {
@@ -488,7 +488,7 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// What a bundle costs where slots are not known by name: what they were not busy with.
+    /// Measures a bundle's overhead where slots have no names: the time in which they were not busy.
     fn measure_overhead(&mut self, now: f64) {
         let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
         if self.planner.pending() == 0 {
@@ -498,7 +498,7 @@ impl Drive<'_, '_> {
         if self.idle_from.is_some() || self.over < 2 * slots {
             return;
         }
-        // Bundles under way are half done in the mean.
+        // Running bundles are half done on average.
         let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
         let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
         self.planner.set_overhead((idle / self.over as f64).clamp(0.001, 60.0));

@@ -1,4 +1,4 @@
-//! When a plan will be done: draws of what its model does not know, each played as a queue.
+//! Predicted end of a plan: random draws of the model's uncertainty, each simulated as a queue.
 
 use super::{Order, Planner, Running, Time};
 use crate::learn::Draw;
@@ -8,34 +8,34 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Tasks that are drawn one by one for the expected end; of more a sample stands for all.
+/// Number of tasks that are drawn one by one for the expected end; larger jobs are sampled.
 const DRAWN: usize = 4096;
-/// Draws of the expected end.
+/// Number of draws of the expected end.
 const DRAWS: usize = 400;
-/// Draws that must count at least, as an effective number.
+/// Minimum effective number of weighted draws.
 const COUNTING: f64 = 40.0;
-/// Tasks up to which the expected end plays the plan with loads and bundles.
+/// Number of tasks up to which the expected end simulates loads and bundles.
 const PLAYED: usize = 20_000;
 
-/// A bundle that is under way.
+/// A running bundle.
 struct UnderWay<'a> {
     running: &'a Running,
     slot: Option<usize>,
     speed: f64,
-    /// Seconds of loading that are still to come or under way.
+    /// Remaining seconds of loading.
     load: f64,
-    /// Seconds that its first open task has run.
+    /// Seconds that its first unfinished task has run.
     elapsed: f64,
 }
 
 impl Planner {
     /// Seconds until all is done: 5, 50 and 95 percent of draws.
     ///
-    /// What a running task has taken so far is known: its time is drawn from those that are longer, and a draw
-    /// of the model counts by how probable it makes that all of them still run. Without this, the tasks of a
-    /// first round that are done, which are its shortest, would stand for all.
+    /// A running task takes at least the time it has run: its time is drawn from longer ones, and a draw of
+    /// the model is weighted by the probability that all running tasks still run. Without this, the finished
+    /// tasks of the first round, which are its shortest, would stand for all.
     pub fn eta(&self, now: f64) -> [f64; 3] {
-        // The times that came in last are of tasks that took long: they belong to what is known.
+        // The most recent times are of tasks that took long, and must be included.
         if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
             let mut copy = self.clone();
             copy.learner.refit();
@@ -61,10 +61,10 @@ impl Planner {
         let speeds: Vec<f64> = (0..self.slots.len())
             .map(|s| if self.setting.bound { self.learner.speed(s) } else { 1.0 })
             .collect();
-        // The dispatcher's may be older than the learner's until the next bundle is asked for.
+        // The dispatcher's times may be older than the learner's until the next request.
         let expected: Vec<f64> = drawn.iter().map(|t| self.learner.seconds(*t as usize)).collect();
         let sampled = stride > 1;
-        // With every task: as a queue. With a sample: all work over all speed.
+        // With every task: a queue. With a sample: all work over all speed.
         let end = |times: &[f64], busy: &[f64]| {
             if sampled {
                 let work = scale * times.iter().sum::<f64>();
@@ -115,7 +115,7 @@ impl Planner {
         }
     }
 
-    /// Seconds until a bundle is over in a draw, and how probable the draw makes that it still runs.
+    /// Remaining seconds of a bundle in a draw, and the draw's probability that it still runs.
     fn drawn_rest(&self, u: &UnderWay<'_>, draw: &Draw, rng: &mut ChaCha8Rng) -> (f64, f64) {
         let Some((first, others)) = u.running.open.split_first() else { return (0.0, 1.0) };
         let others: f64 =
@@ -129,7 +129,7 @@ impl Planner {
         ((first / u.speed - run).max(0.0) + others, probable)
     }
 
-    /// What loading and sending bundles add to a plain queue, by playing the plan on expected times.
+    /// Overhead of loading and dispatch over a plain queue, found by simulating the plan with expected times.
     fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
         if all == 0 {
             return 0.0;
@@ -168,15 +168,14 @@ fn busy(under_way: &[UnderWay<'_>], slots: usize, mut rest: impl FnMut(&UnderWay
         if let Some(slot) = busy.get_mut(u.slot.unwrap_or(k)) {
             *slot += rest;
         } else if let Some(least) = busy.iter_mut().min_by(|a, b| f64::total_cmp(a, b)) {
-            // More bundles than slots: those wait their turn behind the others.
+            // More bundles than slots: the rest wait their turn.
             *least += rest;
         }
     }
     busy
 }
 
-/// 5, 50 and 95 percent of ends that count by e to their weight. Where few would count, all weights are
-/// brought nearer to each other.
+/// 5, 50 and 95 percent of ends with weights e^w. If few would count, all weights are flattened.
 fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     let most = ends.iter().map(|e| e.1).fold(f64::NEG_INFINITY, f64::max);
     let weights = |power: f64| -> Vec<f64> { ends.iter().map(|e| (power * (e.1 - most)).exp()).collect() };
@@ -202,7 +201,7 @@ fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     })
 }
 
-/// When a queue is over: tasks in order, each to the slot that is free first.
+/// End of a queue: tasks in order, each to the first free slot.
 pub fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
     let mut last = busy.iter().copied().fold(0.0, f64::max);
     let mut free: BinaryHeap<Reverse<(Time, usize)>> =

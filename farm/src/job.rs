@@ -1,4 +1,4 @@
-//! The job file: what a database of images holds and who renders it.
+//! The job file: contents of an image database, and its renderer.
 
 use super::command::{self, Placeholders};
 pub use super::job_file::{
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// Largest job file, in bytes.
 const MAX_JOB_BYTES: u64 = 16 << 20;
 
-/// Most tasks of a job.
+/// Maximum number of tasks of a job.
 pub const MAX_TASKS: usize = 20_000_000;
 
 /// A volume file of a job.
@@ -30,13 +30,13 @@ pub struct VolumeFile {
     pub name: String,
     /// Time step.
     pub time: u32,
-    /// Where it is, absolute.
+    /// Absolute path.
     pub path: PathBuf,
     /// Its size and that of its data files.
     pub bytes: u64,
-    /// Options of its reading.
+    /// Options of reading it.
     pub reading: Reading,
-    /// What its files are: it and the data files that its header names.
+    /// Identities of the volume file and of the data files that its header names.
     pub files: Vec<Identity>,
 }
 
@@ -45,11 +45,11 @@ pub struct VolumeFile {
 pub struct NamedTransfer {
     /// Its name.
     pub name: String,
-    /// What it is.
+    /// The transfer function.
     pub transfer: Transfer,
 }
 
-/// Where a task lies along each of a job's dimensions.
+/// Indices of a task along each of a job's dimensions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// Volume file.
@@ -64,8 +64,8 @@ pub struct Place {
     pub step: usize,
 }
 
-/// A checked job. Its tasks are all combinations; a task is its number. Its id is what its picture is made of:
-/// it stays when the job grows, and is another when an input file was written anew.
+/// A checked job. Its tasks are all combinations; a task is a number. A task's id is a hash of all inputs of
+/// its picture: it stays when the job grows, and changes when an input file changes.
 #[derive(Clone, Debug)]
 pub struct Job {
     /// The database's name.
@@ -86,9 +86,9 @@ pub struct Job {
     pub steps: Vec<f32>,
     /// Who renders.
     pub renderer: Renderer,
-    /// Where expected times come from.
+    /// Source of expected times.
     pub predict: Predict,
-    /// What happens to tasks that fail.
+    /// Retries of failed tasks.
     pub retry: Retry,
     folder: PathBuf,
     hashes: [Vec<u64>; 5],
@@ -99,7 +99,7 @@ impl Job {
     /// Reads and checks a job file.
     ///
     /// # Errors
-    /// Names the file, the entry, what was found and what is accepted.
+    /// Names the file, the entry, the value and the accepted ones.
     pub fn open(path: &Path) -> Result<Self> {
         let text = read_text(path, MAX_JOB_BYTES)
             .with_context(|| format!("cannot read the job file {}", path.display()))?;
@@ -163,7 +163,7 @@ impl Job {
             volumes.iter().find(|v| !names.insert(format!("{} {} {}", v.name, v.time, v.reading.key())))
         {
             bail!(
-                "volumes: {} is not the first by the name {}; give it a name",
+                "volumes: {} has the name {} of an earlier entry; give it another `name`",
                 volume.path.display(),
                 volume.name
             );
@@ -220,7 +220,7 @@ impl Job {
         self.dims().iter().product()
     }
 
-    /// Where a task lies.
+    /// Indices of a task.
     pub fn place(&self, task: usize) -> Place {
         let [_, c, t, s, p] = self.dims();
         let (rest, step) = (task / p, task % p);
@@ -229,8 +229,8 @@ impl Job {
         Place { volume: rest / c, camera: rest % c, transfer, size, step }
     }
 
-    /// A task's id: 64 bits of what its picture is made of and who renders it. Where a volume stands and what it
-    /// is called count only where the renderer is told.
+    /// A task's id: 64 bits of the inputs of its picture and its renderer. Path and name of a volume count
+    /// only if the renderer gets them.
     pub fn id(&self, task: usize) -> u64 {
         let at = self.place(task);
         self.id_with(self.hashes[0][at.volume], at)
@@ -256,13 +256,13 @@ impl Job {
         x ^ (x >> 31)
     }
 
-    /// The numbers of a volume's tasks.
+    /// The task numbers of a volume.
     pub fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
         let each = self.len() / self.volumes.len();
         volume * each..(volume + 1) * each
     }
 
-    /// The ids that tasks had when volumes' files were these (by [`Job::shown`]), volume by volume.
+    /// The ids of tasks with earlier identities of volumes' files (by [`Job::shown`]), volume by volume.
     pub fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
         let mut volumes = self.volumes.clone();
         for (i, volume) in volumes.iter_mut().enumerate() {
@@ -274,13 +274,13 @@ impl Job {
         move |volume| self.tasks_of(volume).map(|t| self.id_with(hashes[volume], self.place(t))).collect()
     }
 
-    /// A volume's file as messages name it: from the job file's folder where it is below it.
+    /// A volume's file in messages: relative to the job file's folder if it is below it.
     pub fn shown(&self, volume: usize) -> String {
         let path = &self.volumes[volume].path;
         path.strip_prefix(&self.folder).unwrap_or(path).display().to_string()
     }
 
-    /// The order of the volumes: number, time step, name and file, a line each.
+    /// The order of the volumes: number, time step, name and file, one line each.
     pub fn listing(&self) -> String {
         let mut table = Table::new(vec![
             Column::number("index"),
@@ -300,7 +300,7 @@ impl Job {
         table.to_text()
     }
 
-    /// Where a task's image goes, relative to the database.
+    /// Path of a task's image, relative to the database.
     pub fn image(&self, id: u64) -> String {
         let text = format!("{id:016x}");
         format!("image/{}/{text}.png", &text[..2])
@@ -311,13 +311,13 @@ impl Job {
         self.output.join(".farm")
     }
 
-    /// Numbers of the tasks that [`Predict::list`] and journals name by id.
+    /// Task numbers by id, for [`Predict::list`] and journals.
     pub fn numbers(&self) -> HashMap<u64, u32> {
         (0..self.len()).map(|i| (self.id(i), i as u32)).collect()
     }
 }
 
-/// What a renderer is told of a volume beside its file.
+/// Parameters that a renderer gets with a volume's file.
 struct Told {
     name: bool,
     time: bool,
@@ -336,8 +336,8 @@ impl Told {
     }
 }
 
-/// What volumes are for the ids of their tasks. Files that are the same are told apart by their order alone:
-/// their pictures are the same too.
+/// Hashes of the volumes, for the ids of their tasks. Identical files differ only by their order: their
+/// pictures are the same.
 fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     let mut same: HashMap<String, usize> = HashMap::new();
     let text = |v: &VolumeFile| {
@@ -353,7 +353,7 @@ fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     volumes.iter().map(text).map(number).collect()
 }
 
-/// What of a renderer decides pictures.
+/// Settings of a renderer that change pictures.
 fn settings(renderer: &Renderer) -> Result<String> {
     let mut renderer = renderer.clone();
     let mut script_key = String::new();
@@ -368,7 +368,7 @@ fn settings(renderer: &Renderer) -> Result<String> {
     Ok(serde_json::to_string(&renderer)? + &script_key)
 }
 
-/// The canonical text of an entry, from which ids are made.
+/// The canonical text of an entry, which ids are hashes of.
 mod erased {
     use super::NamedTransfer;
     use entire_core::scene::Arcball;

@@ -1,4 +1,4 @@
-//! A job file as it is written, before it is checked and spread out into tasks.
+//! Contents of a job file, before checks and expansion into tasks.
 
 use anyhow::{Result, anyhow, bail, ensure};
 use clap::ValueEnum;
@@ -9,13 +9,13 @@ use entire_io::volume::{Fill, Range, Reading};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// A job file as it is written. Relative paths start at the job file's folder.
+/// Contents of a job file. Relative paths start at the job file's folder.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobFile {
     /// The database's name: letters, digits, `-`, `_` and `.`.
     pub name: String,
-    /// Where the database goes; `NAME.cdb` beside the job file where it is not given.
+    /// Folder of the database; default: `NAME.cdb` beside the job file.
     pub output: Option<PathBuf>,
     /// Vertical field of view, degrees.
     #[serde(default = "default_fov")]
@@ -25,18 +25,18 @@ pub struct JobFile {
     /// Ray steps in reference steps.
     #[serde(default = "default_steps")]
     pub steps: Vec<f32>,
-    /// What is rendered.
+    /// Volumes to render.
     pub volumes: Vec<VolumesEntry>,
     /// From where.
     pub cameras: Vec<CamerasEntry>,
-    /// With which transfer functions.
+    /// The transfer functions.
     pub transfer: Vec<TransferEntry>,
     /// By whom.
     pub renderer: Renderer,
-    /// Where expected times come from.
+    /// Source of expected times.
     #[serde(default)]
     pub predict: Predict,
-    /// What happens to tasks that fail.
+    /// Retries of failed tasks.
     #[serde(default)]
     pub retry: Retry,
 }
@@ -53,18 +53,18 @@ fn default_steps() -> Vec<f32> {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VolumesEntry {
-    /// Its name; the first file's stem where it is not given, and each file its own where `series` is false.
+    /// Its name; default: the first file's stem, or each file's own if `series` is false.
     pub name: Option<String>,
     /// Files or glob patterns, sorted by name with numbers in them by value (see [`super::natural::sort`]).
     pub files: Vec<String>,
-    /// Whether the files are time steps of one volume.
+    /// True if the files are time steps of one volume.
     #[serde(default)]
     pub series: bool,
     /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for the voxels' own.
     pub range: Option<RangeEntry>,
-    /// The array to read from a VTK file that holds several.
+    /// Array to read from a VTK file with several.
     pub array: Option<String>,
-    /// Values that stand for voxels without data: `"none"`, or numbers separated by commas.
+    /// Fill values, which mark voxels without data: `"none"`, or numbers separated by commas.
     #[serde(default)]
     pub fill: Fill,
 }
@@ -75,7 +75,7 @@ pub struct VolumesEntry {
 pub enum RangeEntry {
     /// Low and high end.
     Numbers([f32; 2]),
-    /// A word, or numbers as `--range` has them.
+    /// A word, or numbers as in `--range`.
     Text(Range),
 }
 
@@ -104,10 +104,10 @@ pub enum CamerasEntry {
         elevation_deg: f32,
         /// Distances, bounding-sphere radii.
         distances_radii: Vec<f32>,
-        /// Where the turn begins, degrees.
+        /// Start of the turn, degrees.
         #[serde(default)]
         from_deg: f32,
-        /// Where it ends (not reached), degrees.
+        /// End of the turn (not reached), degrees.
         #[serde(default = "full_turn")]
         to_deg: f32,
     },
@@ -160,32 +160,33 @@ pub enum Renderer {
         #[serde(default = "default_device")]
         device: String,
     },
-    /// A program that renders one image and ends. Its arguments hold placeholders; no shell is in between.
+    /// A program that renders one image and ends. Its arguments hold placeholders and are passed without a
+    /// shell.
     Command {
         /// Program and arguments.
         command: Vec<String>,
-        /// Seconds after which it is ended and the task counts as failed.
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
         timeout_s: Option<f64>,
     },
-    /// A program that stays: it reads a task per line of its standard input (JSON) and answers each with a
+    /// A persistent program: it reads a task per line of its standard input (JSON) and answers each with a
     /// line of its standard output (JSON).
     Session {
         /// Program and arguments.
         command: Vec<String>,
-        /// Seconds after which it is ended and the task counts as failed.
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
         timeout_s: Option<f64>,
     },
-    /// A ParaView script that stays, run by `pvbatch`: as `session`.
+    /// A persistent ParaView script, run by `pvbatch`: as `session`.
     Pvbatch {
         /// The script.
         script: PathBuf,
-        /// More arguments of the script.
+        /// Additional arguments of the script.
         #[serde(default)]
         args: Vec<String>,
         /// The program.
         #[serde(default = "default_pvbatch")]
         program: String,
-        /// Seconds after which it is ended and the task counts as failed.
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
         timeout_s: Option<f64>,
     },
 }
@@ -210,7 +211,7 @@ fn default_pvbatch() -> String {
     "pvbatch".into()
 }
 
-/// Where expected times come from.
+/// Source of expected times.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Predict {
@@ -218,20 +219,20 @@ pub struct Predict {
     pub model: Option<PathBuf>,
     /// A task list with `task` (an id) and `predicted_s`.
     pub list: Option<PathBuf>,
-    /// Whether the analytic model looks at the volumes where no model is given. Without it, times are taken
-    /// to go with pixels over step until tasks have been measured.
+    /// True if the analytic model predicts from the volumes where no model is given. Without it, expected
+    /// times are proportional to pixels over step until tasks have been measured.
     pub analytic: Option<bool>,
     /// Rays along each side of the probe of the analytic model.
     pub probe_side: Option<usize>,
 }
 
-/// What happens to tasks that fail.
+/// Retries of failed tasks.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Retry {
-    /// Times that a task may fail; then it is quarantined.
+    /// Number of failures after which a task is quarantined.
     pub attempts: u32,
-    /// Times that a task may be lost with its worker; then it is quarantined.
+    /// Number of losses with its worker after which a task is quarantined.
     pub losses: u32,
 }
 
@@ -241,10 +242,10 @@ impl Default for Retry {
     }
 }
 
-/// How the raycaster draws: shading, skipping, termination, device.
+/// Draw settings of the raycaster: shading, skipping, termination, device.
 ///
 /// # Errors
-/// Names the word that is unknown and those that are accepted.
+/// Names the unknown word and the accepted ones.
 pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
         bail!("the renderer is another program")

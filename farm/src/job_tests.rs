@@ -56,7 +56,7 @@ fn a_job_is_all_combinations_and_ids_survive_its_growth() {
     assert_eq!(ids.len(), job.len());
     let places: HashSet<String> = (0..job.len()).map(|t| format!("{:?}", job.place(t))).collect();
     assert_eq!(places.len(), job.len());
-    // More views, another output: every task that was there keeps its id.
+    // More views, another output: every existing task keeps its id.
     let grown = JOB.replace("poses = [[1, 2, 3]]", "poses = [[7, 8, 9], [1, 2, 3]]");
     let grown = open(&grown.replace("name = \"t\"", "name = \"u\""), dir.path()).unwrap();
     let more: HashSet<u64> = (0..grown.len()).map(|t| grown.id(t)).collect();

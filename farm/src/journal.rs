@@ -1,5 +1,5 @@
-//! The journal: what is done, line by line, appended and flushed to the disk before anything relies on it.
-//! One writer at a time, by a lock on a file beside it.
+//! The journal: results line by line, appended and flushed to the disk before anything relies on them. One
+//! writer at a time, by a lock on a file beside it.
 
 use super::record::Entry;
 use anyhow::{Context, Result, bail};
@@ -18,8 +18,8 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens the journal of a state folder, calls `each` for what it holds, and cuts off a last line that a
-    /// killed writer left behind in part.
+    /// Opens the journal of a state folder, calls `each` for its entries, and cuts off a partial last line of
+    /// a killed writer.
     ///
     /// # Errors
     /// When another driver holds the lock, a line is damaged, or a file cannot be read.
@@ -49,20 +49,20 @@ impl Journal {
         Ok(Self { file, path, waiting: Vec::new(), _lock: lock })
     }
 
-    /// Adds an entry; it counts after [`Journal::flush`].
+    /// Adds an entry; it is durable after [`Journal::flush`].
     ///
     /// # Errors
-    /// Never in practice: memory is written to.
+    /// Never in practice: it writes to memory.
     pub fn add(&mut self, entry: &Entry) -> Result<()> {
         serde_json::to_writer(&mut self.waiting, entry)?;
         self.waiting.push(b'\n');
         Ok(())
     }
 
-    /// Puts what was added on the disk.
+    /// Flushes added entries to the disk.
     ///
     /// # Errors
-    /// When the disk is full or fails; the entries are kept and written by the next flush that succeeds.
+    /// When the disk is full or fails; the entries are kept for the next flush.
     pub fn flush(&mut self) -> Result<()> {
         if self.waiting.is_empty() {
             return Ok(());
@@ -70,7 +70,7 @@ impl Journal {
         let before = self.file.metadata()?.len();
         let written = self.file.write_all(&self.waiting).and_then(|()| self.file.sync_data());
         if let Err(error) = written {
-            // No part of a line stays.
+            // No partial line stays.
             let _ = self.file.set_len(before);
             return Err(error).with_context(|| {
                 format!("cannot write the journal {}; make room and go on with --resume", self.path.display())
@@ -81,7 +81,7 @@ impl Journal {
     }
 }
 
-/// Calls `each` for every whole line; gives the length of the whole lines.
+/// Calls `each` for every whole line; returns the length of the whole lines.
 fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
     let mut reader = BufReader::new(file);
     let (mut line, mut good, mut number) = (Vec::new(), 0u64, 0usize);
@@ -99,7 +99,7 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
     }
 }
 
-/// Reads the journal of a state folder without holding it.
+/// Reads the journal of a state folder without locking it.
 ///
 /// # Errors
 /// When it cannot be read or is damaged.

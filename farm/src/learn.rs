@@ -1,11 +1,11 @@
-//! What tasks will take, corrected by what tasks took.
+//! Expected times of tasks, corrected by measured ones.
 //!
-//! ln(seconds / base) of a task is taken for x·β + u + ε: x are numbers of the task (logarithms of base,
-//! pixels, step and distance, the view direction, which transfer function), u belongs to the volume, ε to the
-//! task. β and u have normal priors; their variances and that of ε are estimated from the data (REML-like
+//! ln(seconds / base) of a task is modeled as x·β + u + ε: x are features of the task (logarithms of base,
+//! pixels, step and distance, the view direction, its transfer function), u is a volume effect, ε an error of
+//! the task. β and u have normal priors; their variances and that of ε are estimated from the data (REML-like
 //! updates, a mixed model as of Laird and Ware 1982). The posterior is exact for given variances: volumes are
-//! eliminated by a Schur complement, so a job may have as many as it likes. Nodes have speeds, which are
-//! shrunk means of what is left.
+//! eliminated by a Schur complement, so a job may have any number of them. Nodes have speeds, which are
+//! shrunk means of the residuals.
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
@@ -18,39 +18,38 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-/// Terms of a task before its transfer function: a constant, ln base, ln pixels, ln step, ln distance, shares
-/// of the view direction along x and y and their squares.
+/// Number of features of a task before its transfer function: a constant, ln base, ln pixels, ln step, ln
+/// distance, shares of the view direction along x and y and their squares.
 const FIXED: usize = 9;
-/// Standard deviations of the priors of these terms.
+/// Prior standard deviations of these features' coefficients.
 const PRIOR: [f64; FIXED] = [UNKNOWN, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
-/// Of the constant, where nothing is known of how long tasks take.
+/// That of the constant, without a model or list of base times.
 pub const UNKNOWN: f64 = 4.0;
-/// Of the constant, where a model or a list tells, perhaps of another machine.
+/// That of the constant, with a model or list, perhaps of another machine.
 pub const TOLD: f64 = 0.5;
-/// Of each transfer function.
+/// That of each transfer function.
 const PRIOR_TRANSFER: f64 = 0.3;
-/// More transfer functions have no term of their own.
+/// Number of transfer functions with their own coefficient.
 const MAX_TRANSFERS: usize = 64;
-/// Standard deviations that the residual, volumes and nodes have before anything is seen, and how many
-/// observations that is worth.
+/// Prior standard deviations of the residual, volumes and nodes, and their weight in observations.
 const BEFORE: (f64, f64) = (0.15, 4.0);
-/// The same of volumes, where a model or a list tells: the largest that shipped models have on frames of volumes
-/// that they were not made from (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside,
-/// none-earlier and none-steps-members of `data/timings` as they once were: 0.03 to 0.07).
+/// That of volumes, with a model or list: the largest of shipped models on frames of held-out volumes
+/// (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside, none-earlier and
+/// none-steps-members of `data/timings` gave 0.03 to 0.07).
 const BEFORE_TOLD: f64 = 0.07;
-/// There, the standard deviation of the prior of ln base: twice the largest slope of ln(measured / base) over
-/// ln base on the same tables.
+/// With a model or list, the prior standard deviation of the coefficient of ln base: twice the largest slope
+/// of ln(measured / base) over ln base on the same tables.
 const SLOPE_TOLD: f64 = 0.04;
-/// There, long tasks are told better than short ones: ln of a residual's standard deviation falls by this for
-/// every unit of ln base (the same tables: 0.14 to 0.26), up to so many units from the mean.
+/// With a model or list, long tasks scatter less than short ones: decrease of ln of a residual's standard
+/// deviation per unit of ln base (the same tables: 0.14 to 0.26), and the distance from the mean up to which
+/// it applies.
 const CALMER_TOLD: (f64, f64) = (0.2, 4.0);
-/// Residuals beyond so many standard deviations are taken for this many: one hung task says little of the
-/// others.
+/// Residuals are clipped at this many standard deviations: one hung task must not affect the others.
 const HUBER: f64 = 4.0;
-/// Residuals that are kept for drawing.
+/// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
 
-/// Numbers of the tasks, by dimension.
+/// Features of the tasks, by dimension.
 #[derive(Clone, Debug)]
 pub struct Shape {
     /// ln of the base seconds, by task.
@@ -66,12 +65,12 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// With another standard deviation of the constant: how well the base seconds are known as a whole.
+    /// With another prior standard deviation of the constant, the common factor of the base seconds.
     pub fn with_constant(self, sd: f64) -> Self {
         Self { constant: sd, ..self }
     }
 
-    /// Whether the base seconds tell how long tasks take.
+    /// True if the base seconds come from a model or list, not from pixels over step.
     pub fn is_told(&self) -> bool {
         self.constant < UNKNOWN
     }
@@ -126,7 +125,7 @@ impl Shape {
         Self::new(base, volume, row, transfer, terms, job.volumes.len(), job.transfers.len())
     }
 
-    /// Tasks of which only the volume is known.
+    /// Tasks with no known feature but the volume.
     pub fn of_volumes(base_seconds: &[f64], volume: &[usize]) -> Self {
         let base = base_seconds.iter().map(|s| s.max(1e-9).ln() as f32).collect();
         let volumes = volume.iter().max().map_or(1, |v| v + 1);
@@ -155,7 +154,7 @@ impl Shape {
         self.base.len()
     }
 
-    /// Whether there is no task.
+    /// True if there is no task.
     pub fn is_empty(&self) -> bool {
         self.base.is_empty()
     }
@@ -187,13 +186,13 @@ pub struct Learner {
     mean_base: f64,
     seen: Vec<Seen>,
     refit_at: usize,
-    /// How many observations it is fitted to.
+    /// Number of observations in the fit.
     fitted: usize,
     beta: Vec<f64>,
     /// Lower triangular factor L of the precision of β: L·Lᵀ.
     factor: Vec<f64>,
     effects: Vec<f64>,
-    /// Effective number of the nodes' speeds.
+    /// Effective degrees of freedom of the nodes' speeds.
     used_nodes: f64,
     /// Precision of each volume's effect for a given β, and Σx over its observations.
     precisions: Vec<f64>,
@@ -205,7 +204,7 @@ pub struct Learner {
     residuals: Vec<f32>,
 }
 
-/// One draw of all that is uncertain but the tasks' own errors.
+/// One random draw of all uncertain quantities except the tasks' own errors.
 #[derive(Clone, Debug)]
 pub struct Draw {
     beta: Vec<f64>,
@@ -214,7 +213,7 @@ pub struct Draw {
 }
 
 impl Learner {
-    /// Nothing is seen yet.
+    /// A model without observations.
     pub fn new(shape: Shape) -> Self {
         let d = FIXED + shape.transfers;
         let mean_base = shape.base.iter().map(|b| f64::from(*b)).sum::<f64>() / shape.len().max(1) as f64;
@@ -247,7 +246,7 @@ impl Learner {
         &self.shape
     }
 
-    /// How many times were observed.
+    /// Number of observed times.
     pub fn observed(&self) -> usize {
         self.seen.len()
     }
@@ -257,12 +256,12 @@ impl Learner {
         self.sigma2.sqrt()
     }
 
-    /// Speed of a node, 1 where nothing is known of it.
+    /// Speed of a node, 1 where it is unknown.
     pub fn speed(&self, node: usize) -> f64 {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
 
-    /// How much smaller than on average a task's own error is: its standard deviation is that of the model over
+    /// Factor by which a task's own error is below the average: its standard deviation is the model's over
     /// this.
     fn calm(&self, task: usize) -> f64 {
         if !self.shape.is_told() {
@@ -307,7 +306,7 @@ impl Learner {
         (0..self.shape.len()).into_par_iter().with_min_len(4096).map(|t| self.seconds(t) as f32).collect()
     }
 
-    /// Takes note of a time. True when the model was fitted anew: expected seconds have changed.
+    /// Adds an observed time. True if the model was refitted: expected seconds have changed.
     pub fn observe(&mut self, task: usize, node: usize, seconds: f64) -> bool {
         if !(seconds.is_finite() && seconds > 0.0) {
             return false;
@@ -322,18 +321,18 @@ impl Learner {
         due
     }
 
-    /// Whether it is fitted to everything that was observed.
+    /// True if the fit includes all observations.
     pub fn is_fresh(&self) -> bool {
         self.fitted == self.seen.len()
     }
 
-    /// Fits to everything that was observed.
+    /// Fits the model to all observations.
     pub fn refit(&mut self) {
         let d = self.beta.len();
         let nodes = self.seen.iter().map(|s| s.node as usize + 1).max().unwrap_or(0);
         self.nodes.resize(nodes, 0.0);
         let mut x = vec![0.0; d];
-        // Two rounds: nodes' speeds and clipping depend on the fit and it on them.
+        // Two rounds: nodes' speeds and clipping depend on the fit and vice versa.
         for round in 0..if self.seen.is_empty() { 1 } else { 3 } {
             let clip = HUBER * self.sigma2.sqrt();
             let (mut xtx, mut xty, mut yy) = (vec![0.0; d * d], vec![0.0; d], 0.0);
@@ -416,7 +415,7 @@ impl Learner {
                 self.effects[v] = (sums_y[v] - dot(&sums[v])) / s2 / precisions[v];
             }
             if n > 0.0 {
-                // Effective parameters: of β the trace of (precision⁻¹ · data), of volumes their shrinkage.
+                // Effective parameters: for β the trace of (precision⁻¹ · data), for volumes their shrinkage.
                 let mut used = 0.0;
                 for k in 0..d {
                     let mut unit = vec![0.0; d];
@@ -461,7 +460,7 @@ impl Learner {
         if self.nodes.len() < 2 {
             return;
         }
-        // How far nodes differ beyond what their tasks' own errors explain. One time per node says nothing of it.
+        // Variance of nodes beyond their tasks' own errors. One time per node does not determine it.
         let of_nodes: f64 =
             sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
         let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);
@@ -470,7 +469,7 @@ impl Learner {
             *node = sum / (n + shrink);
             self.used_nodes += n / (n + shrink);
         }
-        // Speeds are relative: their mean belongs to the constant.
+        // Speeds are relative: their mean is part of the constant.
         let known = sums.iter().filter(|s| s.1 > 0.0).count().max(1) as f64;
         let mean = self.nodes.iter().sum::<f64>() / known;
         for (node, (_, n)) in self.nodes.iter_mut().zip(&sums) {
@@ -492,8 +491,7 @@ impl Learner {
             .collect();
         let stride = n.div_ceil(KEPT).max(1);
         self.residuals = errors.iter().step_by(stride).map(|e| *e as f32).collect();
-        // How far the machine itself wanders: means of consecutive eighths beyond what their tasks' own
-        // errors explain.
+        // Drift of the machine: variance of means of consecutive eighths beyond their tasks' own errors.
         const PARTS: usize = 8;
         self.drift = 0.0;
         if n >= 4 * PARTS {
@@ -506,8 +504,8 @@ impl Learner {
                 .collect();
             let variance = means.iter().map(|m| m * m).sum::<f64>() / (PARTS - 1) as f64;
             let expected = self.sigma2 / size as f64;
-            // Means of tasks alone scatter as χ² with 7 degrees of freedom: only what 19 of 20 such cases stay
-            // below is taken for more.
+            // Means of independent tasks scatter as χ² with 7 degrees of freedom: only the excess over its 95
+            // % quantile counts as drift.
             const LIKELY: f64 = 14.07 / (PARTS - 1) as f64;
             if variance > LIKELY * expected {
                 self.drift = (variance - expected).sqrt();
@@ -515,7 +513,7 @@ impl Learner {
         }
     }
 
-    /// Draws what is uncertain.
+    /// Draws the uncertain quantities.
     pub fn draw(&self, rng: &mut ChaCha8Rng) -> Draw {
         let d = self.beta.len();
         let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();
@@ -531,7 +529,7 @@ impl Learner {
         Draw { beta, effects, drift: self.drift * normal(rng) }
     }
 
-    /// Seconds of a task in a draw, with an error of its own.
+    /// Seconds of a task in a draw, with its own error.
     pub fn drawn_seconds(&self, draw: &Draw, task: usize, rng: &mut ChaCha8Rng) -> f64 {
         let calm = self.calm(task);
         let error = if self.residuals.len() >= 50 {
@@ -544,14 +542,14 @@ impl Learner {
         (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp()
     }
 
-    /// As [`Learner::drawn_seconds`], of a task that has run for so many seconds; and how probable the draw makes
-    /// that it has.
+    /// As [`Learner::drawn_seconds`], for a task that has run for `seconds`; and the draw's probability of
+    /// that.
     pub fn drawn_beyond(&self, draw: &Draw, task: usize, seconds: f64, rng: &mut ChaCha8Rng) -> (f64, f64) {
         let log =
             f64::from(self.shape.base[task]) + self.log_of(&draw.beta, &draw.effects, task) + draw.drift;
         let calm = self.calm(task);
         let least = (seconds.ln() - log) * calm;
-        // What nothing in the model explains is still possible.
+        // Floor of the probability that the model does not explain.
         const LEAST: f64 = 1e-3;
         let probable = if self.residuals.len() >= 50 {
             let beyond = self.residuals.iter().filter(|r| f64::from(**r) > least).count();
@@ -565,12 +563,12 @@ impl Learner {
                 return (drawn, probable.max(LEAST));
             }
         }
-        // Far beyond: as much of itself again as its scatter.
+        // Far beyond all residuals: its present time and half its scatter.
         (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 
-    /// A time that a group of tasks stays below in all but a share of cases, by draws: seconds one after the
-    /// other on a node of speed 1.
+    /// Upper bound at `level` on the total seconds of a group of tasks, one after another on a node of speed
+    /// 1, by random draws.
     pub fn upper(&self, tasks: &[u32], level: f64) -> f64 {
         const DRAWS: usize = 200;
         let mut rng = ChaCha8Rng::seed_from_u64(u64::from(tasks.first().copied().unwrap_or(0)));
@@ -587,7 +585,7 @@ impl Learner {
         sums[((level * DRAWS as f64) as usize).min(DRAWS - 1)]
     }
 
-    /// As [`Learner::draw`], with effects for the volumes of these tasks alone.
+    /// As [`Learner::draw`], with effects only for the volumes of these tasks.
     fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
         let d = self.beta.len();
         let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();

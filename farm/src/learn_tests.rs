@@ -27,7 +27,7 @@ fn scale_volumes_and_scatter_are_found() {
     let sd = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
     assert!(sd < 0.12, "{sd}");
     assert!((learner.log_sd() - 0.1).abs() < 0.02, "{}", learner.log_sd());
-    // Sums are not off: expected seconds are means, not medians.
+    // Sums are unbiased: expected seconds are means, not medians.
     let (sum, expected) = (truth.iter().sum::<f64>(), (0..1200).map(|t| learner.seconds(t)).sum::<f64>());
     assert!((sum / expected - 1.0).abs() < 0.02, "{sum} {expected}");
 }
@@ -65,14 +65,14 @@ fn slow_nodes_are_told_from_long_tasks_and_a_hung_task_spoils_nothing() {
     assert!((learner.speed(0) / learner.speed(1) - 1.0).abs() < 0.05);
     let error =
         (700..800).map(|t| truth[t]).sum::<f64>() / (700..800).map(|t| learner.seconds(t)).sum::<f64>();
-    // Volume 7 was never seen.
+    // Volume 7 has no observation.
     assert!(error.ln().abs() < 0.7, "{error}");
     assert!(learner.log_sd() < 0.12, "{}", learner.log_sd());
 }
 
 #[test]
 fn the_posterior_is_that_of_the_whole_system() {
-    // Volumes eliminated by a Schur complement give what the dense system of all unknowns gives.
+    // Elimination of volumes by a Schur complement gives the solution of the dense system of all unknowns.
     let (mut learner, truth) = world(0.1);
     for t in (0..1200).step_by(11).take(60) {
         learner.observe(t, 0, truth[t]);
@@ -101,7 +101,7 @@ fn the_posterior_is_that_of_the_whole_system() {
         a[k * n + k] += if k < d { PRIOR[k].powi(-2) } else { 1.0 / learner.tau2 };
     }
     let solved = entire_steer::numeric::solve(&mut a, b).unwrap();
-    // The variances moved a little after β was solved for.
+    // The variances changed a little after β was solved for.
     for k in 0..n {
         let own = if k < d { learner.beta[k] } else { learner.effects[k - d] };
         assert!((own - solved[k]).abs() < 0.01, "{k}: {own} {}", solved[k]);
@@ -114,7 +114,7 @@ fn the_normal_distribution_is_that_of_tables() {
         assert!((normal_below(x) - share).abs() < 1e-8, "{x}: {}", normal_below(x));
     }
     assert!((normal_below(-6.0) / 9.865_876e-10 - 1.0).abs() < 1e-5, "{}", normal_below(-6.0));
-    // The series and the fraction meet.
+    // The series and the continued fraction agree where they meet.
     assert!((normal_below(-3.0) / normal_below(-3.000_000_1) - 1.0).abs() < 1e-5);
 }
 

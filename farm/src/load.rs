@@ -1,7 +1,7 @@
-//! What it takes to load volumes: an affine law of their size, for those that a node reads for the first time
-//! (cold) and for those that it has read before (warm), and per volume what was measured.
+//! Loading times of volumes: an affine law of their size, for a node's first reading (cold) and later ones
+//! (warm), and measured times per volume.
 
-/// Bytes per second that are taken for true before anything was measured.
+/// Assumed bytes per second before any measurement.
 const BEFORE: [f64; 2] = [200e6, 1000e6];
 
 /// The model of loading times.
@@ -15,7 +15,7 @@ pub struct Loads {
 }
 
 impl Loads {
-    /// For volumes of these sizes. A renderer that does not tell loading apart loads within its tasks: its
+    /// For volumes of these sizes. A renderer that does not report loading times loads within its tasks: its
     /// loads are zero.
     pub fn new(bytes: Vec<f64>, told: bool) -> Self {
         let seen = vec![[(0.0, 0); 2]; bytes.len()];
@@ -23,12 +23,12 @@ impl Loads {
         Self { bytes, seen, laws, fixed: None }
     }
 
-    /// Loads that are known.
+    /// Loads with known times.
     pub fn known(seconds: Vec<f64>) -> Self {
         Self { fixed: Some(seconds.clone()), ..Self::new(seconds, false) }
     }
 
-    /// Takes note of a loading time.
+    /// Adds an observed loading time.
     pub fn observe(&mut self, volume: usize, warm: bool, seconds: f64) {
         if !(seconds.is_finite() && seconds > 0.0) || self.fixed.is_some() {
             return;
@@ -37,8 +37,7 @@ impl Loads {
         let slot = &mut self.seen[volume][kind];
         slot.0 += seconds;
         slot.1 += 1;
-        // Least squares through per-volume means, each weighing its count; a rate alone where sizes are
-        // alike.
+        // Weighted least squares through per-volume means; a rate without an offset where sizes are alike.
         let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (bytes, seen) in self.bytes.iter().zip(&self.seen) {
             let (sum, count) = (seen[kind].0, f64::from(seen[kind].1));
@@ -68,7 +67,7 @@ impl Loads {
         let kind = usize::from(warm);
         let (offset, slope) = self.laws[kind];
         let law = offset + slope * self.bytes[volume];
-        // A volume's own measurements count beside one of the law.
+        // The mean of a volume's own measurements and one value of the law.
         let (sum, n) = self.seen[volume][kind];
         (sum + law) / f64::from(n + 1)
     }
@@ -78,7 +77,7 @@ impl Loads {
         self.laws
     }
 
-    /// How many loads were seen, cold and warm.
+    /// Number of observed loads, cold and warm.
     pub fn counts(&self) -> [u32; 2] {
         [0, 1].map(|k| self.seen.iter().map(|s| s[k].1).sum())
     }
@@ -96,7 +95,7 @@ mod tests {
             loads.observe(v, false, 0.5 + 2e-7 * size);
             loads.observe(v, true, 1e-8 * size);
         }
-        // The fourth volume was never loaded.
+        // The fourth volume has never been loaded.
         assert!((loads.seconds(3, false) - (0.5 + 1.8)).abs() < 1e-9);
         assert!((loads.seconds(3, true) - 0.09).abs() < 1e-9);
         assert_eq!(loads.counts(), [3, 3]);

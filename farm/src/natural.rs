@@ -1,17 +1,17 @@
-//! The order of file names whose numbers stand for something: numbers are compared as the numbers that they are.
+//! Natural order of file names: numbers in them are compared by value.
 
 use std::cmp::Ordering;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-/// Sorts paths by text, and by value where numbers stand in them.
+/// Sorts paths by text, and by value where they contain numbers.
 ///
-/// A number is digits of any count, with a fraction where exactly one point stands between digits (`0.25`, but
-/// `1.2.3` is three numbers) and an exponent where one follows (`1e-3`, `2.5E+4`; without a sign and a fraction
-/// only where nothing begins with a zero, so that `s01e02` is two numbers) and no letter or digit comes after
-/// it. `+` before it is its sign. `-` is its sign behind anything but letters and digits (`t_-1`); behind a
-/// letter where another of the names has a number there without it (`t-1` beside `t0`); else it is a hyphen
-/// (`run-1`, `2024-01-05`). Numbers that are equal (`1`, `01`, `1.0`) are ordered by what follows them, then by
+/// A number is digits of any count, with a fraction where exactly one point stands between digits (`0.25`,
+/// but `1.2.3` is three numbers) and an exponent where one follows (`1e-3`, `2.5E+4`; without a sign and a
+/// fraction only if neither part begins with a zero, so that `s01e02` is two numbers) and no letter or digit
+/// comes after it. `+` before it is its sign. `-` is its sign after anything but letters and digits (`t_-1`);
+/// after a letter where another name has a number there without it (`t-1` beside `t0`); else it is a hyphen
+/// (`run-1`, `2024-01-05`). Equal numbers (`1`, `01`, `1.0`) are ordered by the rest of the name, then by
 /// text.
 pub fn sort(paths: &mut Vec<PathBuf>) {
     let texts: Vec<String> = paths.iter().map(|p| p.to_string_lossy().into_owned()).collect();
@@ -34,7 +34,7 @@ pub fn sort(paths: &mut Vec<PathBuf>) {
     paths.extend(order.into_iter().map(|(_, path)| path));
 }
 
-/// A text and the number behind it; the last text has none.
+/// A text and the number after it; the last text has none.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Token {
     text: String,
@@ -42,7 +42,7 @@ struct Token {
 }
 
 impl Token {
-    /// Makes the sign at the text's end the number's, where it is one.
+    /// Moves a sign at the text's end to the number, if it is a sign.
     fn take_sign(&mut self, after_number: bool, is_there: impl Fn(&str) -> bool) {
         let Some(number) = &mut self.number else { return };
         let mut rest = self.text.chars();
@@ -100,18 +100,18 @@ impl PartialOrd for Number {
     }
 }
 
-/// The digits that a text begins with.
+/// The digits at the start of a text.
 fn digits(text: &str) -> &str {
     &text[..text.bytes().position(|b| !b.is_ascii_digit()).unwrap_or(text.len())]
 }
 
-/// A point and the digits behind it, where a text begins so.
+/// A point and the digits after it, at the start of a text.
 fn fraction(text: &str) -> &str {
     text.strip_prefix('.').map_or("", digits)
 }
 
-/// An exponent that a text begins with: its length and value. Behind an integer without a fraction one without
-/// a sign counts only where neither is padded with zeros.
+/// An exponent at the start of a text: its length and value. After an integer without a fraction, one without
+/// a sign counts only if neither is padded with zeros.
 fn exponent(text: &str, fraction: bool, padded: bool) -> Option<(usize, i64)> {
     let rest = text.strip_prefix(['e', 'E'])?;
     let unsigned = rest.strip_prefix(['+', '-']);
@@ -130,7 +130,7 @@ fn exponent(text: &str, fraction: bool, padded: bool) -> Option<(usize, i64)> {
 fn tokens(text: &str) -> Vec<Token> {
     let mut out = Vec::new();
     let (mut rest, mut before) = (text, String::new());
-    // Numbers left of one such as 1.2.3.
+    // Remaining parts of a version like 1.2.3.
     let mut parts = 0usize;
     while let Some(c) = rest.chars().next() {
         if !c.is_ascii_digit() {
@@ -146,7 +146,7 @@ fn tokens(text: &str) -> Vec<Token> {
                 end = &end[1 + fraction(end).len()..];
                 parts += 1;
             }
-            // The first of several, or one with a fraction of its own.
+            // The first part of several, or a number with its own fraction.
             parts = if parts > 1 { parts + 1 } else { 0 };
         }
         let (mut part, mut length, mut power) = ("", whole.len(), 0);
@@ -195,7 +195,7 @@ mod tests {
         stays(&["s01e02.mha", "s01e10.mha", "s02e01.mha"]);
         stays(&["v1.2.9", "v1.2.10", "v1.10.1"]);
         stays(&["m1_t2.mha", "m1_t10.mha", "m2_t1.mha", "m10_t1.mha"]);
-        // Equal numbers by what follows, then by text.
+        // Equal numbers are ordered by the rest, then by text.
         stays(&["t01.a", "t1.a", "t01.b", "t1.b"]);
         stays(&["1e3f", "1e20f"]);
     }

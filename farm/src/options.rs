@@ -1,20 +1,20 @@
-//! How a job is run.
+//! Options of a run.
 
-/// How a job is run.
+/// Options of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Whether an earlier run goes on.
+    /// True to continue an earlier run.
     pub resume: bool,
-    /// Whether quarantined tasks are tried again.
+    /// True to retry quarantined tasks.
     pub retry_quarantined: bool,
-    /// Whether images that are there are read and compared with their checksums.
+    /// True to read existing images and compare them with their checksums.
     pub verify: bool,
-    /// Whether a coarse subset comes first.
+    /// True to render a coarse subset first.
     pub preview: bool,
-    /// In which order tasks are sent.
+    /// Order in which tasks are sent.
     pub order: crate::dispatch::Order,
-    /// Whether all tasks are taken for equally long and stay so: to compare with.
+    /// True to take all tasks as equally long throughout, for comparison.
     pub uniform: bool,
-    /// Seconds that a bundle costs, instead of the engine's own figure.
+    /// Overhead of a bundle, seconds, instead of the engine's own figure.
     pub overhead: Option<f64>,
 }

@@ -1,5 +1,5 @@
-//! The plan that lives: what waits, what runs where, what it is expected to take, and when all will be done.
-//! The driver and the simulator ask the same planner.
+//! The plan during a run: waiting and running tasks, their expected times, and the predicted end. Driver and
+//! simulator use the same planner.
 
 use super::dispatch::{Ask, Dispatcher, Order};
 use super::learn::{Learner, Shape};
@@ -10,14 +10,13 @@ use std::collections::{BTreeMap, HashSet, VecDeque};
 mod eta;
 pub use eta::queue_end;
 
-/// Share of the work in which some tasks are sent for the sake of learning, and how many of them: one in
-/// four.
+/// Share of the work during which some tasks are sent for learning, and their interval: one in four.
 const EXPLORED: (f64, u32) = (0.1, 4);
 
-/// Where a task stands.
+/// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// It is not asked for in this run.
+    /// Not part of this run.
     Idle,
     /// It waits.
     Waits,
@@ -25,25 +24,25 @@ pub enum State {
     Sent,
     /// It is done.
     Done,
-    /// It is given up.
+    /// Given up.
     Quarantined,
 }
 
-/// How a run is planned.
+/// Settings of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
     /// Slots that work at once.
     pub slots: usize,
-    /// Whether each slot is asked for by name and keeps its volume; else bundles go to whoever is free and
-    /// each loads its volume.
+    /// True if slots have names and each keeps its volume; else bundles go to any free slot and each loads
+    /// its volume.
     pub bound: bool,
-    /// Seconds that sending a bundle costs a slot.
+    /// Overhead of a bundle on its slot, seconds.
     pub overhead: f64,
-    /// Seconds that no bundle may take.
+    /// Limit of a bundle's seconds.
     pub limit: Option<f64>,
-    /// In which order tasks are sent.
+    /// Order in which tasks are sent.
     pub order: Order,
-    /// Whether expected times are corrected by measured ones.
+    /// True if expected times are corrected by measured ones.
     pub learn: bool,
 }
 
@@ -61,7 +60,7 @@ pub struct Sent {
     pub bundle: u64,
     /// Its tasks.
     pub tasks: Vec<u32>,
-    /// The slot that it is for.
+    /// Its slot, if it has one.
     pub slot: Option<usize>,
     /// The volume of its tasks.
     pub volume: usize,
@@ -76,7 +75,7 @@ struct Running {
     sent: Sent,
     open: Vec<u32>,
     at: f64,
-    /// When its first task began, where that is known.
+    /// Start of its first task, if known.
     begun: Option<f64>,
     busy: f64,
 }
@@ -100,23 +99,23 @@ pub struct Planner {
     stale: bool,
 }
 
-/// A bundle that takes longer than it should.
+/// A bundle that is slower than expected.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Straggler {
     /// Its number.
     pub bundle: u64,
-    /// The task it is probably at.
+    /// Its current task, probably.
     pub task: u32,
-    /// The slot, where it is known.
+    /// The slot, if known.
     pub slot: Option<usize>,
     /// Seconds since it was sent.
     pub elapsed_s: f64,
-    /// Seconds that were expected.
+    /// Expected seconds.
     pub expected_s: f64,
 }
 
 impl Planner {
-    /// A plan for tasks whose base seconds `shape` holds.
+    /// A plan for tasks with the base seconds of `shape`.
     pub fn new(shape: Shape, loads: Loads, setting: Setting) -> Self {
         let learner = Learner::new(shape);
         let shape = learner.shape();
@@ -142,12 +141,12 @@ impl Planner {
         }
     }
 
-    /// Takes the order as it stands for uniform costs.
+    /// Keeps the given order, as for uniform costs.
     pub fn set_uniform(&mut self) {
         self.dispatcher.set_uniform();
     }
 
-    /// Adds tasks, which come after those that were added before.
+    /// Adds tasks, which come after earlier ones.
     pub fn add_stage(&mut self, tasks: Vec<u32>) {
         for &t in &tasks {
             self.states[t as usize] = State::Waits;
@@ -165,7 +164,7 @@ impl Planner {
         }
     }
 
-    /// A task was done in a run before: its time teaches.
+    /// Records a task of an earlier run: the model learns its time.
     pub fn done_before(&mut self, task: u32, node: usize, seconds: f64) {
         if self.states[task as usize] != State::Done {
             self.states[task as usize] = State::Done;
@@ -177,7 +176,7 @@ impl Planner {
         }
     }
 
-    /// A task is given up.
+    /// Gives a task up.
     pub fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
         if let Some(r) = bundle.and_then(|b| self.running.get_mut(&b)) {
             r.open.retain(|t| *t != task);
@@ -185,7 +184,7 @@ impl Planner {
         self.states[task as usize] = State::Quarantined;
     }
 
-    /// Where a task stands.
+    /// State of a task.
     pub fn state(&self, task: u32) -> State {
         self.states[task as usize]
     }
@@ -200,47 +199,47 @@ impl Planner {
         &self.loads
     }
 
-    /// Takes note of a loading time of another node.
+    /// The model of loading times, to add one that another node measured.
     pub fn loads_mut(&mut self) -> &mut Loads {
         &mut self.loads
     }
 
-    /// Tasks that are done, and all that are wanted.
+    /// Number of finished tasks, and of all in this run.
     pub fn progress(&self) -> (usize, usize) {
         (self.done, self.wanted)
     }
 
-    /// Tasks that wait.
+    /// Number of waiting tasks.
     pub fn pending(&self) -> usize {
         self.dispatcher.pending() + self.stages.iter().map(Vec::len).sum::<usize>()
     }
 
-    /// Bundles that were sent and are not over.
+    /// Number of running bundles.
     pub fn running(&self) -> usize {
         self.running.len()
     }
 
-    /// Whether everything is over.
+    /// True if all tasks are finished.
     pub fn is_over(&self) -> bool {
         self.pending() == 0 && self.running.is_empty()
     }
 
-    /// Seconds that sending a bundle costs, as it was found.
+    /// Overhead of a bundle as measured, seconds.
     pub fn overhead(&self) -> f64 {
         self.overhead
     }
 
-    /// Takes another figure for what sending a bundle costs.
+    /// Sets the overhead of a bundle.
     pub fn set_overhead(&mut self, seconds: f64) {
         self.overhead = seconds;
     }
 
-    /// Expected seconds of a task now.
+    /// Current expected seconds of a task.
     pub fn expected(&self, task: u32) -> f64 {
         f64::from(self.dispatcher.seconds(task))
     }
 
-    /// Takes over corrected times.
+    /// Updates the queue to corrected times.
     pub fn refresh(&mut self) {
         if self.stale {
             self.stale = false;
@@ -248,7 +247,7 @@ impl Planner {
         }
     }
 
-    /// The next bundle for a slot, or for whoever is free.
+    /// The next bundle for a slot, or for any free one.
     pub fn next(&mut self, slot: Option<usize>, now: f64) -> Option<Sent> {
         self.refresh();
         self.next_stage();
@@ -289,19 +288,19 @@ impl Planner {
         Some(sent)
     }
 
-    /// Numbers bundles from here on, so that those of a run before stay apart.
+    /// Numbers bundles from here on, so that they differ from those of an earlier run.
     pub fn number_from(&mut self, bundle: u64) {
         self.bundles = self.bundles.max(bundle);
     }
 
-    /// A bundle was begun.
+    /// Records the start of a bundle.
     pub fn begun(&mut self, bundle: u64, at: f64) {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.begun.get_or_insert(at);
         }
     }
 
-    /// A task is done. False where it was done before.
+    /// Records a finished task. False if it was finished before.
     pub fn done(&mut self, bundle: u64, task: u32, node: usize, seconds: f64, load: f64) -> bool {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.open.retain(|t| *t != task);
@@ -318,7 +317,7 @@ impl Planner {
         true
     }
 
-    /// A task is sent again, later.
+    /// Queues a task again.
     pub fn again(&mut self, bundle: u64, task: u32) {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.open.retain(|t| *t != task);
@@ -329,11 +328,11 @@ impl Planner {
         }
     }
 
-    /// A bundle is over; the tasks that it left open wait again.
+    /// Records the end of a bundle; its unfinished tasks are queued again.
     pub fn ended(&mut self, bundle: u64, now: f64) {
         let Some(r) = self.running.remove(&bundle) else { return };
         if self.setting.bound && r.open.is_empty() {
-            // What the slot was busy without rendering or loading.
+            // Time in which the slot neither rendered nor loaded.
             let gap = (now - r.at - r.busy).clamp(0.0, 60.0);
             self.overheads += 1;
             let weight = f64::from(self.overheads.min(50)).recip();
@@ -344,13 +343,13 @@ impl Planner {
         }
     }
 
-    /// A slot has lost what it held.
+    /// Records that a slot has lost its volume.
     pub fn forget(&mut self, slot: usize) {
         let before = self.slots[slot].held.take();
         self.dispatcher.hold(before, None);
     }
 
-    /// The tasks of a bundle that are not over.
+    /// The unfinished tasks of a bundle.
     pub fn open(&self, bundle: u64) -> &[u32] {
         self.running.get(&bundle).map_or(&[], |r| &r.open)
     }
@@ -360,7 +359,7 @@ impl Planner {
         self.running.get(&bundle).and_then(|r| r.sent.slot)
     }
 
-    /// Bundles that take longer than all but one in a thousand should.
+    /// Bundles that take longer than the expected 99.9 % quantile.
     pub fn stragglers(&self, now: f64) -> Vec<Straggler> {
         let spread = 3.0 * self.learner.log_sd().hypot(0.05);
         let mut out: Vec<Straggler> = self
@@ -385,7 +384,7 @@ impl Planner {
     }
 }
 
-/// A time that can be put in order.
+/// A time with a total order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Time(pub(crate) f64);
 

@@ -18,10 +18,10 @@ use entire_steer::predict::{AnalyticModel, Inputs, Predictor, load};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Nanoseconds per pixel and reference step that are taken before anything was measured.
+/// Assumed nanoseconds per pixel and reference step before any measurement.
 const NANOSECONDS: f64 = 1000.0;
 
-/// Where base seconds come from, for people.
+/// Source of base seconds, for display.
 pub fn source(job: &Job) -> String {
     match (&job.predict.model, &job.predict.list) {
         (Some(model), _) => {
@@ -42,7 +42,7 @@ fn looks(job: &Job) -> bool {
 /// ln of the base seconds of every task.
 ///
 /// # Errors
-/// When a model, list or volume cannot be read, or a model needs what is not there.
+/// When a model, list or volume cannot be read, or an input of a model is missing.
 pub fn base(job: &Job) -> Result<Vec<f32>> {
     if let Some(list) = &job.predict.list {
         return of_list(job, list);
@@ -50,7 +50,7 @@ pub fn base(job: &Job) -> Result<Vec<f32>> {
     if job.predict.model.is_some() || looks(job) {
         return of_views(job);
     }
-    // Size and step come round with every transfer function.
+    // Size and step repeat for every transfer function.
     let one = job.sizes.len() * job.steps.len();
     let round: Vec<f32> = (0..one)
         .map(|task| {
@@ -67,7 +67,7 @@ fn of_list(job: &Job, list: &Path) -> Result<Vec<f32>> {
     let numbers = job.numbers();
     let mut out = vec![f32::NAN; job.len()];
     for t in &tasks {
-        // A list may name tasks of other jobs.
+        // A list may contain tasks of other jobs.
         if let Some(&i) = parse_id(&t.task).and_then(|id| numbers.get(&id)) {
             let seconds = t.predicted_s.or(t.measured_s).unwrap_or(0.0);
             out[i as usize] = seconds.max(1e-9).ln() as f32;
@@ -84,7 +84,7 @@ fn of_list(job: &Job, list: &Path) -> Result<Vec<f32>> {
     Ok(out)
 }
 
-/// Says on standard error where a model predicts other seconds than those that tasks take.
+/// Prints a note if a model predicts other seconds than those of tasks.
 fn note_clock(path: &Path, model: &Model) {
     if let Some(clock) = entire_io::clock::of(model).filter(|c| *c != Clock::Wall) {
         note(&format!(
@@ -96,7 +96,7 @@ fn note_clock(path: &Path, model: &Model) {
     }
 }
 
-/// By looking at volumes, transfer functions and views.
+/// Base seconds from volumes, transfer functions and views.
 fn of_views(job: &Job) -> Result<Vec<f32>> {
     let (shade, skip, termination) = match &job.renderer {
         own @ Renderer::Entire { .. } => {

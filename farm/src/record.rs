@@ -1,4 +1,4 @@
-//! What goes between driver, workers and journal, one JSON object per line.
+//! Messages between driver, workers and journal, one JSON object per line.
 
 use entire_io::identity::Identity;
 use entire_io::path::Transfer;
@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The number of the run that is under way.
+/// The number of the current run.
 pub fn run_number(state: &Path) -> Option<u64> {
     std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
 }
 
-/// A task as a worker gets it: everything that it needs.
+/// A task with all data that a worker needs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Order {
     /// The task's id, 16 hexadecimal digits.
@@ -23,7 +23,7 @@ pub struct Order {
     pub volume_name: String,
     /// Time step.
     pub time: u32,
-    /// Options of its reading.
+    /// Options of reading it.
     #[serde(default)]
     pub reading: Reading,
     /// Rotation about x and y in degrees, distance in bounding-sphere radii.
@@ -38,54 +38,54 @@ pub struct Order {
     pub size: [u32; 2],
     /// Step in reference steps.
     pub step: f32,
-    /// Where the image goes, relative to the database.
+    /// Path of the image, relative to the database.
     pub image: String,
-    /// Seconds that it is expected to take.
+    /// Expected seconds.
     pub predicted_s: f64,
-    /// What the volume's files are: the picture must be of no others.
+    /// Identities of the volume's files: the picture must be of these.
     #[serde(default)]
     pub files: Vec<Identity>,
 }
 
-/// Tasks that are done by one worker, one after the other.
+/// Tasks for one worker, one after another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BundleOrder {
     /// The bundle's number in this run.
     pub bundle: u64,
-    /// The run that it belongs to: when another has begun, no further task of it is.
+    /// The run that it belongs to: when another run has begun, the worker stops.
     pub run: u64,
     /// The tasks.
     pub tasks: Vec<Order>,
 }
 
-/// What became of a task.
+/// Result of a task.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// The task's id.
     pub task: String,
-    /// The bundle it came in.
+    /// Its bundle.
     pub bundle: u64,
-    /// Who did it.
+    /// Its node.
     pub node: String,
-    /// Seconds without loading: rendering, and the image on the disk.
+    /// Seconds without loading: rendering, and writing the image.
     pub seconds: f64,
-    /// Seconds of the frame alone, where the renderer says so.
+    /// Seconds of the frame only, if the renderer reports them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub render_s: Option<f64>,
-    /// Seconds to load the volume; zero where it was there.
+    /// Seconds to load the volume; zero if it was loaded.
     pub load_s: f64,
-    /// When it began, seconds since 1970.
+    /// Start, seconds since 1970.
     pub begin: f64,
-    /// When it ended, seconds since 1970.
+    /// End, seconds since 1970.
     pub end: f64,
     /// Size of the image file.
     pub bytes: u64,
     /// CRC-32 of the image file.
     pub crc32: u32,
-    /// Why there is no image.
+    /// Reason for a missing image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// Whether that was a full disk.
+    /// True if the cause was a full disk.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub disk_full: bool,
 }
@@ -94,14 +94,14 @@ pub struct Answer {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Line {
-    /// A task is over.
+    /// A task has ended.
     Answer(Answer),
-    /// A bundle is over.
+    /// A bundle has ended.
     End {
         /// Its number.
         end: u64,
     },
-    /// A worker is at work on a task.
+    /// A worker has started a task.
     Begin {
         /// Its id.
         begins: String,
@@ -112,7 +112,7 @@ pub enum Line {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Entry {
-    /// A run begins.
+    /// A run has started.
     Run {
         /// The journal's format.
         format: String,
@@ -120,23 +120,23 @@ pub enum Entry {
         job: String,
         /// When, UTC.
         date: String,
-        /// What runs the tasks.
+        /// Engine that runs the tasks.
         engine: String,
-        /// How many at once.
+        /// Number of slots.
         slots: usize,
-        /// When, seconds since 1970.
+        /// Time, seconds since 1970.
         at: f64,
     },
-    /// What the volumes' files are from here on, by path.
+    /// Identities of the volumes' files from here on, by path.
     Inputs {
         /// The files.
         files: BTreeMap<String, Vec<Identity>>,
     },
-    /// A task is done, its image in place.
+    /// A task is finished, its image in place.
     Done {
-        /// What was measured.
+        /// Measured times and result.
         answer: Answer,
-        /// Seconds that were expected when it was sent.
+        /// Expected seconds when it was sent.
         predicted_s: f64,
     },
     /// A task failed.
@@ -159,14 +159,14 @@ pub enum Entry {
         task: String,
         /// Why.
         error: String,
-        /// Where its log is, relative to the database.
+        /// Path of its log, relative to the database.
         log: String,
     },
-    /// What was said of the end: for the report.
+    /// Estimate of the end, for the report.
     Eta {
-        /// When, seconds since 1970.
+        /// Time, seconds since 1970.
         at: f64,
-        /// Share of tasks that were done.
+        /// Share of finished tasks.
         share: f64,
         /// The end at 5, 50 and 95 percent, seconds since 1970.
         ends: [f64; 3],
@@ -176,7 +176,7 @@ pub enum Entry {
 /// The journal's format.
 pub const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
 
-/// The format of journals that do not tell what pictures were made of.
+/// The format of journals without the inputs of pictures.
 pub const BARE_JOURNAL_FORMAT: &str = "entire-farm-journal-1";
 
 /// Seconds since 1970.
@@ -184,7 +184,7 @@ pub fn unix_now() -> f64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
 }
 
-/// A task's id from its text.
+/// Parses a task's id.
 pub fn parse_id(text: &str) -> Option<u64> {
     (text.len() == 16).then(|| u64::from_str_radix(text, 16).ok())?
 }

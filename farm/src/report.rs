@@ -1,5 +1,5 @@
-//! The report of a farm, from its journal: Gantt chart by node, predicted against measured, the expected end
-//! over time, what the order gained.
+//! The report of a farm, from its journal: Gantt chart by node, predicted against measured times, the
+//! expected end over time, gain of the order.
 
 use super::job::Job;
 use super::planner::queue_end;
@@ -12,9 +12,9 @@ use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
-/// Lanes of the Gantt chart.
+/// Maximum number of lanes of the Gantt chart.
 const LANES: usize = 48;
-/// Points of the chart of predictions.
+/// Maximum number of points of the chart of predictions.
 const POINTS: usize = 3000;
 
 /// A run of the journal.
@@ -29,7 +29,7 @@ struct Run {
 /// Writes the report of a job's database.
 ///
 /// # Errors
-/// When nothing is done yet, or a file cannot be read or written.
+/// When no task is finished yet, or a file cannot be read or written.
 pub fn write(job: &Job, file: &Path) -> Result<()> {
     let mut runs: Vec<Run> = Vec::new();
     let (mut failed, mut lost) = (0, 0);
@@ -99,7 +99,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     page.write(file)
 }
 
-/// A task's lane: its node, and where several of a node overlap the first that is free.
+/// A task's lane: its node, and the first free one of it if several tasks overlap.
 fn lanes(done: &[(Answer, f64)]) -> (Vec<usize>, Vec<String>) {
     let mut order: Vec<usize> = (0..done.len()).collect();
     order.sort_by(|a, b| done[*a].0.begin.total_cmp(&done[*b].0.begin));
@@ -151,7 +151,7 @@ fn gantt(page: &mut Page, run: &Run, number: usize, of: usize) {
         .size(900.0, 90.0 + 22.0 * shown as f64)
         .series(Series::new("rendering", Mark::Stretches(frames)).color(0))
         .series(Series::new("loading", Mark::Stretches(loads)).color(1));
-    let text = format!("What each node did in run {number} of {of}; {shown} of {} lanes.", names.len());
+    let text = format!("Tasks of each node in run {number} of {of}; {shown} of {} lanes.", names.len());
     page.chart(&chart, &text);
 }
 
@@ -165,8 +165,8 @@ fn accuracy(page: &mut Page, all: &[&(Answer, f64)]) {
     let mut errors: Vec<f64> = all.iter().map(|(a, p)| (p / a.seconds - 1.0).abs()).collect();
     let middle = entire_io::metrics::median(&mut errors).unwrap_or(f64::NAN);
     let text = format!(
-        "Seconds that were expected when a task was sent, and what it took without loading. Median error \
-         {:.1} %.",
+        "Expected seconds when a task was sent, and its measured seconds without loading. Median error {:.1} \
+         %.",
         100.0 * middle
     );
     page.chart(&chart, &text);
@@ -187,11 +187,11 @@ fn ends(page: &mut Page, run: &Run) {
         .series(Series::new("90 % interval", Mark::Band(band)).color(0))
         .series(Series::new("expected end", Mark::Line(line)).color(0))
         .rule(Rule::Horizontal(end, "the end".into()));
-    page.chart(&chart, "When the farm said that it would be done, and when it was.");
+    page.chart(&chart, "The predicted end over the time of the run, and the actual end.");
 }
 
 fn gains(page: &mut Page, run: &Run) -> Result<()> {
-    page.heading("What the order gained");
+    page.heading("Gain of the order");
     let mut tasks: Vec<&(Answer, f64)> = run.done.iter().collect();
     tasks.sort_by(|a, b| a.0.task.cmp(&b.0.task));
     let slots = run.slots.max(1);
@@ -199,7 +199,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let busy = vec![0.0; slots];
     let seconds: Vec<f64> = tasks.iter().map(|(a, _)| a.seconds).collect();
     let mut order: Vec<usize> = (0..tasks.len()).collect();
-    // Without predictions any order is as good as another: the mean of some.
+    // Without predictions all orders are equivalent: the mean of some.
     let any: f64 = (0..32u64)
         .map(|seed| {
             let mut order = order.clone();
@@ -223,7 +223,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
         ("lower bound: no order is faster", bound),
         ("queue, longest predicted first", longest),
         ("queue, any order (mean of 32)", any),
-        ("dealt out beforehand, all taken for equal", dealt),
+        ("assigned beforehand, all tasks taken as equal", dealt),
         ("this run, with loading, bundles and corrections", took),
     ] {
         table.row(vec![name.into(), format!("{end:.2}").into(), format!("{:.3}", end / bound).into()]);
@@ -259,5 +259,5 @@ fn slowest(page: &mut Page, job: &Job, all: &[&(Answer, f64)]) {
             format!("{:.3}", a.seconds).into(),
         ]);
     }
-    page.table(&table, "The ten tasks that took longest beside what was expected.");
+    page.table(&table, "The ten tasks with the largest ratio of measured to expected time.");
 }

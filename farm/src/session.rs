@@ -1,5 +1,5 @@
-//! A renderer that stays: it reads a task per line of its standard input and answers each with a line of its
-//! standard output. What else it prints goes to the task's log.
+//! A persistent renderer: it reads a task per line of its standard input and answers each with a line of its
+//! standard output. Other output goes to the task's log.
 
 use super::record::Order;
 use super::spool::tail;
@@ -17,21 +17,21 @@ use std::time::{Duration, Instant};
 pub(super) struct Reply {
     /// The task's id.
     pub(super) task: String,
-    /// Seconds of the frame, where the renderer measures them.
+    /// Seconds of the frame, if the renderer measures them.
     pub(super) seconds: Option<f64>,
-    /// Seconds to load the volume, where it was loaded for this task.
+    /// Seconds to load the volume, if it was loaded for this task.
     pub(super) load_s: Option<f64>,
-    /// Why there is no image.
+    /// Reason for a missing image.
     pub(super) error: Option<String>,
 }
 
-/// A renderer that stays, started with the first task and again after it failed.
+/// A persistent renderer, started with the first task and again after a failure.
 pub(super) struct Session {
     command: Vec<String>,
     limit: Option<Duration>,
     running: Option<Running>,
     fresh: bool,
-    /// Whether the program ended during the last task.
+    /// True if the program ended during the last task.
     ended: bool,
 }
 
@@ -49,7 +49,7 @@ impl Drop for Running {
 }
 
 impl Session {
-    /// A program with its arguments, and how long a task may take.
+    /// A program with its arguments, and the time limit of a task.
     pub(super) fn new(command: Vec<String>, limit: Option<Duration>) -> Self {
         Self { command, limit, running: None, fresh: false, ended: false }
     }
@@ -73,9 +73,9 @@ impl Session {
         Ok(Running { child, input, lines })
     }
 
-    /// Has a task rendered to `out`. Where the program was started for it and tells its own seconds, what
-    /// the start took counts as loading. A program that ends after it has answered other tasks may have run
-    /// out of something: a new one is asked once more.
+    /// Renders a task to `out`. If the program was started for it and reports its own seconds, the start
+    /// counts as loading. If the program ends after it has answered other tasks, it may have run out of
+    /// something: a new one gets the task once more.
     ///
     /// # Errors
     /// When the program cannot be started, ends, answers with an error or not in time.
@@ -91,7 +91,7 @@ impl Session {
             *load_s = Some((clock.elapsed().as_secs_f64() - *seconds).max(load_s.unwrap_or(0.0)));
         }
         if result.is_err() {
-            // What state it is in is not known: the next task gets a new one.
+            // The program's state is unknown: the next task gets a new one.
             self.running = None;
         }
         let reply = result?;

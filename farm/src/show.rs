@@ -1,4 +1,4 @@
-//! What a farm shows while it works: a bar with rate and end on a terminal, else a line now and then.
+//! Progress display of a farm: a bar with rate and end on a terminal, else a line at intervals.
 
 use entire_io::progress::templated_bar;
 use entire_io::quiet::is_quiet;
@@ -6,15 +6,15 @@ use indicatif::ProgressBar;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// How often a line is printed where there is no terminal.
+/// Interval between lines where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// Nodes whose state is shown.
+/// Maximum number of nodes in the display.
 const NODES: usize = 8;
 
-/// What there is to show.
+/// Contents of the display.
 #[derive(Clone, Debug, Default)]
 pub struct View {
-    /// Tasks that are done.
+    /// Finished tasks.
     pub done: usize,
     /// All tasks.
     pub all: usize,
@@ -26,9 +26,9 @@ pub struct View {
     pub elapsed: f64,
     /// The end at 5, 50 and 95 percent, seconds since the run began.
     pub eta: [f64; 3],
-    /// What nodes do.
+    /// Activity of the nodes.
     pub nodes: Vec<String>,
-    /// Bundles that take too long.
+    /// Bundles that are slower than expected.
     pub stragglers: Vec<String>,
 }
 
@@ -38,12 +38,12 @@ pub struct Show {
     lines: bool,
     line_at: Instant,
     named: Vec<String>,
-    /// What it took to work out what is shown, which bounds how often that is done.
+    /// Time to compute the display, which bounds how often it is updated.
     pub cost: Duration,
 }
 
 impl Show {
-    /// A display that has shown nothing yet.
+    /// A new display.
     pub fn begin() -> Self {
         let terminal = std::io::stderr().is_terminal();
         Self {
@@ -55,7 +55,7 @@ impl Show {
         }
     }
 
-    /// Shows how things stand.
+    /// Updates the display.
     pub fn update(&mut self, view: &View) {
         self.bar.set_length(view.all as u64);
         self.bar.set_position(view.done as u64);
@@ -79,7 +79,7 @@ impl Show {
         }
     }
 
-    /// Says something beside the bar.
+    /// Prints a note above the bar.
     pub fn note(&self, text: &str) {
         if self.lines {
             entire_io::files::note(text);
@@ -88,7 +88,7 @@ impl Show {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }

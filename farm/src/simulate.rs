@@ -1,5 +1,5 @@
-//! An event simulator of farms: the same planner that drives real engines, on tasks whose true times are
-//! given. Bundles cost latency, volumes are loaded, nodes differ in speed and fail.
+//! An event simulator of farms: the planner of real engines, on tasks with given true times. Bundles have
+//! latency, volumes are loaded, nodes differ in speed and fail.
 
 use super::planner::{Planner, Time};
 use rand_chacha::ChaCha8Rng;
@@ -7,7 +7,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
 
-/// What happens, and how long it takes.
+/// The simulated world: durations, speeds and failures.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
     /// True seconds of the tasks on a node of speed 1.
@@ -20,46 +20,46 @@ pub struct World {
     pub load_warm: Vec<f64>,
     /// Speed of each slot.
     pub speeds: Vec<f64>,
-    /// Seconds of a slot that each bundle costs.
+    /// Slot seconds per bundle.
     pub latency: f64,
-    /// Seconds of the engine that each bundle costs; it sends one after the other.
+    /// Engine seconds per bundle; bundles are sent one after another.
     pub dispatch: f64,
-    /// Whether slots are asked for by name and keep their volume.
+    /// True if slots have names and keep their volume.
     pub bound: bool,
     /// Failures of a slot per hour; its bundle is lost.
     pub failures_per_hour: f64,
-    /// Seconds until a failed slot is back, having lost its volume.
+    /// Seconds until a failed slot is back, without its volume.
     pub repair: f64,
     /// Seed of the failures.
     pub seed: u64,
 }
 
-/// A task's place in time.
+/// Time span of a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ran {
     /// The task.
     pub task: u32,
     /// The slot.
     pub slot: usize,
-    /// Seconds from the beginning.
+    /// Start, seconds from the beginning.
     pub start: f64,
-    /// Seconds from the beginning.
+    /// End, seconds from the beginning.
     pub end: f64,
 }
 
-/// What was said of the end during a run.
+/// An estimate of the end during a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Said {
-    /// Seconds from the beginning.
+    /// Time of the estimate, seconds from the beginning.
     pub at: f64,
     /// The end at 5, 50 and 95 percent, seconds from the beginning.
     pub end: [f64; 3],
 }
 
-/// What a simulated run did.
+/// Result of a simulated run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// When the last task was done.
+    /// End of the last task.
     pub makespan: f64,
     /// Tasks in the order in which they ended.
     pub ran: Vec<Ran>,
@@ -69,7 +69,7 @@ pub struct Outcome {
     pub loads: usize,
     /// Bundles that were lost.
     pub lost: usize,
-    /// What was said of the end when these shares of all true work were done.
+    /// Estimates of the end when these shares of the true work were done.
     pub said: Vec<Said>,
 }
 
@@ -80,8 +80,7 @@ enum Event {
     Lost { bundle: u64, slot: usize },
 }
 
-/// Runs a plan to its end. `ask_at` are shares of the true work at which the planner says when it will be
-/// done.
+/// Runs a plan to its end. `ask_at` are shares of the true work at which the planner estimates the end.
 pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome {
     let slots = world.speeds.len();
     let mut rng = ChaCha8Rng::seed_from_u64(world.seed);

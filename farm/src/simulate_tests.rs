@@ -54,7 +54,7 @@ fn losses_are_made_good() {
     let mut tasks: Vec<u32> = out.ran.iter().map(|r| r.task).collect();
     tasks.sort_unstable();
     assert_eq!(tasks, (0..400).collect::<Vec<_>>());
-    // No slot does two things at once.
+    // No slot runs two tasks at once.
     let mut by_slot = out.ran.clone();
     by_slot.sort_by(|a, b| a.slot.cmp(&b.slot).then(a.start.total_cmp(&b.start)));
     assert!(by_slot.windows(2).all(|w| w[0].slot != w[1].slot || w[0].end <= w[1].start + 1e-9));
@@ -75,7 +75,7 @@ fn slow_nodes_are_learned_and_get_less() {
 
 #[test]
 fn the_end_is_foretold() {
-    // Predictions that are wrong by a factor and per volume: corrected after a tenth.
+    // Predictions with errors by a factor and per volume are corrected after a tenth.
     let (mut hits, mut errors) = (0, Vec::new());
     for seed in 0..20u64 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -113,8 +113,8 @@ fn known_loads_are_waited_for_and_counted() {
     assert!((8..=16).contains(&out.loads), "{}", out.loads);
 }
 
-/// The end that is foretold after a tenth of the work and the end, of tasks whose times a model told that errs by
-/// 0.05 per volume and 0.15 per task.
+/// The predicted end after a tenth of the work against the real one, with base times that err by 0.05 per
+/// volume and 0.15 per task.
 fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
     use crate::learn::{TOLD, normal};
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -137,7 +137,7 @@ fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
 
 #[test]
 fn on_many_nodes_the_end_is_not_foretold_by_what_is_done_first() {
-    // The first tasks that are done are those that took less than expected, on nodes that seem fast.
+    // The first finished tasks are those that took less than expected, on nodes that seem fast.
     let (mut hits, mut later, n) = (0, 0.0, 60);
     for seed in 0..n {
         let ([low, middle, high], end) = foretold(seed, 16 + 16 * (seed as usize % 2));

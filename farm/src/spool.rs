@@ -1,4 +1,4 @@
-//! The spool: files to which workers append what became of tasks. The driver follows them while they grow.
+//! The spool: files to which workers append their answers. The driver reads them while they grow.
 
 use super::record::Line;
 use anyhow::{Context, Result};
@@ -7,8 +7,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// The whole lines of a spool file; none where there is no such file. Lines that a killed worker left in part
-/// are passed over.
+/// The whole lines of a spool file; none if it does not exist. Partial lines of a killed worker are skipped.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -44,7 +43,7 @@ impl Follow {
     }
 }
 
-/// Follows the files of bundles that are under way.
+/// Reads the files of running bundles.
 #[derive(Debug)]
 pub struct Spool {
     folder: PathBuf,
@@ -57,12 +56,12 @@ impl Spool {
         Self { folder: state.join("spool"), open: HashMap::new() }
     }
 
-    /// Follows a bundle's file from now on.
+    /// Reads a bundle's file from now on.
     pub fn follow(&mut self, bundle: u64) {
         self.open.entry(bundle).or_default();
     }
 
-    /// What was added since the last look.
+    /// Lines added since the last call.
     ///
     /// # Errors
     /// When a file cannot be read.
@@ -83,18 +82,24 @@ impl Spool {
         Ok(out)
     }
 
-    /// Looks at a bundle no more.
+    /// Stops reading a bundle's file.
     pub fn forget(&mut self, bundle: u64) {
         self.open.remove(&bundle);
     }
 }
 
-/// The last line of a log that says anything.
+/// The last line of a log that is not blank.
 pub(crate) fn tail(log: &Path) -> String {
     let mut bytes = Vec::new();
     if let Ok(file) = File::open(log) {
         let _ = file.take(1 << 20).read_to_end(&mut bytes);
     }
     let text = String::from_utf8_lossy(&bytes);
-    text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("it said nothing").chars().take(300).collect()
+    text.lines()
+        .rev()
+        .find(|l| !l.trim().is_empty())
+        .unwrap_or("it printed nothing")
+        .chars()
+        .take(300)
+        .collect()
 }

@@ -1,5 +1,5 @@
-//! What a job will take, before anything runs: the end on several numbers of nodes, node hours and money, the
-//! cheapest number of nodes for a deadline.
+//! Forecast of a job before it runs: the end on several numbers of nodes, node hours and money, the cheapest
+//! number of nodes for a deadline.
 
 use super::job::Job;
 use super::planner::{Planner, Setting};
@@ -7,10 +7,10 @@ use super::show::duration;
 use anyhow::Result;
 use entire_report::{Column, Table};
 
-/// Most nodes that are looked at.
+/// Maximum number of nodes that is considered.
 const MOST: usize = 4096;
 
-/// A number of nodes and what comes of it.
+/// A number of nodes, with its end and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offer {
     /// Nodes.
@@ -21,14 +21,14 @@ pub struct Offer {
     pub node_hours: f64,
 }
 
-/// What comes of a number of nodes: `plan` gives a plan for that many.
+/// Forecast for a number of nodes: `plan` gives a plan for that many.
 pub fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
     let end = plan(nodes).eta(0.0);
     Offer { nodes, end, node_hours: nodes as f64 * end[1] / 3600.0 }
 }
 
-/// The smallest number of nodes that is done by a deadline in 95 of 100 cases: as more nodes never cost fewer
-/// node hours, it is the cheapest. `None` where no number is enough.
+/// The smallest number of nodes that meets a deadline in 95 of 100 cases: since more nodes never cost fewer
+/// node hours, it is the cheapest. `None` if no number is enough.
 pub fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
     let (mut low, mut high) = (1, MOST.min(tasks.max(1)));
     let enough = |o: &Offer| o.end[2] <= deadline;

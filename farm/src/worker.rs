@@ -1,5 +1,5 @@
-//! A worker: renders the tasks of bundles, one after the other. An image is put in its place whole, then the
-//! answer is written to the spool; both survive the worker.
+//! A worker: renders the tasks of bundles, one after another. It writes each image as a whole and then the
+//! answer to the spool; both survive the worker.
 
 use super::command::{Placeholders, fill};
 use super::job::{Renderer, draw_settings};
@@ -22,13 +22,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-/// What renders tasks in this process.
+/// Renderer of tasks in this process.
 enum Painter {
-    /// The raycaster, with the volume that it holds.
+    /// The raycaster, with its loaded volume.
     Own(Box<Own>),
     /// A program per image.
     Program(Vec<String>, Option<Duration>),
-    /// A program that stays.
+    /// A persistent program.
     Stays(Session),
 }
 
@@ -39,13 +39,13 @@ struct Own {
     transfer: Option<entire_io::path::Transfer>,
 }
 
-/// What a painter says of an image.
+/// A painter's report on an image.
 struct Painted {
     load_s: f64,
     render_s: Option<f64>,
 }
 
-/// A worker's place and state.
+/// State of a worker.
 pub struct Worker {
     state: PathBuf,
     output: PathBuf,
@@ -54,7 +54,7 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// A worker of the database whose state folder this is.
+    /// A worker of the database with this state folder.
     ///
     /// # Errors
     /// When the renderer's description cannot be read, or no renderer can be opened.
@@ -85,7 +85,7 @@ impl Worker {
     }
 
     /// Reads bundles from standard input, a JSON object per line, until it is closed; answers on standard
-    /// output. When the input is closed the task at hand is finished, and no other is begun.
+    /// output. When the input is closed, the current task is finished and no other is begun.
     ///
     /// # Errors
     /// When a line is no bundle, or the spool cannot be written.
@@ -122,7 +122,7 @@ impl Worker {
     }
 
     /// Does the bundle that `orders/NUMBER.json` describes and writes the answers to `spool/NUMBER.jsonl`.
-    /// What the spool says is done is not done again.
+    /// Tasks that the spool lists as done are not done again.
     ///
     /// # Errors
     /// When the description cannot be read or the spool cannot be written.
@@ -149,7 +149,7 @@ impl Worker {
         append(&mut spool, &Line::End { end: number })
     }
 
-    /// Renders a task; a failure is an answer too.
+    /// Renders a task; a failure is also an answer.
     fn answer(&mut self, order: &Order, bundle: u64) -> Answer {
         let begin = unix_now();
         let clock = Instant::now();
@@ -181,7 +181,7 @@ impl Worker {
         let (painted, png) = match &mut self.painter {
             Painter::Own(own) => own.paint(order)?,
             program => {
-                // A folder of its own: nothing that a killed program goes on writing gets in the way.
+                // A separate folder, so that a killed program that still writes does no harm.
                 let parts = self.state.join("parts");
                 let folder = tempfile::Builder::new().prefix("p").tempdir_in(&parts);
                 let folder =
@@ -197,7 +197,7 @@ impl Worker {
                     Painter::Own(_) => unreachable!("it is handled above"),
                 };
                 let png = std::fs::read(&part).with_context(|| {
-                    format!("the renderer ended well and wrote no image; its output is in {}", log.display())
+                    format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
                 })?;
                 let _ = std::fs::remove_file(&log);
                 (painted, png)
@@ -206,7 +206,7 @@ impl Worker {
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
             bail!(
-                "{} was written anew while the farm was at work: {what}; go on with --resume when it is whole",
+                "{} changed while the farm was running: {what}; go on with --resume when it is whole",
                 order.volume.display()
             );
         }
@@ -313,7 +313,7 @@ fn run(
     Ok(Painted { load_s: 0.0, render_s: None })
 }
 
-/// Whether bytes are a whole PNG file of this size.
+/// Checks that bytes are a whole PNG file of this size.
 fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
     let whole = bytes.len() >= 33 && bytes.starts_with(b"\x89PNG\r\n\x1a\n") && bytes[12..16] == *b"IHDR";
     ensure!(whole, "the renderer wrote {} bytes that are no PNG image", bytes.len());
@@ -322,7 +322,7 @@ fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
     let found = [side(16), side(20)];
     ensure!(
         found == size,
-        "the renderer's image has {} x {} pixels; {} x {} were ordered",
+        "the renderer's image has {} x {} pixels; {} x {} were requested",
         found[0],
         found[1],
         size[0],
@@ -348,7 +348,7 @@ fn append(spool: &mut File, line: &Line) -> Result<()> {
     spool.write_all(&text).context("cannot write the spool; make room and go on with --resume")
 }
 
-/// Answers on standard output. Nobody may be listening any more: the spool has it all.
+/// Answers on standard output. A closed output is no error, since the spool has the answers.
 fn say(line: &Line) {
     if let Ok(text) = serde_json::to_string(line) {
         let mut out = std::io::stdout().lock();

@@ -1,4 +1,4 @@
-//! What the C door costs: `entire_model_predict` through the installed shared library against
+//! Overhead of the C interface: `entire_model_predict` through the installed shared library against
 //! `PredNet::predict` called from Rust, batch 1, medians over interleaved runs. Printed by `make bars-ffi`.
 //!
 //!     overhead LIBENTIRE.so MODEL.safetensors
@@ -8,7 +8,7 @@ use entire_core::nn::PredNet;
 use std::ffi::{CString, c_char, c_void};
 use std::time::Instant;
 
-/// Calls per run; runs alternate between the two doors, so that a disturbance hits both.
+/// Calls per run; runs of C and Rust alternate, so that a disturbance affects both.
 const CALLS: usize = 2000;
 const RUNS: usize = 301;
 
@@ -29,7 +29,7 @@ fn median(seconds: &mut [f64]) -> f64 {
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
     let [library, path] = arguments.as_slice() else {
-        // `cargo test --benches` and `cargo bench` without arguments have nothing to measure.
+        // `cargo test --benches` and `cargo bench` without arguments have no library to measure.
         println!("usage: overhead LIBENTIRE.so MODEL.safetensors");
         return;
     };

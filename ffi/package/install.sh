@@ -41,7 +41,7 @@ arguments=(--package entire-ffi --lib --profile "$profile")
 if [[ $features ]]; then arguments+=(--features "$features"); fi
 if [[ $build ]]; then "$cargo" build --quiet "${arguments[@]}"; fi
 
-# Which system libraries a program with the static library needs: those of Rust's standard library, which rustc names for
+# System libraries that a program with the static library needs: those of Rust's standard library, which rustc lists for
 # any static library. The crates of this one add none.
 empty=$(mktemp -d)
 native=$("${RUSTC:-rustc}" --crate-name empty --crate-type staticlib --print native-static-libs -o "$empty/libempty.a" - 2>&1 </dev/null \
@@ -61,10 +61,11 @@ upwards() { # as many ".." as the path has parts
     sed 's|[^/][^/]*|..|g' <<<"$1"
 }
 
-# A panic inside the library becomes a result code and is never printed; yet the standard library brings what names the
-# functions of a printed backtrace (DWARF reading, decompression, demangling), a third of a small statically linked program.
-# All of it hangs on the one function that prints a backtrace's frames. Here that function is made to print none, so that
-# the linker's --gc-sections drops the rest. Where tools or code are not as expected, the library stays as it was built.
+# A panic inside the library becomes a result code and is never printed; yet the standard library brings the code that
+# prints a backtrace (DWARF reading, decompression, demangling), a third of a small statically linked program. All of it
+# is reached through the one function that prints a backtrace's frames. Here that function is replaced by an empty one,
+# so that the linker's --gc-sections drops the rest. If tools or code differ from the expected ones, the library is left
+# unchanged.
 without_symbolizer() { # without_symbolizer ARCHIVE
     local archive=$1 work found object section bytes
     work=$(mktemp -d)
@@ -73,14 +74,14 @@ without_symbolizer() { # without_symbolizer ARCHIVE
         cd "$work" && ar x whole.a 2>/dev/null
         found=$(grep -l 'BacktraceLock.*DisplayBacktrace.*Display3fmt' ./*.o) && [[ $(wc -l <<<"$found") == 1 ]] || exit 1
         object=$(basename "$found")
-        # Into files: grep -q leaves early, and readelf would fail of the closed pipe.
+        # Into files: grep -q ends early, and readelf would fail with the closed pipe.
         readelf -hW "$object" >header && grep -q 'X86-64' header || exit 1
         readelf -SW "$object" >sections || exit 1
         section=$(grep -o ' \.text\.[^ ]*BacktraceLock[^ ]*DisplayBacktrace[^ ]*Display3fmt ' sections | tr -d ' ')
         [[ $section && $(wc -l <<<"$section") == 1 ]] || exit 1
         bytes=$((16#$(sed 's/^ *\[ *[0-9]*\] *//' sections | awk -v s="$section" '$1 == s { print $5 }')))
         ((bytes > 3)) || exit 1
-        # `xor eax, eax; ret`, the Ok(()) of core::fmt::Result; traps behind it.
+        # `xor eax, eax; ret`, the Ok(()) of core::fmt::Result; traps after it.
         { printf '\x31\xc0\xc3'; head -c $((bytes - 3)) /dev/zero | tr '\0' '\314'; } >stub
         objcopy --remove-relocations="$section" --update-section "$section=stub" --strip-debug "$object" "$object.new" 2>/dev/null \
             && mv "$object.new" "$object" && ar r whole.a "$object" >/dev/null 2>&1

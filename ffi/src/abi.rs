@@ -1,4 +1,4 @@
-//! Pointers and by-value structs at the boundary: everything that reads or writes the caller's memory.
+//! Pointers and by-value structs at the boundary: all code that reads or writes the caller's memory.
 
 use crate::result::Failure;
 use crate::result::entire_result::*;
@@ -6,7 +6,8 @@ use std::ffi::{CStr, c_char};
 use std::mem::size_of;
 
 /// Checks at compile time that a by-value struct, all of whose fields are listed, has no padding on 64-bit
-/// targets: a later version adds fields behind, and bytes of padding would already count in `struct_size`.
+/// targets: a later version adds fields at the end, and bytes of padding would already count in
+/// `struct_size`.
 macro_rules! no_padding {
     ($noun:ident { $($field:ident),+ $(,)? }) => {
         #[cfg(target_pointer_width = "64")]
@@ -24,20 +25,21 @@ macro_rules! no_padding {
 }
 pub(crate) use no_padding;
 
-/// No struct of this ABI comes near this size; a larger `struct_size` is memory that was never initialized.
+/// Upper limit of `struct_size`: no struct of this ABI is nearly that large; a larger value is uninitialized
+/// memory.
 const LARGEST_STRUCT: usize = 1 << 16;
 
-/// A by-value struct whose first field is `struct_size: usize`, the size that the caller was compiled with.
+/// A by-value struct whose first field is `struct_size: usize`, the size in the caller's header.
 ///
 /// # Safety `repr(C)`, first field `struct_size: usize`, no padding that matters, and every bit pattern of
 /// every field is a value (integers, floats, pointers).
 pub(crate) unsafe trait ByValue: Copy {
     /// Its name in messages.
     const NAME: &'static str;
-    /// Its size when it was first released; a smaller one never existed. A struct that has grown since states
-    /// it.
+    /// Size of the struct in its first release; smaller ones never existed. Structs that have grown since
+    /// define it.
     const FIRST_SIZE: usize = size_of::<Self>();
-    /// What fields hold that the caller's older struct does not have, and what `_init` writes.
+    /// Default values: those of fields that the caller's older struct lacks, and those that `_init` writes.
     fn defaults() -> Self;
 }
 
@@ -90,7 +92,7 @@ pub(crate) unsafe fn read_struct<T: ByValue>(at: *const T) -> Result<T, Failure>
     Ok(value)
 }
 
-/// Checks that the caller's output struct can be written, before anything is done.
+/// Checks that the caller's output struct can be written, before the call does any work.
 ///
 /// # Safety
 /// As [`write_struct`].
@@ -102,7 +104,7 @@ pub(crate) unsafe fn check_output<T: ByValue>(at: *const T) -> Result<(), Failur
     check_size::<T>(unsafe { at.cast::<usize>().read_unaligned() })
 }
 
-/// Fills the caller's struct as far as the caller knows it; its `struct_size` stays.
+/// Fills the fields that the caller's version of the struct has; its `struct_size` stays.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads and writes of the bytes that its `struct_size` states.
@@ -154,7 +156,7 @@ pub(crate) unsafe fn slice<'a, T>(at: *const T, len: usize, what: &str) -> Resul
     Ok(unsafe { std::slice::from_raw_parts(at, len) })
 }
 
-/// The caller's output array. It is not touched here: what the caller left in it is some value of a number.
+/// The caller's output array. Its contents are not read here and may be any numbers.
 ///
 /// # Safety `at` is NULL or valid for reads and writes of `len` elements, by nobody else, for as long as the
 /// result lives.
@@ -172,7 +174,7 @@ pub(crate) unsafe fn slice_mut<'a, T: Number>(
     Ok(unsafe { std::slice::from_raw_parts_mut(at, len) })
 }
 
-/// Types of which any bytes are a value.
+/// Types for which any bytes are a valid value.
 pub(crate) trait Number: Copy {}
 impl Number for f32 {}
 impl Number for f64 {}
@@ -214,7 +216,7 @@ pub(crate) unsafe fn text<'a>(at: *const c_char, what: &str) -> Result<&'a str, 
     })
 }
 
-/// Checks that an output pointer is there, before anything is done.
+/// Checks that an output pointer is not NULL, before the call does any work.
 pub(crate) fn check_pointer<T>(at: *const T, what: &str) -> Result<(), Failure> {
     check_array(at, 1, what)
 }
@@ -231,8 +233,8 @@ pub(crate) unsafe fn write<T>(at: *mut T, value: T, what: &str) -> Result<(), Fa
 }
 
 /// Copies `text` with a closing NUL into a buffer that may be too short (the text is then cut at a character)
-/// or NULL with capacity 0 (to ask for the length). `length`, where not NULL, receives the whole text's bytes
-/// without the NUL.
+/// or NULL with capacity 0 (to query the length). `length`, if not NULL, receives the length of the whole
+/// text in bytes without the NUL.
 ///
 /// # Safety
 /// `buffer` is NULL or valid for writes of `capacity` bytes; `length` is NULL or valid for one write.

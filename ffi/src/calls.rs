@@ -1,5 +1,5 @@
-//! The entry points called as C calls them: raw pointers in, codes out. Small enough for Miri, which sees
-//! what no C test can: an access outside what a pointer may reach, a race, a leak.
+//! Tests that call the entry points as C does: raw pointers in, codes out. They are small enough for Miri,
+//! which detects what C tests cannot: an access outside of a pointer's provenance, a race, a leak.
 
 use crate::frame::{ENTIRE_SHADING_NONE, ENTIRE_SKIPPING_BLOCKS, entire_frame_init, entire_setting};
 use crate::model::*;
@@ -21,7 +21,7 @@ fn ok(result: entire_result) {
     assert_eq!(result, ENTIRE_OK);
 }
 
-/// What a call writes into its last argument.
+/// The value that a call writes into its last argument.
 fn made<T>(call: impl FnOnce(*mut *mut T) -> entire_result) -> *mut T {
     let mut out = null_mut();
     ok(call(&raw mut out));
@@ -252,7 +252,7 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
         let (mut model, mut own) = (ENTIRE_CLOCK_CPU, ENTIRE_CLOCK_CPU);
         ok(entire_session_clocks(session, &raw mut model, &raw mut own));
         assert_eq!((model, own), (ENTIRE_CLOCK_UNSTATED, ENTIRE_CLOCK_WALL));
-        // What was refused has changed nothing.
+        // A refused call changes nothing.
         assert_eq!(taken(session, &state), ENTIRE_OK);
     }
     assert_eq!(taken(session_of(c"a mapper", c"wall"), &state), ENTIRE_OK);
@@ -263,7 +263,7 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
     assert_eq!(taken(session_of(c"a mapper", c"wall"), &state), ENTIRE_INVALID_ARGUMENT);
 }
 
-/// A model that answers the same for every frame: exp(`log_seconds`).
+/// A model with the same answer for every frame: exp(`log_seconds`).
 fn constant_model(log_seconds: f32) -> Vec<u8> {
     use entire_core::model::{InputGroup, ModelFile};
     use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
@@ -283,7 +283,7 @@ fn constant_model(log_seconds: f32) -> Vec<u8> {
 #[test]
 fn a_plan_that_is_refused_uses_no_id() {
     let voxels = [7u8; 5 * 7 * 11];
-    // 9e8 s at the reference step, which is accepted, and some times as much at the finest, which is not.
+    // 9e8 s at the reference step, which is accepted, and a multiple at the finest, which is not.
     let bytes = constant_model(9e8f32.ln());
     // SAFETY: live handles, arrays as long as stated, room for every output.
     unsafe {

@@ -1,4 +1,4 @@
-//! `entire_frame`: what is about to be drawn, and the settings that a caller can choose between.
+//! `entire_frame`: the next frame to draw, and the settings that a caller can choose from.
 
 use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
@@ -9,36 +9,37 @@ use entire_steer::features::Setting;
 use glam::{Mat4, Vec3};
 use std::mem::size_of;
 
-/// How a frame's camera is given: one of the two `ENTIRE_CAMERA_*` numbers.
+/// Kind of a frame's camera: one of the two `ENTIRE_CAMERA_*` numbers.
 pub type entire_camera = u32;
 /// By entire_frame.arcball.
 pub const ENTIRE_CAMERA_ARCBALL: entire_camera = 1;
 /// By entire_frame.view, volume_center and volume_radius.
 pub const ENTIRE_CAMERA_VIEW: entire_camera = 2;
 
-/// How a camera projects: one of the two `ENTIRE_PROJECTION_*` numbers.
+/// Projection of a camera: one of the two `ENTIRE_PROJECTION_*` numbers.
 pub type entire_projection = u32;
 /// By entire_frame.fov_y; rays leave the eye.
 pub const ENTIRE_PROJECTION_PERSPECTIVE: entire_projection = 1;
-/// By entire_frame.parallel_scale; rays leave the plane through the eye, all along the view (orthographic).
+/// Orthographic, with the height entire_frame.parallel_scale; rays start in the plane through the eye and run
+/// along the view direction.
 pub const ENTIRE_PROJECTION_PARALLEL: entire_projection = 2;
 
-/// What is computed at each sample: one of the `ENTIRE_SHADING_*` numbers.
+/// Shading of each sample: one of the `ENTIRE_SHADING_*` numbers.
 pub type entire_shading = u32;
-/// Color and opacity of the transfer function alone.
+/// Color and opacity of the transfer function only.
 pub const ENTIRE_SHADING_NONE: entire_shading = 1;
 /// Local lighting with gradients.
 pub const ENTIRE_SHADING_LOCAL: entire_shading = 2;
 /// Single scattering: a shadow ray per visible sample.
 pub const ENTIRE_SHADING_SCATTER: entire_shading = 3;
 
-/// How empty space is skipped: one of the `ENTIRE_SKIPPING_*` numbers.
+/// Skipping of empty space: one of the `ENTIRE_SKIPPING_*` numbers.
 pub type entire_skipping = u32;
 /// Every sample is taken.
 pub const ENTIRE_SKIPPING_NONE: entire_skipping = 1;
-/// Transparent blocks are jumped over.
+/// Transparent blocks are skipped.
 pub const ENTIRE_SKIPPING_BLOCKS: entire_skipping = 2;
-/// As blocks, with a distance map so that a run of empty blocks costs one jump.
+/// As blocks, with a distance map, so that a run of empty blocks costs one skip.
 pub const ENTIRE_SKIPPING_DISTANCE: entire_skipping = 3;
 
 /// A frame to draw. Fill with entire_frame_init, then set what differs.
@@ -59,16 +60,16 @@ pub struct entire_frame {
     /// Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's
     /// distance from the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
     pub arcball: [f32; 3],
-    /// World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along
-    /// -z. Default identity.
+    /// World-to-eye matrix as in OpenGL: column-major, rotation and translation only, the eye looks along -z.
+    /// Default identity.
     pub view: [f32; 16],
     /// World position of the volume's center, for ENTIRE_CAMERA_VIEW; default 0, 0, 0.
     pub volume_center: [f32; 3],
-    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the session's
-    /// volume knows it (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
+    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: that of the
+    /// session's volume (entire_volume_info.bounding_radius), if world units are those of its spacing.
     pub volume_radius: f32,
-    /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is,
-    /// answered by entire_session_plan when steering is off.
+    /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. entire_session_predict
+    /// predicts for it; entire_session_plan ignores it unless steering is off, and then returns it.
     pub step: f32,
     /// Accumulated opacity at which a ray stops, over 0 and up to 1; 1 for never. Default 0.99.
     pub termination: f32,
@@ -145,7 +146,7 @@ no_padding!(entire_frame {
     projection,
     parallel_scale
 });
-// An element of arrays: it never changes.
+// Arrays hold it, so its size never changes.
 const _: () = assert!(size_of::<entire_setting>() == 20);
 
 /// Fills a frame with its defaults; `struct_size` is sizeof(entire_frame).
@@ -185,7 +186,7 @@ fn skipping(number: u32) -> Result<Skipping, Failure> {
 }
 
 impl entire_frame {
-    /// The core's frame. `radius`: the bounding-sphere radius where the volume is known.
+    /// The core's frame. `radius`: the bounding-sphere radius if the volume is known.
     pub(crate) fn checked(&self, radius: Option<f32>) -> Result<Frame, Failure> {
         let (camera, unit) = match self.camera {
             ENTIRE_CAMERA_ARCBALL => {

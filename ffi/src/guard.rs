@@ -1,6 +1,5 @@
-//! The one way into the library: every entry point runs its body in here. Handles are checked, panics become
-//! [`ENTIRE_PANIC`] and mark their handle unusable, and the text of a failure is kept for this thread and for
-//! the handle.
+//! Wrapper in which every entry point runs its body. Handles are checked, panics become [`ENTIRE_PANIC`] and
+//! mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
 
 use crate::abi::write_text;
 use crate::handle::{Handle, Owner};
@@ -13,21 +12,21 @@ use std::ffi::c_char;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
 
-/// What the body of an entry point returns.
+/// Result of the body of an entry point.
 pub(crate) type Outcome = Result<(), Failure>;
 
 /// Longest text of a thread's last failure, its closing NUL included.
 const TEXT_BYTES: usize = 2048;
 
 thread_local! {
-    /// Whether the last call of this thread failed; its text stands in `TEXT`.
+    /// True if the last call of this thread failed; its text is in `TEXT`.
     static FAILED: Cell<bool> = const { Cell::new(false) };
-    /// In place: what is dropped with its thread is registered at its first use, for which the C library asks
-    /// for memory and ends the process where there is none.
+    /// Stored in place: a thread-local value with a destructor is registered at its first use, for which the
+    /// C library allocates memory and ends the process if there is none.
     static TEXT: RefCell<[u8; TEXT_BYTES]> = const { RefCell::new([0; TEXT_BYTES]) };
-    /// How many guards are open on this thread, for the panic hook.
+    /// Number of open guards on this thread, for the panic hook.
     static DEPTH: Cell<u32> = const { Cell::new(0) };
-    /// Where and why this thread panicked inside a guard.
+    /// Place and message of this thread's panic inside a guard.
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
@@ -51,7 +50,7 @@ pub(crate) fn guard(body: impl FnOnce() -> Outcome) -> entire_result {
     }
 }
 
-/// Runs a body that reads a handle. Several threads may be in such bodies with the same handle.
+/// Runs a body that reads a handle. Several threads may do so with the same handle.
 ///
 /// # Safety
 /// `handle` is NULL or a live handle of this library that no thread is changing.
@@ -117,10 +116,10 @@ pub(crate) unsafe fn changing<H: Handle>(
     }
 }
 
-/// Frees a handle; NULL is nothing to do.
+/// Frees a handle; NULL does nothing.
 ///
 /// # Safety
-/// `handle` is NULL or a live handle of this library that nobody uses any more.
+/// `handle` is NULL or a live handle of this library that is no longer in use.
 pub(crate) unsafe fn freeing<H: Handle>(handle: *mut H) {
     guard(|| {
         if !handle.is_null() {
@@ -131,7 +130,7 @@ pub(crate) unsafe fn freeing<H: Handle>(handle: *mut H) {
     });
 }
 
-/// Copies the last error of a handle (see `entire_model_last_error` and its siblings), which stays as it is.
+/// Copies the last error of a handle (see `entire_model_last_error` and its siblings), without clearing it.
 ///
 /// # Safety
 /// As [`reading`]; `buffer` is NULL or valid for `capacity` bytes, `length` NULL or valid for one write.
@@ -170,7 +169,7 @@ fn succeeded() -> entire_result {
 #[cold]
 fn failed(failure: Failure) -> entire_result {
     let code = failure.code;
-    // A second net: a log callback or an allocation that unwinds here must not reach C either.
+    // A second catch: a log callback or an allocation that unwinds here must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
         sink::emit(sink::ENTIRE_LOG_ERROR, &failure.message);
         let _ = TEXT.try_with(|slot| keep(&failure.message, &mut slot.borrow_mut()));
@@ -196,8 +195,7 @@ fn keep(text: &str, out: &mut [u8; TEXT_BYTES]) {
 
 #[cold]
 fn panicked(payload: Box<dyn Any + Send>) -> Failure {
-    // A payload whose drop panics in turn leaves another, which is given up: leaking it in a process that met
-    // a bug harms nobody.
+    // A payload whose drop panics leaves another payload, which is leaked: harmless after a bug.
     if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(second);
     }
@@ -208,9 +206,8 @@ fn panicked(payload: Box<dyn Any + Send>) -> Failure {
     )
 }
 
-/// Installs, once, a panic hook that keeps the text of panics inside a guard instead of printing it; all
-/// others go to the hook that was there before. The hook belongs to this library's own copy of the Rust
-/// runtime.
+/// Installs, once, a panic hook that stores the text of panics inside a guard instead of printing it; all
+/// others go to the previous hook. The hook belongs to this library's own copy of the Rust runtime.
 #[inline]
 fn keep_panics_quiet() {
     static HOOK: Once = Once::new();

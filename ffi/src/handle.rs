@@ -1,13 +1,13 @@
-//! Opaque handles: what each noun owns, how C holds it, and the state that every handle carries.
+//! Opaque handles: the value of each noun, its ownership in C, and the state that every handle carries.
 //!
-//! A type says once how its pointers are owned ([`Boxed`] or [`Counted`]); making, borrowing and freeing all
-//! go through that statement, so freeing a handle in another way than it was made does not compile.
+//! A type states once how its pointers are owned ([`Boxed`] or [`Counted`]); making, borrowing and freeing
+//! all follow that statement, so freeing a handle in another way than it was made does not compile.
 
 use crate::result::Failure;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// What every handle carries beside its value.
+/// State that every handle has besides its value.
 #[derive(Default)]
 pub(crate) struct Status {
     unusable: AtomicBool,
@@ -16,7 +16,7 @@ pub(crate) struct Status {
 }
 
 impl Status {
-    /// Whether an earlier call panicked half-way through this handle.
+    /// True if an earlier call panicked half-way through this handle.
     #[inline]
     pub(crate) fn is_unusable(&self) -> bool {
         self.unusable.load(Ordering::Acquire)
@@ -34,7 +34,7 @@ impl Status {
         self.failed.store(true, Ordering::Release);
     }
 
-    /// Forgets the last failure; no lock where there is none.
+    /// Clears the last failure; takes no lock if there is none.
     #[inline]
     pub(crate) fn clear(&self) {
         if self.failed.load(Ordering::Acquire) {
@@ -43,7 +43,7 @@ impl Status {
         }
     }
 
-    /// The text of the last failure, empty where there is none.
+    /// The text of the last failure, empty if there is none.
     pub(crate) fn text(&self) -> String {
         self.text.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
     }
@@ -51,23 +51,23 @@ impl Status {
 
 /// A noun that C holds by pointer.
 pub(crate) trait Handle: Sized {
-    /// What the handle is for.
+    /// Value of the handle.
     type Value;
-    /// How its pointers are owned.
+    /// Ownership of its pointers.
     type Owner: Owner<Self>;
     /// Its name in messages.
     const NAME: &'static str;
-    /// Puts value and state together.
+    /// Combines value and state.
     fn assemble(status: Status, value: Self::Value) -> Self;
     /// The state.
     fn status(&self) -> &Status;
     /// The value.
     fn value(&self) -> &Self::Value;
-    /// Both, the value for writing.
+    /// The state, and the value for writing.
     fn parts_mut(&mut self) -> (&Status, &mut Self::Value);
 }
 
-/// How pointers to a handle are owned.
+/// Ownership of pointers to a handle.
 pub(crate) trait Owner<H> {
     fn into_raw(handle: H) -> *mut H;
     /// Ends the ownership that `into_raw` gave away.
@@ -91,7 +91,7 @@ impl<H> Owner<H> for Boxed {
     }
 }
 
-/// Shared and immutable: the library may hold further references of its own.
+/// Shared and immutable: the library may hold further references.
 pub(crate) struct Counted;
 
 impl<H> Owner<H> for Counted {
@@ -110,7 +110,7 @@ pub(crate) fn give<H: Handle>(value: H::Value) -> *mut H {
     H::Owner::into_raw(H::assemble(Status::default(), value))
 }
 
-/// The value of a handle that a call takes beside its own, for reading.
+/// The value of a second handle of a call, for reading.
 ///
 /// # Safety `handle` is NULL or a live handle of this library that no thread is changing, for as long as the
 /// result lives.

@@ -5,8 +5,8 @@
 //! `include/entire/entire.h` (`ffi/header.h`), which `ffi/tests/suite/header.rs` generates from this crate.
 //!
 //! # Safety of all entry points A pointer is NULL or valid for the access that the function's documentation
-//! states, for the length that stands beside it; a handle comes from this library and was not freed; a handle
-//! that is not `const` is used by one thread at a time. Functions state only what goes beyond this.
+//! states, for the length that is given with it; a handle comes from this library and was not freed; a handle
+//! that is not `const` is used by one thread at a time. Functions state only additional conditions.
 #![allow(non_camel_case_types, reason = "C names, written here as the header has them")]
 #![allow(unreachable_pub, reason = "C reaches what Rust cannot; the header generator takes what is pub")]
 #![allow(
@@ -21,7 +21,7 @@ mod abi;
 mod handle;
 mod reserve;
 
-// The nouns, in the order in which the header has them.
+// The nouns, in the order of the header.
 mod version;
 
 mod result;

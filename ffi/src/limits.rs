@@ -1,31 +1,31 @@
-//! The largest sizes that a caller may declare. A count that a caller merely states is checked against these
-//! before anything is allocated or read, so that a wrong one is answered and not worked on.
+//! The largest sizes that a caller may declare. A declared count is checked against these before anything is
+//! allocated or read, so that a wrong one is refused at once.
 
 use crate::result::Failure;
 use crate::result::entire_result::*;
 
-/// Most voxels along one axis of a volume.
+/// Maximum number of voxels along one axis of a volume.
 pub const ENTIRE_MAX_SIDE: usize = 1_048_576;
-/// Most voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
+/// Maximum number of voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
 pub const ENTIRE_MAX_REPEATED_VOXELS: usize = 134_217_728;
-/// Most bricks of a volume.
+/// Maximum number of bricks of a volume.
 pub const ENTIRE_MAX_BRICKS: usize = 134_217_728;
-/// Most ready features of a volume.
+/// Maximum number of ready features of a volume.
 pub const ENTIRE_MAX_FEATURES: usize = 1_048_576;
-/// Most Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
+/// Maximum number of Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
 pub const ENTIRE_MAX_TRANSFER_POINTS: usize = 1_048_576;
-/// Most bytes of a model file.
+/// Maximum number of bytes of a model file.
 pub const ENTIRE_MAX_MODEL_BYTES: usize = 2_147_483_647;
-/// Most bytes of a saved state.
+/// Maximum number of bytes of a saved state.
 pub const ENTIRE_MAX_STATE_BYTES: usize = 16_777_216;
-/// Most tasks that entire_schedule takes.
+/// Maximum number of tasks in entire_schedule.
 pub const ENTIRE_MAX_TASKS: usize = 16_777_216;
-/// Most nodes that entire_schedule takes.
+/// Maximum number of nodes in entire_schedule.
 pub const ENTIRE_MAX_NODES: usize = 1_048_576;
-/// Most tasks times nodes that entire_schedule takes: each task is compared on every node.
+/// Maximum of tasks times nodes in entire_schedule: each task is compared on every node.
 pub const ENTIRE_MAX_TASKS_TIMES_NODES: u64 = 4_294_967_296;
 
-// What the core accepts is what this door lets through.
+// The limits of the core and of this interface agree.
 const _: () = {
     assert!(ENTIRE_MAX_SIDE == entire_core::scene::MAX_VOLUME_EDGE);
     assert!(ENTIRE_MAX_REPEATED_VOXELS as u64 == entire_core::scene::MAX_REPEATED_VOXELS);
@@ -45,7 +45,7 @@ pub(crate) fn at_most(what: &str, found: usize, limit: usize, name: &str) -> Res
     ))
 }
 
-/// Refuses the sizes of a volume that no memory of `voxel_count` elements stands behind.
+/// Refuses the sizes of a volume that are larger than its memory of `voxel_count` elements.
 pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result<(), Failure> {
     for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
         if n > ENTIRE_MAX_SIDE {

@@ -1,4 +1,4 @@
-//! `entire_set_log`: who receives log messages.
+//! `entire_set_log`: the receiver of log messages.
 
 use crate::guard::guard;
 use crate::result::Failure;
@@ -7,8 +7,8 @@ use crate::sink::{self, ENTIRE_LOG_INFO, ENTIRE_LOG_OFF, Sink, entire_log_callba
 use std::ffi::c_void;
 
 /// Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`.
-/// When the call returns, the earlier callback runs nowhere any more and its `user_data` may be freed. Not
-/// from within a callback.
+/// When the call returns, the earlier callback is no longer running and its `user_data` may be freed. Must
+/// not be called from within a callback.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_set_log(
     callback: entire_log_callback,

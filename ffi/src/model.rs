@@ -1,4 +1,4 @@
-//! `entire_model`: a model file, read once, shared by all who predict with it.
+//! `entire_model`: a model file, read once and shared by all its users.
 
 use crate::abi::{
     ByValue, check_output, check_pointer, no_padding, slice, slice_mut, text, write, write_struct,
@@ -24,7 +24,7 @@ use std::mem::size_of;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
+/// Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
 pub type entire_target = u32;
 /// The model has no prediction network.
 pub const ENTIRE_TARGET_NONE: entire_target = 0;
@@ -33,19 +33,19 @@ pub const ENTIRE_TARGET_SECONDS: entire_target = 1;
 /// The natural logarithm of seconds; predictions are seconds all the same.
 pub const ENTIRE_TARGET_LOG_SECONDS: entire_target = 2;
 
-/// What a model is. Set struct_size before the call.
+/// Description of a model. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_model_info {
     /// sizeof(entire_model_info).
     pub struct_size: usize,
-    /// How many numbers entire_model_predict takes; 0 where the file has no prediction network.
+    /// Number of inputs of entire_model_predict; 0 where the file has no prediction network.
     pub input_count: usize,
-    /// How many groups these numbers come in (entire_model_input_group).
+    /// Number of groups of these inputs (entire_model_input_group).
     pub group_count: usize,
-    /// How many scene features the model names (entire_model_scene_feature).
+    /// Number of scene features that the model names (entire_model_scene_feature).
     pub scene_feature_count: usize,
-    /// How many features entire_model_encode writes; 0 where the file has no volume encoder.
+    /// Number of features that entire_model_encode writes; 0 if the file has no volume encoder.
     pub feature_count: usize,
     /// Voxels along each axis of the encoder's input; 0 where the file has no volume encoder.
     pub encoder_edge: usize,
@@ -82,7 +82,7 @@ pub struct entire_input_group {
     pub name: *const c_char,
     /// Index of its first number among the model's inputs.
     pub offset: usize,
-    /// How many numbers.
+    /// Number of values in the group.
     pub size: usize,
 }
 
@@ -106,7 +106,7 @@ no_padding!(entire_model_info {
 });
 no_padding!(entire_input_group { struct_size, name, offset, size });
 
-/// Rows of a batch that are worked on at once.
+/// Rows of a batch that are computed at once.
 const ROWS_AT_ONCE: usize = 192;
 
 /// A model file in memory. Immutable: any number of threads and sessions may use one model at the same time.
@@ -163,12 +163,12 @@ impl Loaded {
         })
     }
 
-    /// The model as a file that can be changed.
+    /// The model as a file that can be modified.
     pub(crate) fn file(&self) -> Result<ModelFile, Failure> {
         Ok(ModelFile::from_bytes(&self.bytes)?)
     }
 
-    /// The model as a source of predictions.
+    /// A predictor that uses the model.
     pub(crate) fn predictor(&self) -> Result<Box<dyn Predictor + Send>, Failure> {
         let (net, _) = self.prednet()?;
         Ok(match AnalyticModel::from_model(&self.model)? {
@@ -177,8 +177,8 @@ impl Loaded {
         })
     }
 
-    /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it
-    /// takes none.
+    /// The volume features for the model's predictions: ready ones, or the encoder's; `None` if it takes
+    /// none.
     pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
         let Some(size) = self.model.input_size(GroupKind::VolumeFeatures) else { return Ok(None) };
         if let Some(ready) = &volume.features {
@@ -228,7 +228,7 @@ impl Loaded {
     }
 }
 
-/// A text of the model for C, in memory that can be refused.
+/// A text of the model for C, in memory whose allocation may fail.
 fn kept_text(text: &str) -> Result<CString, Failure> {
     if text.contains('\0') {
         return Ok(sink::c_text(text));
@@ -240,8 +240,7 @@ fn kept_text(text: &str) -> Result<CString, Failure> {
     Ok(CString::from_vec_with_nul(bytes).unwrap_or_default())
 }
 
-/// The instruction set that models are run with, and its name: found once, so that the environment is read
-/// once.
+/// The instruction set of models, and its name: determined once, so that the environment is read once.
 fn level() -> &'static (Level, CString) {
     static FOUND: OnceLock<(Level, CString)> = OnceLock::new();
     FOUND.get_or_init(|| {
@@ -278,7 +277,7 @@ pub unsafe extern "C" fn entire_model_open(
     })
 }
 
-/// Reads the model of this machine for a shading mode, as `entire calibrate` left it in the user's data
+/// Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
 /// folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
 /// XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
 /// entire.clock says whether it predicts cpu, wall or device seconds.
@@ -321,7 +320,7 @@ fn data_folder() -> Option<PathBuf> {
     })
 }
 
-/// The bytes of a model file. `remedy` ends what is said where it cannot be read.
+/// The bytes of a model file. `remedy` ends the error if it cannot be read.
 fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
     let shown = path.display();
     let io = |why: String| Failure::new(ENTIRE_IO, format!("{shown}: {why}; {remedy}"));
@@ -377,7 +376,7 @@ pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_
 }
 
 /// Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
-/// there whole or not at all: it is written beside `path` first.
+/// written under a temporary name and renamed, so that it never exists in part.
 ///
 /// Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
 /// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -391,7 +390,7 @@ pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *co
             let beside = format!("{path}.{}.part", std::process::id());
             std::fs::write(&beside, &loaded.bytes).and_then(|()| std::fs::rename(&beside, path)).map_err(
                 |e| {
-                    // What was begun is of no use; that it cannot be removed either changes nothing.
+                    // A partial file is useless; a failure to remove it is ignored.
                     let _ = std::fs::remove_file(&beside);
                     Failure::new(
                         ENTIRE_IO,
@@ -465,7 +464,7 @@ pub unsafe extern "C" fn entire_model_input_group(
     }
 }
 
-/// The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the
+/// The name of the model's scene feature `index`, NULL if there is no such feature. Valid as long as the
 /// model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_scene_feature(
@@ -484,7 +483,7 @@ pub unsafe extern "C" fn entire_model_scene_feature(
 }
 
 /// A metadata value of the model file, such as "entire.renderer", "entire.device", "entire.step_reference" or
-/// "entire.provenance"; NULL where the file does not have the key. Valid as long as the model.
+/// "entire.provenance"; NULL if the file lacks the key. Valid as long as the model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_metadata(
     model: *const entire_model,
@@ -535,13 +534,13 @@ pub unsafe extern "C" fn entire_model_encode(
     }
 }
 
-/// Predicts one frame's time from the model's inputs in the file's order: the network alone, without a
-/// session's correction. May run on several threads at once; does not allocate as long as no more than
-/// ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. An answer below 1e-6 s, as networks
-/// give for cheap frames, comes back as 1e-6 s.
+/// Predicts one frame's time from the model's inputs in the file's order. Only the network is evaluated,
+/// without the correction that a session learns. May run on several threads at once; does not allocate as
+/// long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. Results below
+/// 1e-6 s, which networks give for cheap frames, are returned as 1e-6 s.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
-/// (an input that is not finite), ENTIRE_INVALID_MODEL (the model's answer is no frame time),
+/// (an input that is not finite), ENTIRE_INVALID_MODEL (the model's result is not a frame time),
 /// ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_predict(
@@ -595,7 +594,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             }
             check_inputs(inputs, net.inputs(), rows)?;
             let scratch = || net.scratch(ROWS_AT_ONCE);
-            // Apart from the caller's memory, which a failed call leaves as it was.
+            // In separate memory: a failed call leaves the caller's unchanged.
             let mut predicted = Vec::new();
             predicted.try_reserve_exact(rows)?;
             predicted.resize(rows, 0.0f32);
@@ -632,9 +631,9 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
 }
 
 /// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
-/// `capacity` bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the
-/// whole text's length without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error
-/// is the simpler way where the thread that failed asks itself.
+/// `capacity` bytes with its closing NUL; empty if none failed. `length`, if not NULL, receives the length of
+/// the whole text without the NUL; `buffer` may be NULL with capacity 0 to query it. On the thread whose call
+/// failed, entire_last_error is simpler.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -648,8 +647,8 @@ pub unsafe extern "C" fn entire_model_last_error(
     unsafe { last_error_of(model, buffer, capacity, length) }
 }
 
-/// Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a
-/// model may be freed before they are.
+/// Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a
+/// model may be freed before the sessions that use it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_free(model: *mut entire_model) {
     // SAFETY: the pointer is as the crate's documentation demands.

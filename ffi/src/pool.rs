@@ -3,17 +3,17 @@
 use std::cell::UnsafeCell;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// How many calls of entire_model_predict may run on one model at the same time without allocating; each
-/// further one allocates working memory of its own.
+/// Calls of entire_model_predict that may run on one model at the same time without allocating; each further
+/// one allocates its own working memory.
 pub const ENTIRE_CONCURRENT_PREDICTIONS: usize = 16;
 
 const SLOTS: usize = ENTIRE_CONCURRENT_PREDICTIONS;
 const ALL_FREE: u32 = ((1u64 << SLOTS) - 1) as u32;
 
 /// A fixed number of slots with a piece of working memory each. Taking a slot is lock-free, and succeeds as
-/// long as fewer than [`SLOTS`] calls hold one: a bit says which are free, so none is overlooked.
+/// long as fewer than [`SLOTS`] calls hold one: a bit mask shows the free ones.
 pub(crate) struct Pool<T> {
-    /// A bit per slot that nobody holds.
+    /// A bit per free slot.
     free: AtomicU32,
     slots: [UnsafeCell<Option<T>>; SLOTS],
 }
@@ -28,7 +28,7 @@ impl<T> Pool<T> {
         Self { free: AtomicU32::new(ALL_FREE), slots: [const { UnsafeCell::new(None) }; SLOTS] }
     }
 
-    /// A pool whose pieces are all made now: calls that find a slot allocate nothing.
+    /// A pool whose pieces are all made now: calls that get a slot allocate nothing.
     ///
     /// # Errors
     /// The first of `make`.
@@ -40,8 +40,8 @@ impl<T> Pool<T> {
         Ok(pool)
     }
 
-    /// Runs `body` with a piece that nobody else is using; `make` makes one where the slot has none yet, or
-    /// where all slots are held (that one is dropped afterwards).
+    /// Runs `body` with a piece for exclusive use; `make` makes one if the slot has none yet, or if all slots
+    /// are held (that one is dropped afterwards).
     ///
     /// # Errors
     /// That of `make`.
@@ -77,7 +77,7 @@ impl<T> Pool<T> {
     }
 }
 
-/// A slot that this thread holds; given back when dropped, by a panic too.
+/// A slot of this thread; released when dropped, also by a panic.
 struct Held<'a> {
     free: &'a AtomicU32,
     slot: usize,
@@ -98,7 +98,7 @@ mod tests {
 
     const ROUNDS: usize = if cfg!(miri) { 5 } else { 500 };
 
-    /// How many pieces were made, exist, and existed at most at one time.
+    /// Number of pieces made, present, and present at most at one time.
     #[derive(Default)]
     struct Count {
         made: AtomicUsize,
@@ -131,7 +131,7 @@ mod tests {
         }
     }
 
-    /// Many calls from `callers` threads at once; whether a piece was ever seen by two of them.
+    /// Many calls from `callers` threads at once; true if two of them ever saw the same piece.
     fn hammer(pool: &Pool<Piece<'_>>, callers: usize) {
         let start = Barrier::new(callers);
         std::thread::scope(|scope| {
@@ -171,8 +171,7 @@ mod tests {
         const CALLERS: usize = SLOTS + 8;
         let count = Count::default();
         let pool = Pool::filled(|| made(count.piece())).unwrap();
-        // All callers are inside at once: the slots serve the first of them, the others get pieces of their
-        // own.
+        // All callers are inside at once: the first ones get slots, the others new pieces.
         let inside = Barrier::new(CALLERS);
         std::thread::scope(|scope| {
             for _ in 0..CALLERS {

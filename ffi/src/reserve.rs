@@ -1,13 +1,12 @@
-//! Memory that is kept for the day on which the system has none: so that small pieces (handles, texts, tables
-//! of a model) do not end the host's process.
+//! Reserve memory for when the system has none, so that small allocations (handles, texts, tables of a model)
+//! do not end the host's process.
 //!
-//! This library's own allocator is the system's. Where that refuses a piece of at most [`LARGEST`] bytes, the
-//! piece comes from a reserve that belongs to the library's image. Larger pieces are asked for by code that
-//! answers ENTIRE_OUT_OF_MEMORY. Calls that make or set something ask first whether half of the reserve is
-//! there ([`check`]), so that a call that is let in can end.
+//! This library's allocator is the system's. If that refuses a piece of at most [`LARGEST`] bytes, the piece
+//! comes from a reserve in the library's image. Larger pieces are requested by code that returns
+//! ENTIRE_OUT_OF_MEMORY. Calls that make or set something first check that half of the reserve is free
+//! ([`check`]), so that an admitted call can finish.
 //!
-//! The reserve is cut into blocks. A lock-free flag per block says whether it is held; a piece is a run of
-//! them.
+//! The reserve is cut into blocks. A lock-free flag per block marks it as held; a piece is a run of blocks.
 
 use crate::result::Failure;
 use crate::result::entire_result::ENTIRE_OUT_OF_MEMORY;
@@ -16,7 +15,8 @@ use std::cell::UnsafeCell;
 use std::ptr::null_mut;
 use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
-/// Largest piece that the reserve stands in for, bytes. (Miri runs some thousand times slower: less of all.)
+/// Largest piece that the reserve provides, bytes. (Miri is some thousand times slower, so all sizes are
+/// smaller.)
 const LARGEST: usize = if cfg!(miri) { 1 << 12 } else { 1 << 16 };
 /// Bytes of a block, and the strictest alignment that the reserve gives.
 const BLOCK: usize = 256;
@@ -29,12 +29,12 @@ struct Memory(UnsafeCell<[u8; BLOCK * BLOCKS]>);
 // SAFETY: a block is touched only by who holds its flag.
 unsafe impl Sync for Memory {}
 
-/// Blocks of memory and who holds them.
+/// Blocks of memory, and their holders.
 struct Reserve {
     memory: Memory,
     /// 1 where a block is held.
     held: [AtomicU8; BLOCKS],
-    /// How many are held.
+    /// Number of held pieces.
     count: AtomicUsize,
 }
 
@@ -57,7 +57,7 @@ impl Reserve {
         (piece as usize).wrapping_sub(self.start() as usize) < BLOCK * BLOCKS
     }
 
-    /// A piece, or NULL where it is too large or no run of blocks is free.
+    /// A piece, or NULL if it is too large or no run of blocks is free.
     #[cold]
     fn take(&self, layout: Layout) -> *mut u8 {
         if layout.size() > LARGEST || layout.align() > BLOCK {
@@ -85,7 +85,7 @@ impl Reserve {
         null_mut()
     }
 
-    /// Gives a piece back.
+    /// Returns a piece.
     ///
     /// # Safety
     /// It comes from `take` with this size and is given back once.
@@ -98,7 +98,7 @@ impl Reserve {
     }
 }
 
-/// The system's allocator, with the reserve behind it.
+/// The system's allocator, with the reserve as fallback.
 struct Allocator;
 
 #[global_allocator]
@@ -165,7 +165,7 @@ unsafe impl GlobalAlloc for Allocator {
     }
 }
 
-/// Whether a call that makes or sets something may begin.
+/// Fails if a call that makes or sets something must not begin.
 ///
 /// # Errors
 /// ENTIRE_OUT_OF_MEMORY where half of the reserve is held.

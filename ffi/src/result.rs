@@ -1,11 +1,11 @@
-//! Result codes, and the failure that becomes one.
+//! Result codes, and failures that map to them.
 
 use entire_core::{Error, ErrorKind};
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
 
-/// What a call came to. The numbers never change; a retired one stays reserved.
+/// Result of a call. The numbers never change; a retired one stays reserved.
 #[repr(u32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum entire_result {
@@ -15,7 +15,7 @@ pub enum entire_result {
     ENTIRE_INVALID_ARGUMENT = 1,
     /// A buffer is too short, or a product of sizes overflows.
     ENTIRE_SIZE_MISMATCH = 2,
-    /// The bytes are not a model file that this version reads, or what the model answers is no frame time.
+    /// The bytes are not a model file that this version reads, or the model's result is not a frame time.
     ENTIRE_INVALID_MODEL = 3,
     /// A tensor of the model is missing or has another shape than its neighbors require.
     ENTIRE_INVALID_TENSOR = 4,
@@ -23,21 +23,20 @@ pub enum entire_result {
     ENTIRE_MISSING_INPUT = 5,
     /// The call needs something that was not set before it (volume, transfer function, model).
     ENTIRE_NOT_READY = 6,
-    /// An observation was refused (unknown plan, non-positive time, duplicate); nothing was learned from it.
+    /// An observation was refused (unknown plan, non-positive time, duplicate); it changed nothing.
     ENTIRE_REJECTED_OBSERVATION = 7,
-    /// Something that this build or this model does not have.
+    /// A feature that this build or this model does not have.
     ENTIRE_UNSUPPORTED = 8,
     /// A pointer that must not be NULL is.
     ENTIRE_NULL_ARGUMENT = 100,
-    /// `struct_size` is not set, too small, or the caller's newer struct asks for what this library does not
-    /// know.
+    /// `struct_size` is not set, too small, or the caller's newer struct sets fields that this library does
+    /// not know.
     ENTIRE_STRUCT_SIZE = 101,
     /// A file cannot be read.
     ENTIRE_IO = 102,
-    /// The library met a bug of its own. The handle refuses all further calls with this code and can only be
-    /// freed.
+    /// A bug in the library. The handle refuses all further calls with this code and can only be freed.
     ENTIRE_PANIC = 103,
-    /// There is no memory for what was asked for.
+    /// There is not enough memory for the call.
     ENTIRE_OUT_OF_MEMORY = 104,
 }
 
@@ -81,15 +80,15 @@ impl entire_result {
     }
 }
 
-/// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for a number that is none.
-/// Static, never NULL.
+/// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. Static,
+/// never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_result_name(result: u32) -> *const c_char {
     let known = entire_result::ALL.into_iter().find(|known| *known as u32 == result);
     known.map_or(c"unknown result", entire_result::name).as_ptr()
 }
 
-/// Why a call failed: its code and the text for people.
+/// Cause of a failure: its code and its text.
 #[derive(Debug)]
 pub(crate) struct Failure {
     pub(crate) code: entire_result,
@@ -114,14 +113,14 @@ impl Failure {
     }
 }
 
-/// Whether a number can be the seconds that a frame takes.
+/// True if a number can be the seconds of a frame.
 #[inline]
 pub(crate) fn is_frame_time(seconds: f32) -> bool {
     seconds > 0.0 && seconds < *PREDICTED_SECONDS.end()
 }
 
-/// A network's answer as the seconds that a frame takes. One under 1e-6, as networks give for
-/// cheap frames, is the shortest prediction of all.
+/// Converts a network's result to the seconds of a frame. Results under 1e-6, which networks give for cheap
+/// frames, become the shortest prediction.
 #[inline]
 pub(crate) fn frame_time(answer: f32) -> Result<f32, Failure> {
     let mut seconds = answer;
@@ -154,7 +153,7 @@ impl From<TryReserveError> for Failure {
     }
 }
 
-/// A copy of a caller's array, in memory that can be refused.
+/// A copy of a caller's array, in memory whose allocation may fail.
 pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>, Failure> {
     let mut out = Vec::new();
     out.try_reserve_exact(slice.len())?;
@@ -162,7 +161,7 @@ pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>, Failure> {
     Ok(out)
 }
 
-/// The elements of an iterator that knows how many they are, in memory that can be refused.
+/// The elements of an iterator of known length, in memory whose allocation may fail.
 pub(crate) fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Failure> {
     let mut out = Vec::new();
     out.try_reserve_exact(elements.len())?;
@@ -181,7 +180,7 @@ impl From<Error> for Failure {
             ErrorKind::NotReady => ENTIRE_NOT_READY,
             ErrorKind::RejectedObservation => ENTIRE_REJECTED_OBSERVATION,
             ErrorKind::OutOfMemory => ENTIRE_OUT_OF_MEMORY,
-            // A kind that this file does not list; tests/suite/kinds.rs fails when there is one.
+            // A kind that this file does not list; tests/suite/kinds.rs fails if there is one.
             _ => ENTIRE_UNSUPPORTED,
         };
         Self::new(code, error.to_string())

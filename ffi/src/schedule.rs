@@ -1,4 +1,4 @@
-//! Tasks on the nodes of a render farm.
+//! Assignment of tasks to the nodes of a render farm.
 
 use crate::abi::{check_pointer, slice, slice_mut, write};
 use crate::guard::guard;
@@ -8,13 +8,13 @@ use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_steer::schedule::assign_longest_first;
 
-/// Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds
-/// each task's time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be
-/// NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task, and `makespan`, which
-/// may be NULL, the seconds until the last node is done.
+/// Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
+/// `seconds` holds each task's time on a node of speed 1 and `speeds` each node's speed (2: takes half the
+/// time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task,
+/// and `makespan`, which may be NULL, the seconds until the last node is done.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times that add up to more
-/// than a double holds), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
+/// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times whose sum
+/// overflows a double), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
 /// ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_schedule(

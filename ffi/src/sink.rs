@@ -1,28 +1,28 @@
-//! Where log messages go: the library's one piece of global state.
+//! Receiver of log messages: the library's only global state.
 
 use std::cell::Cell;
 use std::ffi::{CString, c_char, c_void};
 use std::sync::RwLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// How much a log message matters: one of the `ENTIRE_LOG_*` numbers.
+/// Severity of a log message: one of the `ENTIRE_LOG_*` numbers.
 pub type entire_log_level = u32;
 /// Nothing is logged.
 pub const ENTIRE_LOG_OFF: entire_log_level = 0;
 /// A call failed; the text is that of its error.
 pub const ENTIRE_LOG_ERROR: entire_log_level = 1;
-/// Something works less well than it could.
+/// A result may be worse than it could be.
 pub const ENTIRE_LOG_WARNING: entire_log_level = 2;
-/// Rare events worth knowing: a model was loaded, a volume was read.
+/// Rare events: a model was loaded, a volume was read.
 pub const ENTIRE_LOG_INFO: entire_log_level = 3;
 
-/// Receives log messages. `message` is UTF-8 and valid during the call only. Called by whichever thread made
-/// the call that logs, by several at once. Must return normally (no exception, no longjmp) and call nothing
-/// of this library.
+/// Receives log messages. `message` is UTF-8 and valid only during the call. Runs on the thread whose call
+/// logs, so it may run on several threads at the same time. Must return normally (no exception, no longjmp)
+/// and must not call this library.
 pub type entire_log_callback =
     Option<unsafe extern "C" fn(user_data: *mut c_void, level: entire_log_level, message: *const c_char)>;
 
-/// A callback and what it is called with.
+/// A callback and its argument.
 pub(crate) struct Sink {
     pub(crate) callback: unsafe extern "C" fn(*mut c_void, entire_log_level, *const c_char),
     pub(crate) user_data: *mut c_void,
@@ -35,14 +35,14 @@ unsafe impl Send for Sink {}
 unsafe impl Sync for Sink {}
 
 static SINK: RwLock<Option<Sink>> = RwLock::new(None);
-/// The highest level that is wanted; read first, so that a quiet library takes no lock.
+/// The highest level that the callback receives; read first, so that calls take no lock if nothing is logged.
 static LEVEL: AtomicU32 = AtomicU32::new(ENTIRE_LOG_OFF);
 
 thread_local! {
     static IN_CALLBACK: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether this thread is inside the callback.
+/// True if this thread is inside the callback.
 pub(crate) fn in_callback() -> bool {
     IN_CALLBACK.get()
 }
@@ -54,13 +54,13 @@ pub(crate) fn set(sink: Option<Sink>, level: entire_log_level) {
     *held = sink;
 }
 
-/// Whether a message of this level would reach anyone.
+/// True if a message of this level would reach anyone.
 #[inline]
 pub(crate) fn enabled(level: entire_log_level) -> bool {
     level <= LEVEL.load(Ordering::Relaxed)
 }
 
-/// Logs `message` where someone listens.
+/// Logs `message` if a callback is set.
 pub(crate) fn emit(level: entire_log_level, message: &str) {
     if !enabled(level) || IN_CALLBACK.get() {
         return;
@@ -76,7 +76,7 @@ pub(crate) fn emit(level: entire_log_level, message: &str) {
     }
 }
 
-/// A C string of `text`; a NUL inside, which C could not carry, becomes the replacement character.
+/// A C string of `text`; a NUL inside becomes the replacement character.
 pub(crate) fn c_text(text: &str) -> CString {
     CString::new(text).unwrap_or_else(|_| CString::new(text.replace('\0', "\u{fffd}")).unwrap_or_default())
 }

@@ -32,9 +32,9 @@ pub struct entire_opacity_node {
     pub position: f64,
     /// Opacity in [0, 1] over one unit distance.
     pub opacity: f64,
-    /// Where between this node and the next the value is half way, in [0, 1]; 0.5 is the middle.
+    /// Position of the half-way value between this node and the next, in [0, 1]; 0.5 is the middle.
     pub midpoint: f64,
-    /// How abrupt the change is, in [0, 1]: 0 linear, 1 nearly a step.
+    /// Sharpness of the change, in [0, 1]: 0 linear, 1 nearly a step.
     pub sharpness: f64,
 }
 
@@ -52,19 +52,19 @@ pub struct entire_color_node {
     pub sharpness: f64,
 }
 
-/// What a unit distance is counted in: one of the `ENTIRE_UNIT_*` numbers.
+/// Unit of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
 pub type entire_unit = u32;
 /// Multiples of the reference step, which is the volume's smallest voxel spacing.
 pub const ENTIRE_UNIT_REFERENCE_STEP: entire_unit = 1;
 /// The unit of the volume's spacing (VTK's ScalarOpacityUnitDistance, ANARI's unitDistance).
 pub const ENTIRE_UNIT_WORLD: entire_unit = 2;
 
-/// Entries of the table that every transfer function becomes.
+/// Number of entries of the table of every transfer function.
 pub const ENTIRE_TABLE_ENTRIES: usize = 256;
 const _: () = assert!(ENTIRE_TABLE_ENTRIES == TABLE_LEN);
 
-/// Colors and opacities over normalized scalar values. Immutable but for its unit distance; a session copies
-/// what it needs.
+/// Colors and opacities over normalized scalar values. Immutable except for its unit distance. Sessions copy
+/// the data that they need.
 pub struct entire_transfer_function {
     status: Status,
     value: Transfer,
@@ -106,8 +106,9 @@ unsafe fn create(
     })
 }
 
-/// Makes a transfer function of Gaussian opacity lobes; none is transparent everywhere. Colors come from a
-/// built-in ramp, since they do not change what a frame costs. The unit distance is one reference step.
+/// Makes a transfer function of Gaussian opacity lobes; with no lobes it is transparent everywhere. Colors
+/// come from a built-in ramp, since they do not change the time of a frame. The unit distance is one
+/// reference step.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
 /// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -129,12 +130,12 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     }
 }
 
-/// Makes a transfer function of opacity and color nodes as VTK and ParaView have them, with the same values
+/// Makes a transfer function of opacity and color nodes like those of VTK and ParaView, with the same values
 /// as vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values
-/// that map to 0 and 1: pass the volume's range. Nodes stand in ascending position; two at one position make
-/// a step. Without opacity nodes all is transparent; without color nodes the built-in ramp is used.
-/// `clamping` not 0: the outermost nodes' values go on beyond them, as is VTK's default. The unit distance is
-/// one reference step until entire_transfer_function_set_unit_distance.
+/// that map to 0 and 1: pass the volume's range. Nodes are in ascending order of position; two at the same
+/// position make a step. Without opacity nodes everything is transparent; without color nodes the built-in
+/// ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond them, which is
+/// VTK's default. The unit distance is one reference step until entire_transfer_function_set_unit_distance.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
 /// ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -172,7 +173,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     }
 }
 
-/// Makes a transfer function of a table: `entries` times red, green, blue, opacity in [0, 1], not
+/// Makes a transfer function from a table: `entries` times red, green, blue, opacity in [0, 1], not
 /// premultiplied, the first entry at scalar value 0 and the last at 1, linear in between. The unit distance
 /// is one reference step.
 ///
@@ -206,7 +207,7 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         changing(transfer_function, |transfer| {
-            // The core's own check, on a table that is thrown away for the unit that needs a volume.
+            // The core's own check, on a table that is discarded for a unit that needs a volume.
             transfer.table.clone().with_unit_distance(distance)?;
             transfer.unit = match unit {
                 ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),
@@ -226,8 +227,8 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     }
 }
 
-/// Copies the table that predictions are made from: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over
-/// one unit distance. `capacity` counts floats.
+/// Copies the table that predictions use: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over one unit
+/// distance. `capacity` counts floats.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (fewer than 4 * ENTIRE_TABLE_ENTRIES floats), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -252,7 +253,7 @@ pub unsafe extern "C" fn entire_transfer_function_table(
     }
 }
 
-/// Copies the text of the transfer function's last failure, as entire_model_last_error does.
+/// Copies the text of the transfer function's last failure, like entire_model_last_error.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_last_error(
     transfer_function: *const entire_transfer_function,

@@ -1,4 +1,4 @@
-//! Which library this is. All numbers come from the package version.
+//! The library's version. All numbers come from the package version.
 
 use std::ffi::{CStr, c_char};
 
@@ -34,8 +34,9 @@ pub extern "C" fn entire_version_number() -> u32 {
     MAJOR * 1_000_000 + MINOR * 1000 + PATCH
 }
 
-/// The number that changes when, and only when, programs must be compiled anew: MAJOR * 1000, or MINOR before
-/// 1.0. A library that was loaded at run time fits when it equals `ENTIRE_ABI_VERSION` of the header.
+/// The version of the binary interface, MAJOR * 1000, or MINOR before 1.0: programs must be recompiled when
+/// it changes, and only then. A library loaded at run time is compatible if this equals `ENTIRE_ABI_VERSION`
+/// of the header.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_abi_version() -> u32 {
     if MAJOR == 0 { MINOR } else { MAJOR * 1000 }

@@ -1,4 +1,4 @@
-//! `entire_volume`: voxels of any scalar type, or bounds of bricks; with or without ready features.
+//! `entire_volume`: voxels of any scalar type, or bounds of bricks; with or without precomputed features.
 
 mod update;
 
@@ -21,7 +21,7 @@ use std::ffi::{c_char, c_void};
 use std::mem::size_of;
 use std::sync::OnceLock;
 
-/// What a voxel is: one of the `ENTIRE_SCALAR_*` numbers.
+/// Type of a voxel: one of the `ENTIRE_SCALAR_*` numbers.
 pub type entire_scalar_type = u32;
 /// Unsigned 8-bit integers.
 pub const ENTIRE_SCALAR_U8: entire_scalar_type = 1;
@@ -44,13 +44,13 @@ pub const ENTIRE_SCALAR_U64: entire_scalar_type = 9;
 /// Signed 64-bit integers. Copied only (kept as 32-bit floats).
 pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
 
-/// Whose the voxels are: one of the two `ENTIRE_VOXELS_*` numbers.
+/// Ownership of the voxels: one of the two `ENTIRE_VOXELS_*` numbers.
 pub type entire_voxels_ownership = u32;
-/// The library copies the voxels; the caller's memory is free again when the call returns.
+/// The library copies the voxels; the caller may free its memory when the call returns.
 pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
-/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or
-/// but for the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32,
-/// aligned to their size.
+/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed,
+/// except that the voxels of its next time step may be written there (entire_volume_update). For scalar types
+/// U8, U16, I16 and F32, aligned to their size.
 pub const ENTIRE_VOXELS_BORROW: entire_voxels_ownership = 2;
 
 /// In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none.
@@ -64,14 +64,14 @@ pub struct entire_volume_desc {
     pub struct_size: usize,
     /// The voxels. No default.
     pub voxels: *const c_void,
-    /// How many elements of the scalar type `voxels` points at. No default.
+    /// Number of elements of the scalar type at `voxels`. No default.
     pub voxel_count: usize,
     /// One of ENTIRE_SCALAR_*. No default.
     pub scalar_type: entire_scalar_type,
     /// ENTIRE_VOXELS_COPY (default) or ENTIRE_VOXELS_BORROW.
     pub ownership: entire_voxels_ownership,
-    /// Voxels along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default. Where strides of zero or overlapping
-    /// strides make their product larger than `voxel_count`, it is at most ENTIRE_MAX_REPEATED_VOXELS.
+    /// Voxels along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default. If zero or overlapping strides make their
+    /// product larger than `voxel_count`, the product is at most ENTIRE_MAX_REPEATED_VOXELS.
     pub dims: [usize; 3],
     /// Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. Zero repeats a
     /// voxel.
@@ -79,8 +79,8 @@ pub struct entire_volume_desc {
     /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
     pub spacing: [f32; 3],
     /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-    /// maximum of the voxels without a fill value: one that is the least or the greatest of all, in one voxel
-    /// of a thousand or more, and far from all others.
+    /// maximum of the voxels without a fill value. A fill value is the least or the greatest value of all,
+    /// occurs in at least one voxel of a thousand, and is far from all others.
     pub range: [f32; 2],
     /// Must be 0.
     pub reserved: u32,
@@ -105,7 +105,7 @@ unsafe impl ByValue for entire_volume_desc {
     }
 }
 
-/// A volume of which only the bounds of its bricks are known, as renderers keep them for empty-space
+/// A volume that is described only by the value bounds of its bricks, which renderers keep for empty-space
 /// skipping. Fill with entire_brick_desc_init, then set what differs.
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -121,7 +121,7 @@ pub struct entire_brick_desc {
     /// Voxels of a brick along x, y, z. No default.
     pub brick_edge: [usize; 3],
     /// Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
-    /// the voxels that interpolation reaches into included: two floats per brick. No default.
+    /// including neighboring voxels that interpolation reads: two floats per brick. No default.
     pub bounds: *const f32,
     /// Number of bricks: dims / brick_edge rounded up, multiplied. At most ENTIRE_MAX_BRICKS.
     pub brick_count: usize,
@@ -143,7 +143,7 @@ unsafe impl ByValue for entire_brick_desc {
     }
 }
 
-/// What the library knows of a volume. Set struct_size before the call.
+/// The library's description of a volume. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_volume_info {
@@ -210,8 +210,8 @@ no_padding!(entire_volume_info {
     feature_count
 });
 
-/// Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by
-/// any number of sessions.
+/// Voxels, or bounds of bricks. Immutable except for its precomputed features and its time steps; may be used
+/// by any number of sessions.
 pub struct entire_volume {
     status: Status,
     value: Volume,
@@ -220,13 +220,13 @@ pub struct entire_volume {
 pub(crate) struct Volume {
     voxels: Option<Voxels>,
     summary: OnceLock<VolumeSummary>,
-    /// Stands for the summary from the second time step on.
+    /// Replaces the summary from the second time step on.
     series: Option<Box<SummarySeries>>,
     scalar_type: entire_scalar_type,
     pub(crate) features: Option<Vec<f32>>,
 }
 
-/// A view and, where the library copied, the memory that it looks at.
+/// A view and, if the library copied, its memory.
 struct Voxels {
     view: VolumeView<'static>,
     _copy: Option<Copied>,
@@ -297,7 +297,7 @@ pub unsafe extern "C" fn entire_brick_desc_init(
     guard(|| unsafe { init_struct(desc, struct_size) })
 }
 
-/// Makes a volume of voxels. NaN voxels count as the low end of the range, infinities as its ends.
+/// Makes a volume of voxels. NaN voxels are treated as the low end of the range, infinities as its ends.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
 /// borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
@@ -340,7 +340,7 @@ fn log_volume(view: &VolumeView<'_>) {
 }
 
 /// # Safety `desc.voxels` is NULL or valid for reads of `desc.voxel_count` elements, for as long as the
-/// result lives where they are borrowed.
+/// result lives if they are borrowed.
 unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
     if desc.voxels.is_null() {
         return Err(Failure::null("entire_volume_desc.voxels"));
@@ -478,11 +478,11 @@ fn unknown_scalar(found: u32) -> Failure {
     )
 }
 
-/// Makes a volume of brick bounds. Without voxels it cannot be encoded: a model with volume features needs
-/// entire_volume_set_features beside it.
+/// Makes a volume of brick bounds. It has no voxels to encode: for a model with volume features, call
+/// entire_volume_set_features too.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give,
-/// or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that does not match sizes and
+/// edge, or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
 /// ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_from_bricks(
@@ -517,7 +517,7 @@ pub unsafe extern "C" fn entire_volume_from_bricks(
     })
 }
 
-/// Hands over ready volume features, from entire_model_encode with the same model, now or in an earlier run;
+/// Sets precomputed volume features, from entire_model_encode with the same model in this or an earlier run;
 /// they are used instead of encoding the voxels. A count of 0 removes them.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_SIZE_MISMATCH (over
@@ -595,7 +595,7 @@ pub unsafe extern "C" fn entire_volume_last_error(
     unsafe { last_error_of(volume, buffer, capacity, length) }
 }
 
-/// Frees a volume; NULL is nothing to do. Predictors that were given the volume keep what they need of it.
+/// Frees a volume; NULL does nothing. Sessions that were given the volume keep the data that they need.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_free(volume: *mut entire_volume) {
     // SAFETY: the pointer is as the crate's documentation demands.

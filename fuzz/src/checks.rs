@@ -1,4 +1,4 @@
-//! What must hold for whatever a reader gives back.
+//! Invariants of all readers' results.
 
 use crate::volume::Volume;
 use entire_core::model::Model;

@@ -1,4 +1,4 @@
-//! The readers under test, what must hold for whatever they give back, and mutations that know their formats.
+//! The readers under test, invariants of their results, and mutations that know their formats.
 
 #![allow(dead_code, unused_imports, reason = "parts of modules that no target calls")]
 

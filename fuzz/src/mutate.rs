@@ -1,12 +1,12 @@
-//! Mutations that know what stands where: numbers in text, and the length of a model's header.
+//! Mutations that know the format: numbers in text, and the length of a model's header.
 
 use crate::mutants::Mutants;
 
-/// A change of bytes that knows nothing of their format: takes the buffer, the bytes in use and the most that
-/// may be, and answers how many are in use.
+/// A format-independent change of bytes: takes the buffer, the number of used bytes and the capacity, and
+/// returns the new number of used bytes.
 pub type Step = fn(&mut [u8], usize, usize) -> usize;
 
-/// Numbers that readers must think of.
+/// Special numbers that readers must handle.
 const WORDS: [&str; 22] = [
     "0",
     "1",
@@ -92,7 +92,7 @@ fn put(data: &mut [u8], bytes: &[u8], room: usize) -> usize {
     length
 }
 
-/// Puts another number in the place of one, doubles or drops a line, or changes the bytes by `step`.
+/// Replaces a number by another, doubles or drops a line, or changes the bytes by `step`.
 pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = Random::new(seed);
     let mut bytes = data[..size].to_vec();

@@ -1,14 +1,14 @@
-//! What must hold for tables, manifests, paths and task lists.
+//! Invariants of tables, manifests, paths and task lists.
 
 use crate::dataset::{Clock, Manifest, feature_table::FeatureTable, noise_floor, parse_table};
 use crate::farm::{By, Farm, Method, parse_tasks, plan, play, times};
 use crate::path::{MAX_FRAMES, PathFile};
 use std::fmt::Display;
 
-/// Frames of a path beyond which its frames are not worked out here: a million of them take a second.
+/// Number of frames of a path above which its frames are not computed here: a million of them take a second.
 const MOST_PATH_FRAMES: u32 = 4096;
 
-/// An error says something.
+/// An error has a message.
 fn refused(error: impl Display) {
     assert!(!format!("{error:#}").is_empty());
 }
@@ -56,8 +56,7 @@ pub fn check_manifest(input: &[u8]) {
     }
 }
 
-/// Frames of an accepted path, sixteen or more of them, can be drawn, and their transfer functions have
-/// tables.
+/// Sixteen or more frames of an accepted path can be drawn, and their transfer functions have tables.
 pub fn check_path(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let file = match PathFile::parse(text) {
@@ -78,7 +77,7 @@ pub fn check_path(input: &[u8]) {
     }
 }
 
-/// Tasks of an accepted list can be planned, by any method, and every plan does each once.
+/// Tasks of an accepted list can be planned by any method, and every plan contains each once.
 pub fn check_tasks(input: &[u8]) {
     let (json, input) = match input.split_first() {
         Some((b'j', rest)) => (true, rest),

@@ -1,4 +1,4 @@
-//! Saved states of a session: mutations that stay sealed, and what must hold for whatever loads.
+//! Saved states of a session: mutations with valid checksums, and invariants of accepted states.
 
 use crate::mutate::{Random, Step};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
@@ -10,10 +10,10 @@ use std::cell::RefCell;
 /// Bytes of the checksum at the end.
 const SEAL: usize = 4;
 
-/// Frames that are steered after a state was taken up.
+/// Number of frames that are steered after a state was loaded.
 const FRAMES: usize = 12;
 
-/// What the steering aims at, seconds.
+/// Target of the steering, seconds.
 const TARGET: f32 = 0.02;
 
 fn frame(turn: f32) -> Frame {
@@ -37,7 +37,7 @@ pub fn fresh() -> Vec<u8> {
     session().save_state()
 }
 
-/// The state of a session that has seen frames.
+/// The state of a session after some frames.
 pub fn learned() -> Vec<u8> {
     let mut session = session();
     for i in 0..40 {
@@ -47,12 +47,12 @@ pub fn learned() -> Vec<u8> {
     session.save_state()
 }
 
-/// Puts the checksum of everything before it at the end.
+/// Appends the checksum of all bytes before it.
 pub fn seal(bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&crc32fast::hash(bytes).to_le_bytes());
 }
 
-/// Changes numbers of a state, or its bytes by `step`, and seals it again.
+/// Changes numbers of a state, or its bytes by `step`, and updates the checksum.
 pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = Random::new(seed);
     let mut body = data[..size.saturating_sub(SEAL)].to_vec();
@@ -68,7 +68,7 @@ pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) 
             let length = step(&mut body, length, most);
             body.truncate(length);
         }
-        // Numbers stand behind two tags, the model's checksum and two empty names.
+        // Numbers follow two tags, the model's checksum and two empty names.
         _ => {
             for _ in 0..1 + random.below(4) {
                 let at = 32 + 8 * random.below((body.len() - 32) / 8);
@@ -92,8 +92,8 @@ thread_local! {
     });
 }
 
-/// A refused state changes nothing. One that is taken up is saved as such, gives plans with numbers, and
-/// leaves a session that goes on learning.
+/// A refused state changes nothing. An accepted one is saved unchanged, gives plans with finite numbers, and
+/// the session continues to learn.
 pub fn check_state(input: &[u8]) {
     SESSION.with_borrow_mut(|(session, fresh)| {
         session.load_state(fresh).expect("the state of a new session");

@@ -1,9 +1,8 @@
-//! What must hold for traces.
+//! Invariants of traces.
 
 use crate::trace::Trace;
 
-/// An accepted trace has at least two steps at full size in every frame, positive seconds, and modes that are
-/// known.
+/// An accepted trace has at least two steps at full size in every frame, positive seconds, and known modes.
 pub fn check_trace(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let trace = match Trace::parse(text) {

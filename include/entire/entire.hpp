@@ -34,7 +34,7 @@ static_assert(ENTIRE_ABI_VERSION == 1,
               "entire.hpp and entire.h are of different versions: install the package again");
 
 #ifndef ENTIRE_NO_EXCEPTIONS
-// What result<T>::value() throws.
+// The exception of result<T>::value().
 class error : public std::runtime_error {
 public:
     error(entire_result code, const std::string &message) : std::runtime_error(message), code_(code) {}
@@ -45,7 +45,7 @@ private:
 };
 #endif
 
-// A failure: its code and why, in words.
+// A failure: its code and its text.
 struct failure {
     entire_result code;
     std::string message;
@@ -67,16 +67,16 @@ struct nothing {};
 }
 } // namespace detail
 
-// A value, or why there is none.
+// A value, or the failure.
 template <class T> class [[nodiscard]] result {
 public:
     result(T value) : value_(std::make_unique<T>(std::move(value))) {}
     result(failure why) : failure_(std::move(why)) {}
 
     explicit operator bool() const noexcept { return value_ != nullptr; }
-    // ENTIRE_OK, or why it failed.
+    // ENTIRE_OK, or the failure's code.
     entire_result code() const noexcept { return failure_.code; }
-    // Why it failed; empty where it did not.
+    // The failure's text; empty on success.
     const std::string &message() const noexcept { return failure_.message; }
 
     T &value() & {
@@ -97,8 +97,7 @@ private:
     failure failure_{ENTIRE_OK, {}};
 };
 
-// The result of a call that only does something, or of one whose value is plain data: kept in place, nothing allocated
-// on success.
+// The result of a call without a value, or with plain data: kept in place, nothing is allocated on success.
 template <class T> class [[nodiscard]] plain_result {
     static_assert(std::is_trivially_copyable_v<T>, "result<T> is for values that own something");
 
@@ -121,10 +120,10 @@ private:
     std::string message_;
 };
 
-// The result of a call that only does something.
+// The result of a call without a value.
 using status = plain_result<detail::nothing>;
 
-// A view of elements that somebody else owns, as std::span is in C++20 (which it takes too).
+// A view of elements owned elsewhere, as std::span in C++20 (which it accepts too).
 template <class T> class span {
 public:
     constexpr span() noexcept = default;
@@ -184,7 +183,7 @@ struct frame : entire_frame {
         height = image_height;
     }
 
-    // Parallel rays: half of the height that is seen, in world units with look, in bounding-sphere radii with orbit.
+    // Parallel rays: half of the visible height, in world units with look, in bounding-sphere radii with orbit.
     frame &parallel(float scale) {
         projection = ENTIRE_PROJECTION_PARALLEL;
         parallel_scale = scale;
@@ -258,10 +257,10 @@ public:
     status set_features(span<const float> features) {
         return detail::done(entire_volume_set_features(get(), features.data(), features.size()));
     }
-    // The next time step: other voxels, or the borrowed ones after they were written to. Sessions hear of it by
+    // The next time step: other voxels, or the borrowed ones after they were written to. Sessions take it with
     // set_time_step.
     status update(const entire_volume_desc &desc) { return detail::done(entire_volume_update(get(), &desc)); }
-    // The same where no voxel changed outside of a box of `size` voxels from voxel `first` on, along x, y, z.
+    // The same if no voxel changed outside of a box of `size` voxels from voxel `first` on, along x, y, z.
     status update(const entire_volume_desc &desc, const std::size_t (&first)[3], const std::size_t (&size)[3]) {
         return detail::done(entire_volume_update_box(get(), &desc, first, size));
     }
@@ -351,7 +350,7 @@ public:
         if (auto code = entire_model_input_group(get(), index, &out)) return failure::last(code);
         return out;
     }
-    // NULL where the file does not have the key.
+    // NULL if the file does not have the key.
     const char *metadata(const char *key) const noexcept { return entire_model_metadata(get(), key); }
     const char *scene_feature(std::size_t index) const noexcept { return entire_model_scene_feature(get(), index); }
 
@@ -379,7 +378,7 @@ public:
         return features;
     }
     status save(const std::string &path) const { return detail::done(entire_model_save(get(), path.c_str())); }
-    // Takes over what a call of the C interface made.
+    // Takes ownership of a handle of the C interface.
     static model adopt(entire_model *handle) { return model(handle); }
     entire_model *get() const noexcept { return handle_.get(); }
 
@@ -388,28 +387,27 @@ private:
     detail::owned<entire_model, entire_model_free> handle_;
 };
 
-// What entire_session_calibrate made.
+// The result of entire_session_calibrate.
 struct calibration {
     model fitted;
     entire_calibration_report report;
 };
 
-// By which clock a session's model predicts, and by which its frames are timed (ENTIRE_CLOCK_*).
+// The clock that a session's model predicts, and the clock of its frames (ENTIRE_CLOCK_*).
 struct clocks {
     entire_clock model = ENTIRE_CLOCK_UNSTATED, own = ENTIRE_CLOCK_UNSTATED;
-    // Where both are stated and differ, the factor between them is learned from the first frames.
+    // True if both are stated and differ: the factor between them is learned from the first frames.
     bool differ() const noexcept {
         return model != own && model != ENTIRE_CLOCK_UNSTATED && own != ENTIRE_CLOCK_UNSTATED;
     }
 };
 
-// What coarser steps and smaller images cost a renderer's pictures (entire_session_set_quality); a weight of 0 where nothing
-// is known.
+// Law of the picture error of a renderer (entire_session_set_quality); a weight of 0 if none is known.
 struct quality {
     float image_weight = 0, step_exponent = 0, image_exponent = 0, ray_share = 0;
 };
 
-// What entire_session_choose picked.
+// The choice of entire_session_choose.
 struct choice {
     std::size_t index;
     entire_plan plan;
@@ -417,7 +415,7 @@ struct choice {
 
 class session {
 public:
-    // Around a model.
+    // With a model.
     static result<session> create(const model &with, const entire_session_options &options = session_options()) {
         return make(with.get(), options);
     }
@@ -437,12 +435,12 @@ public:
     status set_max_image_sample_distance(float distance, float step_alone = 1) {
         return detail::done(entire_session_set_max_image_sample_distance(get(), distance, step_alone));
     }
-    // What coarser steps and smaller images cost this renderer's pictures; a weight of 0 forgets it.
+    // Law of the picture error of this renderer; a weight of 0 removes it.
     status set_quality(float image_weight, float step_exponent, float image_exponent, float ray_share) {
         return detail::done(
             entire_session_set_quality(get(), image_weight, step_exponent, image_exponent, ray_share));
     }
-    // What plans coarsen by: what was set, else what the model states of this renderer's pictures.
+    // Law by which plans coarsen: the one that was set, else the model's for this renderer's pictures.
     plain_result<entire::quality> quality() const {
         entire::quality known;
         if (auto code = entire_session_quality(get(), &known.image_weight, &known.step_exponent, &known.image_exponent,
@@ -503,7 +501,7 @@ public:
     }
     status set_model(const model &to) { return detail::done(entire_session_set_model(get(), to.get())); }
 
-    // What is observed, and by which clock: saved states are of one renderer and one clock.
+    // Renderer and clock of the observed times: saved states are of one renderer and one clock.
     status set_timing_source(const std::string &renderer, const std::string &clock) {
         return detail::done(entire_session_set_timing_source(get(), renderer.c_str(), clock.c_str()));
     }

@@ -1,5 +1,5 @@
-//! Which clock's seconds a model predicts. A model, a table and a steered renderer that disagree would be
-//! compared by a factor that nobody meant.
+//! The clock whose seconds a model predicts. Model, table and steered renderer must agree: mixing clocks adds
+//! a constant factor.
 
 use crate::dataset::{Clock, TimedFrame};
 use crate::device;
@@ -9,8 +9,8 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_vk_raycaster::Renderer;
 
-/// The clock that a model predicts, as its file says: under [`Key::Clock`], else in its provenance. `None`
-/// where it says nothing.
+/// The clock that a model file states: under [`Key::Clock`], else in its provenance. `None` where it states
+/// none.
 pub fn of(model: &Model) -> Option<Clock> {
     let of_provenance = || {
         let provenance: serde_json::Value =
@@ -26,19 +26,18 @@ pub fn set(file: &mut ModelFile, clock: Clock) {
     file.metadata.insert(Key::Clock.into(), clock.name().into());
 }
 
-/// Reads a clock that a model can state, as an option's value: every one but `auto`, which stands for another
-/// clock from device to device.
+/// Parses the option's value of a clock that a model can state: any but `auto`, which depends on the device.
 pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
     let fixed = Clock::value_variants().iter().filter(|c| **c != Clock::Auto);
     PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
         .try_map(|name| Clock::from_str(&name, false))
 }
 
-/// The clock behind [`Clock::Auto`] for these frames: the device's where every repeat has it, wall time where
-/// none does. Other clocks stay what they are.
+/// The clock that [`Clock::Auto`] means for these frames: the device's where every repeat has it, wall time
+/// where none does. Other clocks are returned unchanged.
 ///
 /// # Errors
-/// When only some repeats have device timestamps: their seconds are of two kinds.
+/// When only some repeats have device timestamps: their times are not comparable.
 pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFrame>) -> Result<Clock> {
     if clock != Clock::Auto {
         return Ok(clock);
@@ -50,14 +49,13 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
     }
     ensure!(
         with == 0 || with == all,
-        "{with} of {all} repeats have device timestamps, the others wall time alone; name the clock that all \
+        "{with} of {all} repeats have device timestamps, the others wall time only; choose a clock that all \
          have: --clock wall or cpu"
     );
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
 }
 
-/// The clock that `auto` stands for: what a user waits for, the device's timestamps on a GPU and wall time where a
-/// processor renders.
+/// The clock that `auto` means: the device's timestamps on a GPU, wall time where a processor renders.
 pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
     match clock {
@@ -67,9 +65,9 @@ pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     }
 }
 
-/// What training learns where no clock is named: the clock of the model that it starts from where there is
-/// one, else processor time, which the project's figures are about, else what `auto` gives. Frames without
-/// the wanted clock are said on standard error.
+/// Clock that training learns: the one that was asked for, else the clock of the model that it starts from,
+/// else processor time, which the project's figures are about, else what `auto` gives. A note names frames
+/// without the wanted clock.
 ///
 /// # Errors
 /// As [`concrete`].
@@ -87,8 +85,7 @@ pub fn for_training<'a>(
             } else {
                 let found = concrete(Clock::Auto, frames)?;
                 crate::files::note(&format!(
-                    "not every frame has seconds by the clock {}; the model predicts {} seconds (choose with \
-                     --clock)",
+                    "some frames have no {} time; the model predicts {} seconds (--clock chooses the clock)",
                     wanted.name(),
                     found.name()
                 ));
@@ -102,45 +99,42 @@ pub fn for_training<'a>(
     Ok(clock)
 }
 
-/// What is to be said where a model of another clock is started from; `None` where its file states the same
-/// clock or none.
+/// Note for training that starts from a model of another clock; `None` where that model states the same clock
+/// or none.
 pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
     let theirs = theirs.filter(|c| *c != clock)?;
     Some(format!(
-        "{name} predicts {} seconds; the new model predicts {} seconds, whose speed is learned from the frames",
+        "{name} predicts {} seconds; the new model predicts {} seconds and learns the factor between them \
+         from the frames",
         theirs.name(),
         clock.name()
     ))
 }
 
-/// What is to be said where models that state no clock are judged or steer by one; `None` where all state one,
-/// and for [`Clock::Auto`], which names none.
+/// Note for models that state no clock and are evaluated or steer by one; `None` where all state one, and for
+/// [`Clock::Auto`].
 pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
     if clock == Clock::Auto {
         return None;
     }
     let names: Vec<&str> = models.into_iter().filter(|m| of(m.1).is_none()).map(|m| m.0).collect();
     (!names.is_empty()).then(|| {
-        format!(
-            "no clock is stated by {}; what is predicted is taken for {} seconds",
-            names.join(", "),
-            clock.name()
-        )
+        format!("{} states no clock; its predictions are taken as {} seconds", names.join(", "), clock.name())
     })
 }
 
-/// The clock by which models are judged or steer: the one that they state, which must be one and the same
-/// and, where another than `auto` was asked for, that one; what was asked for where none states any.
+/// The clock by which models are evaluated or steer: the one that they state, which must be the same for all
+/// and agree with the requested one; the requested one where none states any.
 ///
 /// # Errors
-/// When models and the clock that was asked for disagree; says what to do.
+/// When models and the requested clock disagree; names the remedy.
 pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Result<Clock> {
     let mut found: Option<(&str, Clock)> = None;
     for (name, model) in models {
         let Some(clock) = of(model) else { continue };
         ensure!(
             asked == Clock::Auto || clock == asked,
-            "{name} predicts {} seconds and --clock asks for {}; leave --clock away, or make a model for that \
+            "{name} predicts {} seconds and --clock asks for {}; leave out --clock, or make a model for that \
              clock: `entire calibrate --clock {}` for this machine, `entire train --calibrate {name} --clock \
              {}` from a table",
             clock.name(),
@@ -151,7 +145,7 @@ pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a M
         if let Some((other, theirs)) = found {
             ensure!(
                 theirs == clock,
-                "{other} predicts {} seconds and {name} {} seconds; give models of one clock at a time",
+                "{other} predicts {} seconds and {name} {} seconds; name models of one clock only",
                 theirs.name(),
                 clock.name()
             );
@@ -247,7 +241,8 @@ mod tests {
         assert_eq!(concrete(Clock::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
         let mixed = concrete(Clock::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
         assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
-        // Processor time is learned by default, the model's clock where one is adapted, what there is else.
+        // Processor time is learned by default; an adapted model keeps its clock; else the clock that frames
+        // have.
         let frames = [frame(&[both])];
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);

@@ -1,19 +1,19 @@
-//! Which renderer a command uses.
+//! Choice of the renderer by a command.
 
 use crate::files::note;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_vk_raycaster::{CpuRaycaster, Renderer, VulkanOptions, VulkanRaycaster};
 
-/// What renders.
+/// Choice of the renderer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Device {
-    /// Vulkan where there is a device, else the CPU twin.
+    /// Vulkan where there is a device, else the CPU version of the raycaster.
     #[default]
     Auto,
     /// The Vulkan raycaster.
     Vulkan,
-    /// The CPU twin: same pictures, and it counts its samples.
+    /// The CPU version of the raycaster: same pictures, with sample counts.
     Cpu,
 }
 
@@ -23,11 +23,11 @@ pub fn is_software(renderer: &dyn Renderer) -> bool {
     renderer.backend() == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
 }
 
-/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). Falling
-/// back to the CPU twin is said on standard error.
+/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). A note
+/// on standard error says when the CPU version is used instead.
 ///
 /// # Errors
-/// When Vulkan was asked for and there is none; says how to get a driver.
+/// When Vulkan was requested and there is none; names the way to get a driver.
 pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     if device == Device::Cpu {
         return Ok(Box::new(CpuRaycaster::new()));
@@ -35,7 +35,7 @@ pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => Ok(Box::new(renderer)),
         Err(error) if device == Device::Auto => {
-            note(&format!("{error}; the CPU twin renders instead"));
+            note(&format!("{error}; the CPU version renders instead"));
             Ok(Box::new(CpuRaycaster::new()))
         }
         Err(error) => Err(error).context("cannot open a Vulkan device (--device cpu needs none)"),

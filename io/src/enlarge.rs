@@ -1,4 +1,4 @@
-//! Enlarging volumes at load, so that small ones cost what large ones do.
+//! Enlargement of volumes at load, so that small ones cost as much as large ones.
 
 use crate::volume::{Volume, VolumeData};
 use anyhow::{Result, ensure};
@@ -30,9 +30,9 @@ pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
     Ok(enlarged)
 }
 
-/// Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers; the type, the
-/// box and the scalar range stay. Whole-number types round to the nearest value. The low-resolution proxy of a
-/// frame is drawn from it; of another type, a sample of it would cost something else than a sample of the frame.
+/// Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers, for the
+/// low-resolution proxy; type, box and scalar range stay, so that a sample costs the same. Whole-number types
+/// round to the nearest value.
 ///
 /// # Errors
 /// An edge of 0 or over 512.

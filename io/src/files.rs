@@ -1,4 +1,4 @@
-//! Files as commands read and write them: models, volumes, whole files, and what is said about them.
+//! Reading and writing of the commands' files: models, volumes, whole files, and notes about them.
 
 use crate::quiet::is_quiet;
 pub use crate::volume::without_mark;
@@ -48,7 +48,7 @@ pub fn open_model(path: &Path) -> Result<Model> {
     parse_model(path, &read_model_bytes(path)?)
 }
 
-/// Reads a model file twice over: as what is kept of it, and checked.
+/// Reads a model file, and returns it both as stored and as a checked model.
 ///
 /// # Errors
 /// As [`open_model`].
@@ -61,7 +61,7 @@ pub fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
     }
 }
 
-/// Whether a model file can be written there; makes its folder.
+/// Checks that a model file can be written there, and makes its folder.
 ///
 /// # Errors
 /// When its name does not end in `.safetensors`, or the folder cannot be made.
@@ -74,7 +74,7 @@ pub fn check_model_out(out: &Path) -> Result<()> {
     make_folder_of(out)
 }
 
-/// Makes the folder of a file, where it is not there.
+/// Makes the folder of a file if it does not exist.
 ///
 /// # Errors
 /// When it cannot be made.
@@ -85,7 +85,7 @@ pub fn make_folder_of(file: &Path) -> Result<()> {
     }
 }
 
-/// Makes a folder and those above it, where they are not there.
+/// Makes a folder and its parents if they do not exist.
 ///
 /// # Errors
 /// When it cannot be made.
@@ -93,9 +93,8 @@ pub fn make_folder(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))
 }
 
-/// Writes a file, whole or not at all: under a name beside it that nobody can foresee, flushed to the disk,
-/// then put in its place. A link that stood there is replaced, not followed. What is there and is no regular
-/// file (a device, a pipe) is written to as it stands.
+/// Writes a file, whole or not at all: under an unpredictable name beside it, flushed to the disk, then
+/// renamed. A link at its place is replaced, not followed. A device or pipe is written to directly.
 ///
 /// # Errors
 /// Names the file that cannot be written.
@@ -103,7 +102,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     write_whole_with(path, |file| Ok(file.write_all(bytes)?))
 }
 
-/// As [`write_whole`], by `fill`, which writes the file's content.
+/// As [`write_whole`]; `fill` writes the file's content.
 ///
 /// # Errors
 /// As [`write_whole`], and those of `fill`.
@@ -121,7 +120,7 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     builder.prefix(".").suffix(".part");
-    // As any file that a program makes: what the user's mask leaves.
+    // Permissions of any new file: those that the user's mask leaves.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut part = builder.tempfile_in(folder).with_context(fail)?;
@@ -139,8 +138,8 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     write_whole(path, (serde_json::to_string_pretty(value)? + "\n").as_bytes())
 }
 
-/// Locks a file for this process alone, as [`File::try_lock`]: a process that another thread is starting holds a
-/// copy of the lock until its program runs, so a lock that is held is tried for a third of a second.
+/// Locks a file for this process only, as [`File::try_lock`]. A process that another thread is starting holds
+/// a copy of the lock until its program runs, so the lock is retried for a third of a second.
 ///
 /// # Errors
 /// As [`File::try_lock`].
@@ -178,7 +177,7 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The bytes of a regular file, a table's at most.
+/// The bytes of a regular file of at most a table's size.
 ///
 /// # Errors
 /// When it is no regular file, is larger than 4 GiB, or cannot be read.
@@ -194,7 +193,7 @@ pub fn read_text(path: &Path, most: u64) -> Result<String> {
     Ok(decode_text(&Stream::open(path)?.all(most)?)?.into_owned())
 }
 
-/// Text that is UTF-8, with or without a byte order mark, or UTF-16 with one, which is what spreadsheets write.
+/// Decodes text in UTF-8, with or without a byte order mark, or UTF-16 with one, as spreadsheets write it.
 ///
 /// # Errors
 /// Names the byte that is not text.
@@ -223,7 +222,7 @@ pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
 /// Compresses bytes as gzip; the same bytes give the same file.
 ///
 /// # Errors
-/// Never in practice: memory is written to.
+/// Never in practice: it writes to memory.
 pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
     encoder.write_all(bytes)?;
@@ -235,7 +234,7 @@ pub fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Reads a volume file and says on standard error what its reader has to say ([`Volume::notes`]).
+/// Reads a volume file and prints its notes ([`Volume::notes`]) on standard error.
 ///
 /// # Errors
 /// As [`Volume::open_as`].
@@ -245,7 +244,7 @@ pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
     Ok(volume)
 }
 
-/// Says on standard error what a volume's reader has to say, the same only once.
+/// Prints the notes of a volume's reader on standard error, each only once.
 pub fn say_notes(volume: &Volume) {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     for text in volume.notes() {
@@ -256,12 +255,12 @@ pub fn say_notes(volume: &Volume) {
     }
 }
 
-/// Says something on standard error that is not an error, unless the program [keeps quiet](is_quiet).
+/// Prints a note on standard error, unless the program [is quiet](is_quiet).
 pub fn note(text: &str) {
     if is_quiet() {
         return;
     }
-    // Nobody may be listening there, which is no reason to fail.
+    // A closed standard error is no reason to fail.
     let _ = writeln!(std::io::stderr().lock(), "note: {text}");
 }
 
@@ -285,7 +284,7 @@ pub fn parse_list(text: &str) -> Result<Vec<f32>, String> {
         .collect()
 }
 
-/// A number with 9 significant digits, which say which `f32` it is: `1.23456789e-3`.
+/// A number with 9 significant digits, which identify the `f32`: `1.23456789e-3`.
 pub fn digits(value: f32) -> String {
     format!("{value:.8e}")
 }
@@ -319,7 +318,7 @@ mod tests {
         write_whole(&path, b"second").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"second");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        // Neither below a folder that is not there nor below a file, which stays as it was.
+        // Neither below a missing folder nor below a file, which stays unchanged.
         for nowhere in [folder.path().join("none").join("f.txt"), path.join("f.txt")] {
             let said = format!("{:#}", write_whole(&nowhere, b"x").unwrap_err());
             assert!(said.contains(&format!("cannot write {}", nowhere.display())), "{said}");
@@ -339,7 +338,7 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&target).unwrap(), "kept");
         assert_eq!(std::fs::read_to_string(&link).unwrap(), "new");
         assert!(std::fs::symlink_metadata(&link).unwrap().is_file());
-        // Others may read it as they may read any file that this user makes.
+        // Others may read it like any file that this user makes.
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&link), mode(&target));
         // A device is written to, not replaced.

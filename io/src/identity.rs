@@ -1,5 +1,5 @@
-//! What a file was when something was made of it: size, time of its last change and a hash of its content, so
-//! that what is kept (pictures, timing tables) is never taken for one of a file that was written anew.
+//! Identity of a file: size, modification time and a hash of its content. Kept results (pictures, timing
+//! tables) store the identities of their inputs, so that they are never used for changed files.
 
 use crate::volume::{Companions, Folder, Format, Stream, Volume};
 use anyhow::{Context, Result, bail};
@@ -22,23 +22,23 @@ const HEADER: u64 = 1 << 16;
 /// Nanoseconds of a second.
 const SECOND: u64 = 1_000_000_000;
 
-/// What a file is.
+/// Identity of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Its name; of a data file as the header gives it.
+    /// Its name; for a data file, the name in the header.
     pub name: String,
     /// Its size.
     pub bytes: u64,
-    /// When it was last changed, nanoseconds since 1970. It counts where only parts were hashed.
+    /// Time of its last change, nanoseconds since 1970. It counts only for files that were hashed in parts.
     pub modified_ns: u64,
-    /// FNV-1a (64 bits) and CRC-32 of what was read, hexadecimal.
+    /// FNV-1a (64 bits) and CRC-32 of the hashed bytes, hexadecimal.
     pub hash: String,
-    /// Whether that was all of it.
+    /// True if the hash covers the whole content.
     pub whole: bool,
 }
 
 impl Identity {
-    /// What a file is now.
+    /// Reads the identity of a file.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -69,26 +69,26 @@ impl Identity {
         })
     }
 
-    /// The text that stands for it: equal for files that are taken for the same.
+    /// Key of the identity: equal for files that are taken as the same.
     pub fn key(&self) -> String {
         let Self { name, bytes, hash, .. } = self;
         let modified = if self.whole { 0 } else { self.modified_ns };
         format!("{name}\n{bytes}\n{hash}\n{modified}\n")
     }
 
-    /// What tells another from this one, if anything.
+    /// The difference between two identities of a file, in words; `None` for the same file.
     fn difference(&self, now: &Self) -> Option<String> {
         let Self { name, .. } = self;
         if now.name != *name {
-            return Some(format!("it was called {name} and is called {}", now.name));
+            return Some(format!("its name was {name} and is {}", now.name));
         }
         if now.bytes != self.bytes {
             return Some(format!("{name} had {} bytes and has {}", self.bytes, now.bytes));
         }
         if now.hash != self.hash {
-            return Some(format!("the content of {name} is another (hash {}, was {})", now.hash, self.hash));
+            return Some(format!("the content of {name} changed (hash {}, was {})", now.hash, self.hash));
         }
-        (now.key() != self.key()).then(|| format!("{name} was written anew (the time of its last change)"))
+        (now.key() != self.key()).then(|| format!("{name} has a new modification time"))
     }
 }
 
@@ -97,11 +97,11 @@ fn modified_ns(metadata: &Metadata) -> u64 {
     since.map_or(0, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// What a volume file and the data files that its header names are now, the volume file first.
+/// Identities of a volume file and of the data files that its header names, the volume file first.
 ///
 /// # Errors
-/// When one of them cannot be read. A header that names no data, or that cannot be understood, is a file as any
-/// other.
+/// When one of them cannot be read. A header that names no data file, or cannot be understood, counts as an
+/// ordinary file.
 pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let mut out = vec![Identity::of(path, &name)?];
@@ -115,12 +115,13 @@ pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     Ok(out)
 }
 
-/// The text that stands for a volume's files.
+/// Key of a volume's files.
 pub fn key(files: &[Identity]) -> String {
     files.iter().map(Identity::key).collect()
 }
 
-/// What tells a volume's files now from what they were, if anything.
+/// The first difference between two lists of identities of a volume's files, in words; `None` for the same
+/// files.
 pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
     let missing = |of: &[Identity], than: &[Identity]| {
         let lone = of.iter().skip(1).find(|f| than.iter().all(|g| g.name != f.name));
@@ -135,8 +136,8 @@ pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
     then.iter().zip(now).find_map(|(a, b)| a.difference(b))
 }
 
-/// What tells a volume's files now from what they were, if anything, as another machine sees them: sizes and
-/// times are looked at first, and only where they differ the files are read. Times may come in whole seconds.
+/// Difference between a volume's files and earlier identities, which may come from another machine; `None`
+/// for the same files. Files are read only where sizes or times differ. Times may be whole seconds.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -166,12 +167,12 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     let (Ok(_), Some(format)) = (read, format) else { return Vec::new() };
     let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
     let noted = Noted { folder, names: RefCell::default() };
-    // It ends at the latest where data would be read: what it says of that is of no interest.
+    // The reader stops at the latest where it would read data; its error does not matter here.
     let _ = Volume::read(format, Stream::from_bytes(&head), name, &noted);
     noted.names.into_inner()
 }
 
-/// Notes which files are asked for, and gives none.
+/// Records the names of requested files, and provides none.
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,
@@ -254,7 +255,7 @@ mod tests {
         std::fs::write(&b, format!("{HEADER}\nabcdefgh")).unwrap();
         let was = of_volume(&a).unwrap();
         assert_eq!((was.len(), key(&was)), (1, key(&of_volume(&b).unwrap())));
-        // Written anew with the same bytes it is the same; with others it is not, whatever its size.
+        // Rewritten with the same bytes it is the same file; with other bytes it is not, whatever its size.
         File::options()
             .write(true)
             .open(&a)

@@ -1,4 +1,4 @@
-//! Ctrl-C: finish what is whole, say how to go on.
+//! Ctrl-C: finish the current piece of work, and name the way to continue.
 
 use anyhow::{Context, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,7 +26,7 @@ pub fn flag() -> Result<Arc<AtomicBool>> {
     Ok(REQUESTED.get_or_init(|| flag).clone())
 }
 
-/// Whether the flag was raised.
+/// True if the flag was raised.
 pub fn requested(flag: &AtomicBool) -> bool {
     flag.load(Ordering::SeqCst)
 }

@@ -1,4 +1,4 @@
-//! Where numbers come from: the machine, its load, the program's version and the date.
+//! Provenance of numbers: the machine, its load, the program's version and the date.
 
 use entire_core::nn::{Isa, Level};
 use serde::Serialize;
@@ -38,12 +38,12 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, |n| n.get())
 }
 
-/// What the numbers of a report were measured with.
+/// Machine, device, program and date of a report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Provenance {
     /// Processor, logical processors, operating system.
     pub machine: String,
-    /// What rendered, with its driver.
+    /// The renderer's device, with its driver.
     pub device: String,
     /// The program's version and commit.
     pub commit: String,
@@ -74,8 +74,9 @@ impl Provenance {
     }
 }
 
-/// Processor model, what its vectors are (software renderers differ by it, and one model name may stand for processors
-/// of several makes), logical processors, operating system and architecture. No host name: tables get published.
+/// Processor model, its vector width (software renderers depend on it, and one model name may stand for
+/// several makes), logical processors, operating system and architecture. No host name, since tables get
+/// published.
 pub fn machine() -> String {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let processor = cpuinfo

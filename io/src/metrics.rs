@@ -1,4 +1,4 @@
-//! How well predicted seconds fit measured ones.
+//! Error measures of predicted seconds against measured ones.
 
 pub use entire_steer::numeric::median;
 use rand_chacha::ChaCha8Rng;
@@ -6,8 +6,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The shortest prediction that counts as one; anything at or below it, and NaN, is taken as this many
-/// seconds.
+/// The shortest prediction; smaller ones, and NaN, count as this many seconds.
 pub const SHORTEST: f64 = 1e-6;
 
 /// Errors of predictions over some frames.
@@ -19,7 +18,7 @@ pub struct Metrics {
     pub rmse: f64,
     /// Standard deviation of the measured seconds.
     pub sd: f64,
-    /// RMSE over SD: 1 is what the mean itself would do.
+    /// RMSE over SD: 1 is the error of the mean.
     pub rmse_over_sd: f64,
     /// Mean absolute error, seconds.
     pub mae: f64,
@@ -79,7 +78,7 @@ impl Metrics {
     }
 }
 
-/// How well an upper bound holds.
+/// Coverage and quantile loss of an upper bound.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BoundMetrics {
     /// Share of frames that took no longer than the bound.
@@ -116,8 +115,8 @@ impl BoundMetrics {
     }
 }
 
-/// The 95 % interval of a metric when whole groups (volumes, say) are drawn anew with replacement: how much
-/// it owes to which groups happened to be tested. `None` with fewer than two groups.
+/// 95 % interval of a metric by bootstrap over whole groups (volumes, say). `None` with fewer than two
+/// groups.
 pub fn bootstrap_by_group<G: Ord>(
     predicted: &[f64],
     measured: &[f64],
@@ -128,7 +127,7 @@ pub fn bootstrap_by_group<G: Ord>(
     intervals_by_group(predicted, measured, groups, (rounds, 0.95), |m| [metric(m)]).map(|[i]| i)
 }
 
-/// As [`bootstrap_by_group`], of several metrics over the same draws, and of another level than 0.95.
+/// As [`bootstrap_by_group`], for several metrics over the same draws, and for another level than 0.95.
 pub fn intervals_by_group<G: Ord, const N: usize>(
     predicted: &[f64],
     measured: &[f64],
@@ -217,7 +216,7 @@ mod tests {
         assert_eq!((b.coverage, b.slowest_coverage), (0.9, 0.0));
         let tight = BoundMetrics::new(&t, &t, 0.95).unwrap();
         assert_eq!((tight.coverage, tight.slowest_coverage, tight.pinball), (1.0, 1.0, 0.0));
-        // Half of the time missing on half the sum: 0.95 / 2 of it, by the definition.
+        // Half of the frames exceed their bound by half their time: 0.95 / 2, by the definition.
         let low = BoundMetrics::new(&[0.5, 0.5], &[1.0, 1.0], 0.95).unwrap();
         assert!((low.pinball - 0.475).abs() < 1e-12);
         assert_eq!(BoundMetrics::new(&[], &[], 0.95), None);
@@ -232,7 +231,8 @@ mod tests {
         let all = Metrics::new(&p, &t).unwrap().mdape;
         assert!(low < all && all < high && low >= 0.0 && high <= 0.5 + 1e-9, "{low} {all} {high}");
         assert_eq!(bootstrap_by_group(&p, &t, &["one"; 60], 10, |m| m.mdape), None);
-        // Several metrics at once are those of one at a time, and a lower level is a narrower interval.
+        // Several metrics at once equal those computed one by one, and a lower level gives a narrower
+        // interval.
         let [rmse, mdape] = intervals_by_group(&p, &t, &groups, (300, 0.95), |m| [m.rmse, m.mdape]).unwrap();
         assert_eq!(Some(rmse), bootstrap_by_group(&p, &t, &groups, 300, |m| m.rmse));
         assert_eq!(mdape, (low, high));

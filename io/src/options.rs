@@ -1,4 +1,4 @@
-//! Options that several commands have: what is drawn and how, and with how many threads.
+//! Options of several commands: rendering, reading of volumes, number of threads.
 
 use crate::device::Device;
 use crate::machine;
@@ -8,7 +8,7 @@ use clap::ValueEnum;
 use entire_core::scene::{MAX_IMAGE_SIDE, Shading, Skipping};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// How frames are rendered, as options.
+/// Rendering options.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct RenderArgs {
     /// Shading of each sample.
@@ -28,11 +28,12 @@ pub struct RenderArgs {
 /// Reading of volume files, as options.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct VolumeArgs {
-    /// The array to read from a VTK file that holds several; else its active scalars.
+    /// Array to read from a VTK file with several arrays; default: its active scalars.
     #[arg(long, value_name = "NAME")]
     pub array: Option<String>,
-    /// Values that stand for voxels without data: numbers separated by commas, none, or auto for values that are the
-    /// least or the greatest, frequent, and far from all others. Such voxels are shown as the low end of the range.
+    /// Fill values, which mark voxels without data: numbers separated by commas, none, or auto for a minimum
+    /// or maximum that is frequent and far from all other values. Such voxels are shown as the low end of the
+    /// range.
     #[arg(long, default_value_t, value_name = "VALUE,…|auto|none", allow_hyphen_values = true)]
     pub fill: Fill,
     /// Scalar range that maps to [0, 1]: two numbers, data for the voxels' own range, or auto: 0 to 255 for unsigned
@@ -51,7 +52,7 @@ impl VolumeArgs {
 /// [`Shading`] as an option.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ShadeOption {
-    /// Color and opacity alone.
+    /// Color and opacity only.
     #[default]
     None,
     /// Local lighting with gradients.
@@ -75,10 +76,10 @@ impl From<ShadeOption> for Shading {
 pub enum SkipOption {
     /// Every sample is taken.
     None,
-    /// Empty blocks are jumped over.
+    /// Empty blocks are skipped.
     #[default]
     Blocks,
-    /// Runs of empty blocks are jumped over at once.
+    /// Runs of empty blocks are skipped at once, by a distance map.
     Distance,
 }
 
@@ -141,7 +142,7 @@ pub fn parse_distance(text: &str) -> std::result::Result<f32, String> {
 /// Frames per volume of a series; 0 for a single volume.
 ///
 /// # Errors
-/// When `--hold` does not go with the number of volumes.
+/// When `--hold` does not fit the number of volumes.
 pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
     match (volumes, hold) {
         (1, None) => Ok(0),
@@ -152,7 +153,7 @@ pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
     }
 }
 
-/// A pool of so many threads, all logical processors without a number.
+/// A pool of this many threads; default: all logical processors.
 ///
 /// # Errors
 /// For 0 threads, or when the system starts none.

@@ -1,4 +1,4 @@
-//! Progress bars. They are silent where standard error is no terminal, and where the program keeps quiet.
+//! Progress bars. They are hidden where standard error is no terminal, and where the program is quiet.
 
 use crate::quiet::is_quiet;
 use indicatif::{ProgressBar, ProgressStyle};

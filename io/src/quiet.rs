@@ -2,15 +2,15 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Of the process, as its standard error is.
+/// For the whole process, like its standard error.
 static QUIET: AtomicBool = AtomicBool::new(false);
 
-/// Shows no bars and says no notes from now on, or shows and says them again.
+/// Switches bars and notes off or on.
 pub fn keep_quiet(quiet: bool) {
     QUIET.store(quiet, Ordering::Relaxed);
 }
 
-/// True where bars and notes are left away.
+/// True if bars and notes are off.
 pub fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
-/// What random scenes are drawn from. Every draw is independent of all others.
+/// Distribution of random scenes. All draws are independent.
 ///
 /// * Distance of the eye: one of `radii` (bounding-sphere radii), each equally likely.
 /// * Direction of the eye: uniform over the area of the upper semi-sphere. R_y uniform in [−180°, 180°), sin
@@ -30,7 +30,7 @@ pub struct SceneDistribution {
     pub steps: Vec<f32>,
 }
 
-/// The radii of the semi-spheres where none are given.
+/// Default radii of the semi-spheres.
 pub const DEFAULT_RADII: [f32; 6] = [1.2, 1.5, 2.0, 2.5, 3.0, 4.0];
 const WIDTHS: (f64, f64) = (5e-4, 5e-2);
 const HEIGHTS: (f64, f64) = (5e-3, 1.0);
@@ -88,8 +88,7 @@ impl SceneDistribution {
         Ok(())
     }
 
-    /// Scene `index` of the volume named `volume` under `seed`. Depends on nothing else: neither on other
-    /// volumes nor on scenes drawn before.
+    /// Scene `index` of the volume named `volume` under `seed`, independent of other volumes and scenes.
     pub fn draw(&self, seed: u64, volume: &str, index: u64) -> RandomScene {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::files::fnv1a(volume.as_bytes()));
         rng.set_stream(index);
@@ -142,7 +141,7 @@ mod tests {
         for other in [d.draw(8, "a", 3), d.draw(7, "b", 3), d.draw(7, "a", 4)] {
             assert_ne!(d.draw(7, "a", 3), other);
         }
-        // Fixed bits, so that a seed means the same frames on every machine and in every version.
+        // Fixed bits: a seed gives the same frames on every machine and in every version.
         let s = d.draw(1, "volume.nrrd", 0);
         assert_eq!(s.camera, Arcball { rx: 1.6128389, ry: 32.929604, dz: 3.0 });
         assert_eq!((s.width, s.height, s.step), (36, 312, 1.0));

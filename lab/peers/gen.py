@@ -28,7 +28,7 @@ VOLUMENETS = {"vol_a": [8, 16, 32, 64, 128, 256], "vol_b": [16, 32, 64, 128, 256
 
 
 def widths(shape):
-    """Layer widths: so many hidden layers, then halved down to 16, then 1; 16 inputs."""
+    """Layer widths: the given number of hidden layers, then halved down to 16, then 1; 16 inputs."""
     if shape is None:
         return [16, 1]
     depth, width = shape
@@ -136,7 +136,7 @@ def main():
         print(f"{name}: channels {channels}, {sum(v.size for v in weights.values())} parameters")
         save_file(weights, folder / f"{name}.safetensors")
         write_onnx(folder / f"{name}.onnx", weights, nodes, [1, 1, 128, 128, 128], [1, 2])
-    # Last: who finds the inputs finds the networks.
+    # Written last: a file of inputs means that the networks exist.
     save_file(inputs, folder / "inputs.safetensors")
 
 

@@ -15,7 +15,7 @@ def make(variant, name, batch):
     x = get_input(name, batch)
     if "run" in variant:
         return lambda: session.run(None, {"x": x})[0]
-    # Input and output are bound once, so that a call copies nothing.
+    # Input and output are bound once, so that a call copies no data.
     binding = session.io_binding()
     y = np.zeros((x.shape[0], 2 if name.startswith("vol") else 1), np.float32)
     binding.bind_input("x", "cpu", 0, np.float32, x.shape, x.ctypes.data)

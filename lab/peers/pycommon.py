@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What the Python peers share: a server that reads lines `NAME BATCH SECONDS` and answers each with `@@{json}`.
+"""Shared part of the Python peers: a server that reads lines `NAME BATCH SECONDS` and answers each with `@@{json}`.
 
 usage of a peer: NAME_peer.py FOLDER (that of gen.py); PEER_THREADS says with how many threads.
 """
@@ -26,7 +26,7 @@ def weights(name):
 
 
 def measure(call, seconds):
-    """Least and median nanoseconds of a call over so many seconds, after a warm-up, and the sum of what it gives."""
+    """Minimum and median nanoseconds per call over the given seconds, after a warm-up, and the sum of the result."""
     y = call()
     # bfloat16 has no type in numpy.
     y = y.float().numpy() if hasattr(y, "float") else np.asarray(y)
@@ -51,7 +51,7 @@ def measure(call, seconds):
 
 
 def serve(make):
-    """`make(variant, name, batch)` gives a call whose result numpy can sum."""
+    """`make(variant, name, batch)` returns a call whose result numpy can sum."""
     cases = {}
     for line in sys.stdin:
         spec, batch, seconds = line.split()

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Compares inference libraries, interleaved in one run, and writes every window's times as JSON (see show.py).
+"""Compares inference libraries, interleaved in one run, and writes the times of every window as JSON (see show.py).
 
 usage: run.py MODELS RUST_PEERS OUT.json [--rounds N] [--secs S] [--extra NAME=COMMAND ...] [--nice N] [--threads 1,2]
               [--only TEXT] [--compile]
@@ -19,7 +19,7 @@ import sys
 import time
 
 HERE = pathlib.Path(__file__).resolve().parent
-# Peer: server, environment, how it is asked for a network, and what it can do: PredNet (p), VolumeNet (v).
+# Peer: server, environment, request for a network, and abilities: PredNet (p), VolumeNet (v).
 PEERS = {
     "torch eager": ("torch", {}, "eager/{}", "pv"),
     "torch jit.freeze": ("torch", {}, "jit/{}", "pv"),
@@ -70,7 +70,7 @@ def arguments():
 
 
 def contestants(args):
-    """By name: command, environment, how to ask, what it can do."""
+    """By name: command, environment, request, abilities."""
     peers = PEERS
     if args.compile:
         peers = COMPILED | {name: PEERS[name] for name in ("torch eager", "ORT (iobinding)")}
@@ -98,7 +98,7 @@ def takes_part(kinds, case, threads):
 
 
 def raise_priority(nice):
-    """With automatic groups, plain nice acts inside a session alone: this session's group is raised too."""
+    """With automatic groups, plain nice acts only inside a session: this session's group is raised too."""
     try:
         os.setsid()
         pathlib.Path("/proc/self/autogroup").write_text(str(nice))
@@ -107,7 +107,7 @@ def raise_priority(nice):
 
 
 class Servers:
-    """Server processes by command, environment and threads, started when they are first asked."""
+    """Server processes by command, environment and threads, started at the first request."""
 
     def __init__(self, nice):
         self.nice, self.running = nice, {}
@@ -155,7 +155,7 @@ def main():
                 random.shuffle(order)
                 for peer in order:
                     key = (peer, threads, case)
-                    # What takes a second is measured once, a quarter of it in two rounds of three.
+                    # A measurement of a second is made once, one of a quarter of it in two rounds of three.
                     rarely = slow.get(key, 0) > 1e9 and turn > 0 or slow.get(key, 0) > 0.25e9 and turn % 3 == 2
                     if key in failed or rarely:
                         continue

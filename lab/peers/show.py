@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Prints what run.py wrote as Markdown tables: least and median time per case over all runs.
+"""Prints the results of run.py as Markdown tables: minimum and median time per case over all runs.
 
 usage: show.py A.json [B.json ...]
 """
@@ -19,7 +19,7 @@ def shown(nanoseconds):
 
 
 def row(peer, windows):
-    """A line of a table and the time that it is sorted by; None for a peer that has no time."""
+    """A line of a table and its sort key, a time; None for a peer without a time."""
     cells, key = [], None
     for threads in (1, 2):
         found = windows.get((peer, threads), [])

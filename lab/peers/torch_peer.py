@@ -76,7 +76,7 @@ def make(variant, name, batch):
 
         config.freezing = True
         model = torch.compile(model)
-    # Freezing refuses what was made in inference mode.
+    # Freezing refuses tensors that were made in inference mode.
     mode = torch.no_grad if "compile" in variant else torch.inference_mode
 
     def call():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Bars: what was asked for beside what was found, one line `bar NAME VALUE LIMIT ok|short` each (as lab/src/bars.rs).
+"""Bars: measured value beside its limit, one line `bar NAME VALUE LIMIT ok|short` each (as lab/src/bars.rs).
 
 A script says all of its bars before it measures any. What ends the measuring leaves none of them out: a bar without a
 value is `-` and short, below a line that says why.
@@ -10,7 +10,7 @@ import traceback
 
 
 class Bars:
-    """The bars of a script, as a context that ends the process with status 1 where one is short.
+    """The bars of a script, as a context that ends the process with status 1 if one is short.
 
     `asked` holds limits by name; a value may not exceed its limit, but for those of `at_least`, which must reach it.
     """
@@ -22,7 +22,7 @@ class Bars:
             sys.exit("no bar is asked for: see --help for names")
 
     def found(self, name, value, note="", limit=None):
-        """Prints a bar; None or NaN where there is no value. `limit` is given where it follows from what was measured."""
+        """Prints a bar; None or NaN if it could not be measured. `limit` is given if it follows from the measurement."""
         asked = self.left.pop(name)
         value = None if value != value else value
         limit = asked if limit is None else limit
@@ -33,7 +33,7 @@ class Bars:
         print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}{note and '  # ' + note}", flush=True)
 
     def lacking(self, why, names=None):
-        """Prints what has no value yet, of `names` or of all, as short: `why` names what is missing and the remedy."""
+        """Prints bars without a value, of `names` or of all, as short: `why` names the missing thing and the remedy."""
         names = [n for n in (self.left if names is None else names) if n in self.left]
         if names:
             print(f"not measured: {why}", flush=True)
@@ -42,7 +42,7 @@ class Bars:
 
     @contextlib.contextmanager
     def part(self, *names):
-        """What measures these bars: where it fails, they are short and the other parts go on."""
+        """Context of a measurement of these bars: where it fails, they are short and the other parts go on."""
         why = "no value was found"
         try:
             yield

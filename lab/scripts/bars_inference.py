@@ -22,7 +22,8 @@ import tempfile
 
 from bar_lines import Bars
 
-# name, limit, our storage (several: the fastest counts), network, batch, threads, peers (several: the fastest counts)
+# name, limit, our storage (of several the fastest counts), network, batch, threads, peers (of several the fastest
+# counts)
 ORT = ["ort"]
 F32 = ["ort", "torch", "rten"]
 VOLUME = ["ort", "torch", "ov"]
@@ -43,11 +44,11 @@ RATIOS = [
 ]
 # name, limit, storage, networks: largest error against float64 (see the server's `accuracy/`)
 ERRORS = [("error_f32", 1e-5, "f32", ["pred_0c256", "pred_4c256", "pred_12c256", "pred_12c64"])]
-# name, limit as a multiple of the time in which as many threads read the bytes once, edge of the volume, threads
+# name, limit as a multiple of the time of reading the bytes once with as many threads, edge of the volume, threads
 READS = [("resample_512_u8_2_threads", 1.5, 512, 2)]
-# name, limit in microseconds, what the server measures
+# name, limit in microseconds, name of the server's measurement
 CALLS = [("2x64_warm_us", 0.5, "small/warm"), ("2x64_cold_us", 2.5, "small/cold")]
-# How what is missing is got; PYTHON names the Python that has a peer's packages.
+# Remedies for missing peers; PYTHON names the Python that has a peer's packages.
 REMEDIES = {"ort": "pip install numpy safetensors onnxruntime", "torch": "pip install numpy safetensors torch",
             "ov": "pip install numpy safetensors openvino", "rten": "make bench-rust-peers",
             "ours": "make peer-server; for the networks pip install numpy safetensors onnx"}
@@ -101,7 +102,7 @@ def main():
     parser.add_argument("--also", action="append", default=[])
     options = parser.parse_args()
     if options.nice:
-        # Where the kernel schedules by session, niceness acts only inside one: raise this session's too.
+        # If the kernel schedules by session, niceness acts only inside one: raise this session's too.
         try:
             os.setsid()
         except OSError:
@@ -145,7 +146,7 @@ def measure(options, bars):
         return answer
 
     def why(cases):
-        """What failed of these, one sentence each, and how to mend it; None where nothing did."""
+        """Failures among these, one sentence each with the remedy; None where none failed."""
         found = [(c[0], failed[c]) for c in cases if c in failed]
         told = (f"{key}: {reason} ({REMEDIES[key.split('/')[0]]})" for key, reason in found)
         return "; ".join(dict.fromkeys(told)) or None
@@ -178,7 +179,7 @@ def measure(options, bars):
                        f"{theirs[2]} {theirs[0] / 1e3:.2f} us (median {theirs[1] / 1e3:.2f})")
 
     def several(name, threads, specs, batch, seconds):
-        """Our answers; none where one of them failed, which is said with the bar."""
+        """Our answers; none if one of them failed, and the bar names the failure."""
         answers = [ask("ours/f32", threads, spec, batch, seconds) for spec in specs]
         if None in answers:
             bars.lacking(why([("ours/f32", threads, spec, batch) for spec in specs]), [name])
@@ -193,7 +194,7 @@ def measure(options, bars):
             bars.found(name, min(a["med"] for a in answers) / 1e3,
                        f"median of a window; smallest call {min(a['min'] for a in answers) / 1e3:.3f} us")
     for name, _, edge, threads in READS:
-        # Windows long enough for the pages to settle: one call takes milliseconds.
+        # Windows are long enough for memory pages to settle: one call takes milliseconds.
         specs = options.rounds * [f"resample/{edge}"]
         if name in bars.asked and (answers := several(name, threads, specs, 1, 5 * options.seconds)):
             ours, read = (min(a[k] for a in answers) for k in ("min", "read"))

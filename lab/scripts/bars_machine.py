@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of a machine's model: `entire calibrate` on the machine at hand, judged on volumes that it did not render.
+"""The bars of a machine's model: `entire calibrate` on this machine, tested on volumes that it did not render.
 
     bars_machine.py --data FOLDER [--out out/bars-machine] [--only STEP,…] [--no-test] [--steps]
 
@@ -27,13 +27,13 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# Members that no model has seen, and of each every so many time steps from the first on.
+# Held-out members, and the interval of their time steps from the first on.
 MEMBERS = ("castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05", "maestroex_bubbles/m03")
 MEMBER_STEPS = (3, 6, 9, 12)
 SCANS = ("ct_abdomen", "ct_bonsai", "ct_engine", "ct_head_stanford", "cta_avm", "mr_angio_head", "mr_icbm152",
          "mr_t1_head", "mr_t2_brain", "uct_iguana", "uct_mouse_skull", "xa_aneurism", "ed_rhodopsin_3pqr")
 MODES = ("none", "local", "scatter")
-# Frames per volume; scattering takes several times as long a frame.
+# Frames per volume; a frame with scattering takes several times as long.
 FRAMES = {"none": 6, "local": 6, "scatter": 4}
 # Limits: median error and RMSE/SD on members, and on scans.
 LIMITS = {"none": (0.055, 0.06, 0.08, 0.10), "local": (0.05, 0.06, 0.08, 0.10), "scatter": (0.07, 0.08, None, None)}
@@ -42,7 +42,7 @@ FEW_FRAMES = 20
 FEW_LIMIT = 0.10
 OBSERVED = 10
 BUSY_LIMIT = 0.08
-# A neighbor takes a core in bursts of 50 to 500 ms, a fifth of the time.
+# Another program takes a core in bursts of 50 to 500 ms, a fifth of the time.
 NEIGHBORS = 1
 NEIGHBOR = """
 import random, sys, time
@@ -68,7 +68,7 @@ def neighbors(*seeds):
             loop.wait()
 
 
-# When test frames are timed, with calibration between.
+# Times of the test frames' measurements, with calibration between.
 WHEN = ("before", "after")
 INVALID_LIMIT = 0
 
@@ -104,14 +104,14 @@ class Machine:
         subprocess.run([self.entire, *map(str, arguments)], cwd=cwd, check=True, stdout=sys.stderr, **kept)
 
     def table(self, split, mode, when):
-        """Random frames of volumes that no calibration renders, before or after the calibration."""
+        """Random frames of volumes that no calibration renders, timed before or after the calibration."""
         if split == "members":
             paths = [f"ensembles/{m}/t{t:04}.nrrd" for m in MEMBERS for t in MEMBER_STEPS]
             more = ["--enlarge", 2]
         else:
             paths, more = [f"scans/{s}.nrrd" for s in SCANS], []
         out = self.out / f"{split}-{mode}-{when}.csv"
-        # Interrupted, it goes on.
+        # An interrupted collection continues.
         self.run("collect", *paths, "--out", out, "--shade", mode, "--frames", FRAMES[mode], "--repeats", 1, *more,
                  "--seed", 202, "--resume", cwd=self.data)
         (self.out / f"{split}-{mode}-{when}.done").touch()
@@ -141,7 +141,7 @@ class Machine:
                      self.out / f"{name}-{clock}.safetensors")
 
     def evaluate(self, model, split, mode, clock="cpu"):
-        """What `entire evaluate` finds; kept until model or table change."""
+        """Output of `entire evaluate`; kept until model or table change."""
         files = [self.out / f"{model}.safetensors", self.out / f"{split}-{mode}.csv"]
         if not all(f.exists() for f in files) or not (self.out / f"{split}-{mode}.done").exists():
             return None
@@ -182,12 +182,12 @@ def asked():
 
 
 def found(machine, test):
-    """Name, value and interval of every bar that something was found for."""
+    """Name, value and interval of every measured bar."""
     def metrics(found):
         return found["predictors"][0]["metrics"] if found else {}
 
     def between(found, name):
-        """The 95 % interval when volumes are drawn anew."""
+        """The 95 % interval by bootstrap over volumes."""
         return found["predictors"][0].get(f"{name}_interval") if found else None
 
     def read(name):
@@ -210,19 +210,20 @@ def found(machine, test):
 
 
 def invalid(machine, test):
-    """Predictions that are no positive number of seconds: the test counts over all shipped models, tables and random inputs."""
+    """Number of predictions that are no positive seconds: the test counts over all shipped models, tables and random
+    inputs."""
     kept = machine.out / "predictions.txt"
     counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("steer/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
     if not kept.exists() or kept.stat().st_mtime < max(f.stat().st_mtime for f in counted):
         if not test:
             return None
         cargo = os.environ.get("CARGO", "cargo")
-        # By the test's name; where none has it, nothing is counted.
+        # By the test's name; without such a test, the count is missing.
         test = ["--test", "*", "no_more_predictions_than_are_known_had_to_be_made_positive", "--", "--nocapture"]
         done = subprocess.run([cargo, "test", "--quiet", "--package", "entire-cli", *test], cwd=ROOT, stdout=subprocess.PIPE,
                               text=True)
         counts = [int(line.split()[-1]) for line in done.stdout.splitlines() if "predictions not positive:" in line]
-        # A test that fails beside a count of zero has not counted all.
+        # A test that fails with a count of zero has not counted all.
         if not counts or done.returncode and not any(counts):
             return None
         kept.write_text(str(max(counts)))
@@ -259,7 +260,7 @@ def main():
                 if not (machine.out / stamp).exists():
                     make()
         except (OSError, subprocess.SubprocessError) as error:
-            # What is done tells some bars all the same.
+            # Finished parts give some bars all the same.
             print(error, file=sys.stderr)
         for name, value, interval in found(machine, not options.no_test):
             if value is not None:

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of what is predicted and of how it is taken to a machine, by processor time and by wall time.
+"""The bars of predictors and of their calibration to a machine, by processor time and by wall time.
 
     bars_model.py [--study out/study] [--wall out/study-wall] [--frames out/frames] [--machine out/bars-machine]
                   [--before REVISION]
@@ -60,7 +60,7 @@ def mean(values):
 
 
 class Study:
-    """What a study found of the predictors that the rule selects."""
+    """Results of a study for the predictors that the rule selects."""
 
     def __init__(self, folder):
         path = Path(folder) / "study.json"
@@ -125,7 +125,7 @@ def latency(study, caches):
 
 
 def lines(before):
-    """Lines of code that were taken out since a revision, less those that were added."""
+    """Lines of code removed since a revision, minus those added."""
     rooms = ("core", "steer", "io", "train", "farm", "report", "cli", "lab", "plugins")
     done = subprocess.run(["git", "diff", "--numstat", before, "--", *rooms], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     rows = [line.split("\t") for line in done.stdout.splitlines()]

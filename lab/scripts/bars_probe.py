@@ -18,7 +18,7 @@ from bar_lines import Bars
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 EXAMPLE = "steer/examples/probe_server"
-# The part of the example that older versions can be built with needs a main function.
+# The part of the example that older versions can build needs a main function.
 MAIN_BEFORE = """//! The calls of a later version.
 
 mod calls;
@@ -28,8 +28,8 @@ fn main() {
     calls::serve(&mut calls::Volumes::default(), &mut |_, _| None);
 }
 """
-# How the revision before makes what is timed, in place of the example's scene.rs.
-SCENE_BEFORE = """//! How that version of the crate makes what is timed.
+# Source by which the earlier revision makes the timed objects, in place of the example's scene.rs.
+SCENE_BEFORE = """//! Makes the timed objects with that version of the crate.
 
 use entire_steer::control::Session;
 use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeView};
@@ -50,7 +50,7 @@ MODES = ["none", "scatter"]
 EDGES = [256, 512, 768]
 TYPES = ["u8", "u16", "f32"]
 BYTES = 512 * 512 * 512
-# Microseconds of a new transfer function, first call, and the share of the time before.
+# Microseconds of a new transfer function, first call, and the ratio to the earlier time.
 FIRST = {256: 60, 512: 120, 768: 400}
 SPEED = {"u8": 2.5, "u16": 3.0, "f32": 3.0}
 
@@ -179,7 +179,7 @@ def measure(options, targets, asked, today_only, bars):
         if name.endswith("_us"):
             bars.found(name, mean["today", needs[0]] * 1e6)
         elif name.endswith("_gb_per_s"):
-            # Or 0.7 of the rate of reading the bytes once, where that is less.
+            # Or 0.7 of the rate of reading the bytes once, if that is less.
             own, read = (BYTES / mean["today", n] * 1e-9 for n in needs)
             bars.found(name, own, limit=min(bars.asked[name], 0.7 * read))
         elif name.endswith("_two_threads"):

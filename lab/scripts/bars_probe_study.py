@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What today's features are worth in predictions, and what a prediction costs, against an earlier revision: the selected
+"""Errors and latency of today's scene features against an earlier revision: the selected
 recipe of each, on the same training frames and times. Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short.
 
     bars_probe_study.py --before REVISION --data FOLDER [--work target/bars-probe] [--sets unshaded,local,scatter] [--no-build]
@@ -21,7 +21,7 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = {"unshaded": "none-train", "local": "local-train", "scatter": "scatter-train"}
-# Error over that of the revision before, and latency over it.
+# Error over that of the earlier revision, and latency over it.
 ERROR_LIMIT = 0.75
 LATENCY_LIMIT = 0.5
 FRAMES_PER_TRANSFER = 30.0
@@ -54,7 +54,7 @@ class Version:
         run(self.tool("entire"), "features", "--data", self.work / f"{table}.csv.gz", "--probe-sides", "4,7", cwd=self.data)
 
     def study(self, sets):
-        """Findings of a study of this version's selected recipe alone: models are kept, latencies are taken anew."""
+        """Results of a study with only this version's selected recipe: models are kept, latencies are measured again."""
         out = self.work / "out"
         description = json.loads((self.tree / "data/timings/study.json").read_text())
         selected = next(p for p in description["predictors"] if p["name"] == "selected")
@@ -97,7 +97,7 @@ def main():
 
 
 def build(options):
-    """Both versions, built unless that is not wanted."""
+    """Both versions, built unless --no-build is given."""
     work = Path(options.work).resolve()
     before = work / "before-tree"
     if not options.no_build:

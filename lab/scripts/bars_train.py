@@ -1,5 +1,6 @@
-"""Training speed of entire's PredNet trainer against PyTorch: the same frames, first weights, settings and threads, the two
-taking turns; prints one `bar` line each for time and final loss and exits 1 when one is short, as both are without PyTorch.
+"""Training speed of entire's PredNet trainer against PyTorch: the same frames, initial weights, settings and threads,
+the two in turns; prints one `bar` line each for time and final loss and exits 1 when one is short, as both are without
+PyTorch.
 
     python lab/scripts/bars_train.py --frames 100000 --preset 12C256
 """

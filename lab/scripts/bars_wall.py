@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Holds a frame time by the wall clock, with and without a neighbor on the machine, and prints every bar.
+"""Holds a frame time by wall time, on a quiet machine and beside another program, and prints every bar.
 
 Each volume is explored by `entire demo` (medians of five runs count), once on a quiet machine and once
 while a neighbor takes a core in bursts of 50 to 500 ms, a fifth of the time. Rivals are the demo's other controllers. Runs
@@ -18,7 +18,7 @@ from bar_lines import Bars
 from bars_machine import neighbors
 
 ROOT = Path(__file__).resolve().parents[2]
-# Volumes that no model saw. Scans lie in the folder that --data names.
+# Volumes that no model was trained on. Scans are in the folder of --data.
 VOLUMES = {
     "nyx": "data/nyx_cosmology/m04/t0010.nrrd",
     "castro": "data/castro_blast/m04/t0012.nrrd",
@@ -30,7 +30,7 @@ OURS, OLP = "hybrid", "olp"
 RIVALS = ("olp", "pid", "algorithm1")
 SWITCH_FRAMES = 3
 LATE = 0.1
-# Name, what of the figures, and the limits of ours over the best rival: quiet, with a neighbor.
+# Name, figure, and the limits of ours over the best rival: quiet, beside another program.
 SHARES = (("late", 0.5, 0.6), ("mean-error", 0.8, 0.9), ("error-at-switches", 0.4, 0.6))
 PSNR_BELOW = {"quiet": 0.3, "neighbor": 0.5}
 PSNR_BELOW_QUIET = 2.0
@@ -62,7 +62,7 @@ class Machine:
         self.entire, self.out, self.runs = Path(options.bin).resolve(), Path(options.out).resolve(), options.runs
         self.data = Path(options.data).resolve() if options.data else None
 
-        # A model of this machine, made of other volumes than those that are played, and kept here alone.
+        # A model of this machine, made from other volumes than the played ones, and used only here.
         self.environment = {**os.environ, "XDG_DATA_HOME": str(self.out / "home")}
 
     def calibrate(self):
@@ -139,7 +139,7 @@ def measure(machine, bars):
                 best = min(mean(load, rival, key) for rival in RIVALS)
                 bars.found(f"wall/{load}/{key}-of-best-rival", mean(load, OURS, key) / max(best, 1e-9))
             often = 2 * mean(load, OURS, "late")
-            # Rivals that are late less than twice as often; OLP where none is, and beside a neighbor.
+            # Rivals with less than twice our share of late frames; OLP if there are none, and beside another program.
             rivals = [r for r in RIVALS if load == "quiet" and mean(load, r, "late") < often] or [OLP]
             below = max(mean(load, r, "psnr") for r in rivals) - mean(load, OURS, "psnr")
             bars.found(f"wall/{load}/psnr-below-rival", below)

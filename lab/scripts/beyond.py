@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What a learned factor is worth beyond what it has seen, on training frames alone.
+"""Errors of a learned factor beyond the range of its training frames, on training frames alone.
 
     beyond.py [--mode none|local|scatter] [--data data/timings]
 
@@ -27,7 +27,7 @@ ROUNDS = 12
 
 
 def floors():
-    """What the log variant of every quantity adds, from the core's schema."""
+    """Constant that the log variant of every quantity adds, from the core's schema."""
     text = (ROOT / "steer/src/features/schema.rs").read_text()
     return {name: float(floor.replace("_", "")) for name, floor in re.findall(r'"(\w+)", "[^"]*", ([0-9.e_-]+),', text)}
 
@@ -55,7 +55,7 @@ def read(table, side):
 
 
 def fit_costs(work, seconds, prior):
-    """Unit costs that are drawn weakly to the prior's, errors of ln(seconds), outliers down-weighted."""
+    """Unit costs with a weak prior; errors of ln(seconds), outliers down-weighted."""
     paid = prior > 0
     work, log = work[:, paid], np.log(prior[paid])
     first = log.copy()
@@ -73,7 +73,7 @@ def fit_costs(work, seconds, prior):
 
 
 def train(inputs, logs):
-    """A factor of two hidden layers; a function of inputs and whether they are held."""
+    """A factor of two hidden layers; a function of inputs and of the flag that clamps them."""
     torch.manual_seed(1)
     generator = torch.Generator().manual_seed(1)
     mean, sd = inputs.mean(0), inputs.std(0) + 1e-9

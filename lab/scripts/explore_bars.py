@@ -67,8 +67,8 @@ def steering(bars, command, display, folder):
 
 
 def interface(bars, command, display, folder):
-    """Processor time of laying out, handing over and drawing the interface. A software device draws on one thread here: so
-    its seconds are processor time, which they are not on a GPU."""
+    """Processor time of layout, presentation and drawing of the interface. A software device draws on one thread here:
+    so its seconds are processor time, which they are not on a GPU."""
     probed = subprocess.run([str(command), "probe", "--device", "vulkan", "--json"], capture_output=True, text=True, check=True)
     software = json.loads(probed.stdout)["limits"]["is_software"]
     single = SimpleNamespace(environment={**display.environment, "LP_NUM_THREADS": "1"})
@@ -79,7 +79,7 @@ def interface(bars, command, display, folder):
     layout, handing, shown = (1e3 * middle(part) for part in parts)
     print(f"     laying out {layout:.3f} ms, handing over {handing:.3f} ms of processor time; from recording what is drawn to "
           f"its end, handing over included, {shown:.1f} ms, " + ("of the processor too" if software else "of a GPU"))
-    # Recording, a part of the layout's thread, is in both of what is summed.
+    # Recording, a part of the layout thread's work, is in both summands.
     sums = [l + (max(h, s) if software else h) for l, h, s in zip(*parts)]
     bars.found("explore_interface_ms", 1e3 * middle(sums), "laying out, handing over, drawing")
 
@@ -131,7 +131,7 @@ def resting(bars, command, display, folder):
         lines += [at(4 + 4 * i, full_frame=True), at(5 + 4 * i, rest=True), at(6 + 4 * i, full_frame=True)]
     log = tools.run_script(command, display, lines + [at(30, quit=True)], folder, [VOLUME])
     rest, full = numbers(log["rest"], "seconds"), numbers(log["full"], "seconds")
-    # Each rest against the full frames before and after it.
+    # Each refinement compared with the full frames before and after it.
     shares = [2 * r / (full[2 * i] + full[2 * i + 1]) - 1 for i, r in enumerate(rest)]
     print(f"     full frame {middle(full):.3f} s, to rest {middle(rest):.3f} s")
     bars.found("explore_rest_overhead", middle(shares))
@@ -170,14 +170,14 @@ def memory(bars, command, display, folder):
     log = tools.run_script(command, display, lines, folder, arguments, seconds=1500)
     used = numbers(log["frame"], "resident_bytes")
     assert len(used) == MANY_FRAMES and min(used) > 0, "the log lacks the memory in use"
-    # Every preset has been there by then, and the graph is full.
+    # By then every preset was shown, and the graph is full.
     tenth = MANY_FRAMES // 10
     early, late = max(used[tenth : 2 * tenth]), max(used[-tenth:])
     print(f"     {MANY_FRAMES} frames, {early / 2**20:.1f} MiB in use after the first tenth, {late / 2**20:.1f} at the end")
     bars.found("explore_memory_growth_mib", max(0.0, late - early) / 2**20)
 
 
-# What measures which bars, and their limits.
+# Measurements, each with its bars and their limits.
 BARS = {
     steering: {"explore_missed_share": 0.03, "explore_mean_error": 0.12},
     interface: {"explore_interface_ms": 2.0},
@@ -207,7 +207,7 @@ def main():
             why = f"{command} is not there (make explore-build)"
         if why:
             sys.exit(why)
-        # The shipped models are found from the project's root.
+        # The shipped models are found relative to the project's root.
         os.chdir(ROOT)
         out.mkdir(parents=True, exist_ok=True)
         print(f"     load {' '.join(f'{v:.2f}' for v in os.getloadavg())} on {os.cpu_count()} logical processors")

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of files: volumes as people have them, and results that are kept.
+"""The bars of files: volumes from real users, and kept results.
 
     files.py [--seconds 600] [--neighbors 2000] [--only NAME...]
 
@@ -20,7 +20,7 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 READERS = "nrrd metaimage vti nifti json raw table manifest path tasks trace"
-# Reported situations, and the tests that hold their right values.
+# Reported situations, and the tests with their right values.
 SITUATIONS = {
     "a farm's input is written anew": ["a_resumed_database_shows_what_its_files_are_now"],
     "a time step comes in between or goes": ["a_resumed_database_shows_what_its_files_are_now",
@@ -40,7 +40,7 @@ SITUATIONS = {
         "lists_of_spreadsheets_are_read"],
     "bytes of a narrow range": ["bytes_of_a_narrow_range_are_said_and_can_be_spanned"],
 }
-# What is kept, and the tests that change its inputs (content, name, order, addition, deletion, settings).
+# Kept results, and the tests that change their inputs (content, name, order, addition, deletion, settings).
 KEPT = {
     "farm": ["a_resumed_database_shows_what_its_files_are_now", "a_resumed_database_follows_the_settings",
              "data_files_of_headers_count_too", "programs_that_are_told_times_draw_them_anew",
@@ -60,7 +60,7 @@ def run(*command, **options):
 
 
 def passed_tests():
-    """The names of all tests of the workspace's packages of commands that pass."""
+    """Names of the passing tests of the commands' packages."""
     names = sorted({name for tests in [*SITUATIONS.values(), *KEPT.values()] for name in tests})
     found = run("cargo", "test", "--workspace", "--features", "entire-cli/explore", "--lib", "--test", "suite", "--no-fail-fast",
                 "--", *names, env={**os.environ, "CARGO_INCREMENTAL": "0"})

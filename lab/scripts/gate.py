@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of the gates: how long they take, what they skip, which tests are gone.
+"""The bars of the gates: their duration, their skips, removed tests.
 
     gate.py [--before REVISION]         prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
     gate.py --measure [demo test change nightly]
@@ -25,12 +25,12 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out/test"
-# Wall seconds on two processors, from nothing but downloaded crates.
+# Wall seconds on two processors, with only the downloaded crates.
 WALL_SECONDS = {"demo": 140, "test": 900, "change": 2100}
 COMMANDS = {"demo": ["make", "demo"], "test": ["make", "test"], "change": [".ci/run"], "nightly": [".ci/nightly"]}
-# The gates that say what they skip.
+# The gates that list their skips.
 SKIPPING = ("change", "nightly")
-# A step has doubled where it takes twice the committed processor time, and this many seconds more.
+# A step counts as doubled if it takes twice the committed processor time, and this many seconds more.
 NOISE_SECONDS = 20
 # Tests under a new name.
 RENAMED = {
@@ -143,7 +143,7 @@ def judge(bars, before):
     if "total" in found.get("nightly", {}):
         bars.found("gate/nightly-failed", 0)
     for gate in SKIPPING:
-        # A gate that failed has not come to all of its skips.
+        # A failed gate has not reached all of its skips.
         if "total" in found.get(gate, {}) and (OUT / f"skipped-{gate}").is_file():
             compared = subprocess.run([".ci/compare-skips", gate], cwd=ROOT, text=True, capture_output=True)
             said(bars, f"gate/{gate}-skips-not-as-expected", compared.stdout.splitlines())
@@ -163,7 +163,7 @@ def judge(bars, before):
 
 
 def said(bars, name, lines):
-    """A bar that counts lines, which follow it."""
+    """A bar whose value is the number of the lines that follow it."""
     bars.found(name, len(lines))
     for line in lines:
         print(f"  {line}")

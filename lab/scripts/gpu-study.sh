@@ -16,20 +16,20 @@ done
 cp models/*-selected.safetensors "$folder/models/"
 cp -r data "$folder/data"
 rm -rf "$folder/data/timings"
-# The loader of Vulkan drivers: drivers for computation alone often come without it.
+# The loader of Vulkan drivers: compute-only drivers often come without it.
 loader=$(ldconfig -p 2>/dev/null | awk '/libvulkan\.so\.1 / && !found { print $NF; found = 1 }')
 if [[ -n $loader ]]; then cp -L "$loader" "$folder/lib/libvulkan.so.1"; else rmdir "$folder/lib"; fi
 cat >"$folder/run.sh" <<'RUN'
 #!/usr/bin/env bash
-# Studies this machine's Vulkan device in at most nine minutes: report.html in OUT (results/ unless given). Run again, it
-# goes on with what is missing. Options go to `bin/entire-lab gpu-study` (--help lists them).
+# Studies this machine's Vulkan device in at most nine minutes: report.html in OUT (default results/). Run again, it
+# continues with the missing steps. Options go to `bin/entire-lab gpu-study` (--help lists them).
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 out=${OUT:-$here/results}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
 cd "$here"
-# A loader and a manifest of the driver where the system has none.
+# A loader and a manifest of the driver if the system has none.
 if [[ -e lib/libvulkan.so.1 ]] && ! ldconfig -p 2>/dev/null | awk '/libvulkan\.so\.1 / { found = 1 } END { exit !found }'; then
     export LD_LIBRARY_PATH="$here/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
 fi

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of the house: what README, book and source promise a reader, checked.
+"""The bars of the house: promises of README, book and source to a reader, checked.
 
     house.py [--quick] [--bin-dir target/release]     prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
     house.py --measure-build OLD NEW                  also builds `entire` at two revisions and compares their processor seconds
@@ -44,7 +44,7 @@ def run(*command, **options):
 
 
 def tracked(*patterns):
-    """Files that git knows or would take, as paths from the root."""
+    """Files in git or not ignored by it, as paths from the root."""
     listed = run("git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns, check=True)
     return sorted(p for p in set(listed.stdout.splitlines()) if (ROOT / p).is_file())
 
@@ -90,7 +90,7 @@ class Page:
                 self.prose.append((number, line))
 
     def spans(self):
-        """Code spans, also those that go on in the next line."""
+        """Code spans, also those that continue in the next line."""
         text = "\n".join(line for _, line in self.prose)
         return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", text)]
 
@@ -167,6 +167,18 @@ def missing_names(pages):
                 yield f"{page.path}: entire.h has no {name}"
 
 
+def figures_apart_from_results(readme):
+    """Percentages and times of README's numbers that docs/src/results.md does not state."""
+    stated = (ROOT / "docs/src/results.md").read_text(encoding="utf-8")
+    numbers = next((section for section in readme.sections() if section.startswith("## Five numbers")), "")
+    if not numbers:
+        yield "README.md has no section Five numbers"
+    for line in re.findall(r"^- .*", numbers, re.M):
+        for figure in re.findall(r"(?<![\w.])\d+\.\d+", line):
+            if not re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", stated):
+                yield f"README.md: results.md does not state {figure}"
+
+
 def make_targets():
     found = set()
     for name in ["Makefile", *tracked("make/*.mk")]:
@@ -187,7 +199,7 @@ def missing_targets(pages):
 
 
 class Helps:
-    """What the built programs' `--help` says, asked once for each command."""
+    """Texts of the built programs' `--help`, read once for each command."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -201,7 +213,7 @@ class Helps:
         return self.texts[key]
 
     def commands(self, *words):
-        """The commands of a program that take options themselves, as tuples of words."""
+        """The commands of a program that have options, as tuples of words."""
         listed = re.search(r"^Commands:\n((?: +.*\n)+)", self(*words) or "", re.M)
         below = re.findall(r"^  ([a-z][a-z-]*)", listed.group(1), re.M) if listed else []
         found = [command for name in below if name != "help" for command in self.commands(*words, name)]
@@ -214,7 +226,7 @@ class Helps:
 
 
 def undocumented_options(pages, text_of):
-    """Options that no section names which also names their command."""
+    """Options that no section mentions together with their command."""
     sections = [section for page in pages for section in page.sections()]
     for command in (c for program in ("entire", "entire-lab") for c in text_of.commands(program)):
         name = re.compile(rf"(?<![\w-]){re.escape(' '.join(command))}(?![\w-])")
@@ -227,7 +239,7 @@ def undocumented_options(pages, text_of):
 
 
 def missing_commands(pages, text_of):
-    """Commands and options that pages name and `--help` does not."""
+    """Commands and options in pages that `--help` lacks."""
     for page in pages:
         for line in page.shell():
             for part in re.split(r"\s*(?:\||&&|;)\s+", line):
@@ -241,7 +253,7 @@ def missing_commands(pages, text_of):
                     yield f"{page.path}: `{words[0]} {words[1]}` is no command"
                     continue
                 if len(words) > 2 and re.fullmatch(r"[a-z]+", words[2]):
-                    # A step of the command, which has options of its own.
+                    # A step of the command, which has its own options.
                     text += text_of(*words[:3]) or ""
                 for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", " ".join(words[2:])):
                     if not re.search(re.escape(option) + r"(?![a-z-])", text):
@@ -249,7 +261,7 @@ def missing_commands(pages, text_of):
 
 
 def broken_snippets(pages):
-    """C and C++ blocks on the C library that do not compile, and Python blocks that do not parse."""
+    """C and C++ blocks on the C library that do not compile, and Python blocks with syntax errors."""
     compilers = {"c": ("cc", "-std=c11", "-xc", "names.h"), "cpp": ("c++", "-std=c++17", "-xc++", "names.hpp")}
     for page in pages:
         for number, language, lines in page.blocks:
@@ -305,7 +317,7 @@ def product_lines(folder):
 
 
 def build_seconds(revision):
-    """CPU seconds of a release build of `entire` from nothing but downloaded crates, at a revision."""
+    """CPU seconds of a release build of `entire` at a revision, with only the downloaded crates."""
     with tempfile.TemporaryDirectory(prefix="house-") as folder:
         tree = Path(folder) / "tree"
         subprocess.run(["git", "worktree", "add", "--detach", "--quiet", tree, revision], cwd=ROOT, check=True)
@@ -331,7 +343,7 @@ def main():
     options = parser.parse_args()
     bars = Bars()
 
-    # The changelog tells of names that are gone, and scratch folders hold what others wrote.
+    # The changelog mentions removed names, and scratch folders are not ours.
     pages = [Page(path) for path in tracked("*.md") if path != "CHANGELOG.md"]
     readme = next(page for page in pages if page.path == "README.md")
     front = [page for page in pages if page.path == "README.md" or page.path.startswith("docs/src/")]
@@ -344,6 +356,7 @@ def main():
         ("missing-paths", missing_paths(front)),
         ("missing-c-names", missing_names(front)),
         ("missing-make-targets", missing_targets(pages)),
+        ("readme-figures-apart-from-results", figures_apart_from_results(readme)),
         ("code-blocks-that-do-not-compile", broken_snippets(pages) if shutil.which("cc") else ()),
     ):
         found = sorted(set(found))

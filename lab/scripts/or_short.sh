@@ -4,7 +4,7 @@
 #
 #   lab/scripts/or_short.sh SCRIPT... -- COMMAND...
 #
-# SCRIPT is called with --lacking and the reason: why the command has skipped, or the last line that it has said.
+# SCRIPT is called with --lacking and the reason: the skip reason of the command, or the last line of its output.
 set -euo pipefail
 script=()
 while [[ $1 != -- ]]; do

@@ -23,7 +23,7 @@ def items(folder):
             continue
         lines = path.read_text(encoding="utf-8").split("\n")
         for number, line in enumerate(lines, 1):
-            # The module of tests closes a file.
+            # The module of tests ends a file.
             if line == "#[cfg(test)]" and number < len(lines) and lines[number].startswith("mod tests {"):
                 break
             if line.lstrip().startswith("pub const fn"):

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Times our Vulkan raycaster beside VTK's two volume mappers: same volume, transfer function, camera, ray step (one
-voxel) and image, every contestant's own early termination and space leaping. Interleaved in one run, medians.
+voxel) and image, each with its own early termination and space leaping. Interleaved in one run, medians.
 
 usage: render_bars.py --server FRAME_SERVER [--out FOLDER] [--scans FOLDER] [--rounds N] [--size PIXELS] [--bars]
 
@@ -72,7 +72,7 @@ class Contestant:
 
 
 def vtk_command():
-    """How to start the VTK peer, or why not."""
+    """Command that starts the VTK peer, or the reason why there is none."""
     named = os.environ.get("VTK_PYTHON")
     check = "import vtkmodules.vtkRenderingVolumeOpenGL2, vtkmodules.util.numpy_support"
     reasons = []
@@ -151,7 +151,7 @@ def main():
 
 
 def measure(options):
-    """Figures by scene, and why others are missing."""
+    """Figures by scene, and the reasons for missing ones."""
     out = pathlib.Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
     ours = Contestant([options.server])
@@ -190,7 +190,7 @@ def measure(options):
         shape = " ".join(map(str, [path, *dims, *spacing]))
         ours.ask(f"volume {shape}")
         table = out / f"{transfer}.table"
-        # What an edit costs, several times: the first of a volume also makes room on the device.
+        # Time of an edit, several times: the first of a volume also makes room on the device.
         edits = [ours.ask(f"transfer {transfer} {table}") for _ in range(5)]
         edit = {k: statistics.median(e[k] for e in edits) for k in ("wall", "occupancy", "distance_map")}
         camera = ours.ask(f"camera {CAMERA} {options.size} {options.size}")
@@ -208,7 +208,7 @@ def measure(options):
             shuffler.shuffle(order)
             for key in order:
                 process, line = contestants[key]
-                # The first of a contestant's frames after another's is not counted: it finds the caches cold.
+                # The first frame of a renderer after another's is not counted: its caches are cold.
                 process.ask(line)
                 answer = process.ask(line)
                 if turn >= 2:
@@ -251,7 +251,7 @@ def measure(options):
 
 
 def limits(only):
-    """Limits of the bars whose scenes hold a text."""
+    """Limits of the bars of the scenes whose names contain a text."""
     scenes = [scene for scene in SCENES + [(s[0].split(".")[0], *s) for s in SCANS] if only in scene[0]]
     out = {}
     for scene, _, _, fixed_limit, gpu_limit in scenes:
@@ -275,7 +275,7 @@ def say(bars, results, lacking):
                 theirs = times[f"vtk/{peer}"]["cpu"]
                 note = f"{1e3 * own:.1f} ms CPU, skipping distance; {1e3 * theirs:.1f} ms CPU"
                 bars.found(ratio_name(scene, peer), own / theirs, note)
-                # Whoever draws another picture is not compared: mean difference of a channel, of 255.
+                # A renderer with another picture is not compared: mean difference of a channel, of 255.
                 name = f"render_{scene}_picture_difference_{peer}"
                 bars.found(name, results[f"{scene}/difference/{peer}"], "levels of 255, mean")
         if f"render_{scene}_distance_vs_blocks" in bars.asked:

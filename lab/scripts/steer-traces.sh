@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Records what the steering bars are taken from: calibration frames of volumes that the paths do not show, and the cost
-# curves of paths over volumes that the calibration did not see. What is there stays; remove the folder to record anew. After
-# an interruption the same call goes on where it was: a trace that was begun lies beside the others as NAME.part.json.gz.
+# Records the data of the steering bars: calibration frames of other volumes than the paths', and the time curves of
+# paths over held-out volumes. Existing files are kept; remove the folder to record again. After an interruption the
+# same call continues: an unfinished trace has the name NAME.part.json.gz.
 set -euo pipefail
 out=$1 clock=$2 frames=$3 data=$4
 lab=${ENTIRE_LAB:-target/release/entire-lab}
 mkdir -p "$out/traces" "$out/training"
 
-# Paths over volumes beside those of the repository: which bars are taken from them depends on what is there.
+# Paths over volumes outside of the repository: the bars depend on which of them exist.
 found=() absent=()
 for pair in isabel_wrf:isabel-switches viscous_fingers:fingers-cuts; do
     if [ -d "$data/ensembles/${pair%%:*}/run01" ] || [ -e "$out/traces/${pair#*:}.json.gz" ]; then
@@ -18,7 +18,7 @@ for pair in isabel_wrf:isabel-switches viscous_fingers:fingers-cuts; do
 done
 echo "volumes in $data (STEER_DATA=folder): paths ${found[*]:-none}${absent:+; not there, so left out of the bars: ${absent[*]}}"
 
-# Three repeats: the oracle follows the median, the noise is what the repeats have around it.
+# Three repeats: the oracle uses the median, and the noise is the scatter of the repeats around it.
 common=(--clock "$clock" --size 256x256 --repeats 3)
 
 if [ ! -e "$out/calibration.csv.gz" ]; then
@@ -59,7 +59,7 @@ if [ -d "$data/ensembles" ]; then
     [ -n "$first" ] && trace fingers-cuts "$first" --enlarge 2 --generate cuts --frames "$frames"
 fi
 
-# Paths that the controller's constants are chosen on: volumes that the paths above do not show.
+# Paths for choosing the controller's constants: other volumes than those of the paths above.
 training train-switches data/nyx_cosmology/m01/t0005.nrrd --enlarge 2 --generate switches --frames 64
 training train-cuts data/castro_blast/m01/t0008.nrrd --enlarge 2 --generate cuts --frames 64
 training train-drag data/nyx_cosmology/m02/t0010.nrrd --enlarge 2 --generate drag --frames 64

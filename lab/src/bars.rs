@@ -1,4 +1,4 @@
-//! Bars: what was asked for beside what was found, one line each.
+//! Bars: measured value beside its limit, one line each.
 
 use anyhow::{Result, ensure};
 use entire_report::{Column, Table};
@@ -6,30 +6,30 @@ use entire_report::{Column, Table};
 /// A bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// What it is about, without blanks.
+    /// Name of the bar, without blanks.
     pub name: String,
-    /// What was found; `None` where what it is about is missing.
+    /// Measured value; `None` where it could not be measured.
     pub value: Option<f64>,
-    /// What was asked for.
+    /// Limit of the value.
     pub limit: f64,
-    /// Whether it holds; never where nothing was found.
+    /// True if the limit is met; false without a value.
     pub ok: bool,
 }
 
 impl Bar {
-    /// Holds where the value is no more than the limit.
+    /// Met if the value is no more than the limit.
     pub fn at_most(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v <= limit) }
     }
 
-    /// Holds where the value is no less than the limit.
+    /// Met if the value is no less than the limit.
     pub fn at_least(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit) }
     }
 }
 
 impl std::fmt::Display for Bar {
-    /// `bar NAME VALUE LIMIT ok|short`, the value `-` where nothing was found.
+    /// `bar NAME VALUE LIMIT ok|short`, the value `-` where it could not be measured.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
         write!(f, "bar {} {found} {:.4} {}", self.name, self.limit, if self.ok { "ok" } else { "short" })

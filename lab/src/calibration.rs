@@ -28,7 +28,8 @@ pub fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(String,
         .into_iter()
         .find(|c| frames.iter().all(|f| f.seconds(*c).is_some()))
         .context(
-            "the calibration tables share no clock: every frame needs seconds_cpu, or every one another",
+            "the calibration tables share no clock: all frames need seconds_cpu, or all need the same other \
+             clock",
         )?;
     let pool = rayon::ThreadPoolBuilder::new().build().context("cannot start threads")?;
     let mut numbers: HashMap<String, usize> = HashMap::new();

@@ -1,5 +1,4 @@
-//! Processes that a study starts: waited for, asked to end once their time is over, and killed where they do
-//! not.
+//! Child processes of a study: waited for, asked to end once their time is over, and killed if they do not.
 
 use anyhow::{Context, Result};
 use nix::sys::signal::{Signal, kill};
@@ -8,20 +7,20 @@ use std::process::{Child, ExitStatus};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Between looks at a running process.
+/// Interval between checks of a running process.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// How a process came to its end.
+/// End of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended {
-    /// What it ended with.
+    /// Exit status.
     pub status: ExitStatus,
-    /// Whether it was asked to end.
+    /// True if it was asked to end.
     pub asked: bool,
 }
 
-/// Waits until a process ends. Once `over` says that its time is over (a deadline has passed, the user asked to
-/// stop), it is asked to end by `signal`; where it has not ended `grace` later, it is killed.
+/// Waits until a process ends. Once `over` returns true (a deadline has passed, the user asked to stop), it
+/// is asked to end by `signal`; if it has not ended `grace` later, it is killed.
 ///
 /// # Errors
 /// When the system refuses to wait for it or to kill it.
@@ -33,7 +32,8 @@ pub fn wait(child: &mut Child, over: impl Fn() -> bool, signal: Signal, grace: D
         }
         match asked {
             None if over() => {
-                // Nobody has waited for it, so the number is its own still; one that hears nothing is killed.
+                // The process was not waited for, so its number is still its own; a process that does not
+                // react is killed.
                 let _ = kill(Pid::from_raw(child.id().cast_signed()), signal);
                 asked = Some(Instant::now());
             }
@@ -54,7 +54,7 @@ mod tests {
     use std::os::unix::process::ExitStatusExt;
     use std::process::Command;
 
-    /// A shell that does with SIGTERM what `on_term` says and runs on; its time is over once it is ready.
+    /// A shell that runs `on_term` at SIGTERM and continues; its time is over once it is ready.
     fn told_to_end(on_term: &str, grace: Duration) -> (Ended, Duration) {
         let dir = tempfile::tempdir().unwrap();
         let ready = dir.path().join("ready");

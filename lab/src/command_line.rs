@@ -1,4 +1,4 @@
-//! The command line of `entire-lab`: studies, their records and bars. Exit status as of `entire`.
+//! The command line of `entire-lab`: studies, recordings and bars. Exit status as of `entire`.
 
 use crate::commands;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -6,11 +6,11 @@ use entire_cli::program;
 use entire_io::quiet;
 use std::process::ExitCode;
 
-/// Judges predictors and controllers beside others, and measures the project's bars.
+/// Compares predictors and controllers with others, and measures the project's goals (bars).
 #[derive(Debug, Parser)]
 #[command(name = "entire-lab", version, propagate_version = true)]
 struct Lab {
-    /// No progress bar and no notes: results and errors alone.
+    /// Print only results and errors: no progress bar, no notes.
     #[arg(long, global = true)]
     quiet: bool,
     #[command(subcommand)]
@@ -19,37 +19,37 @@ struct Lab {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Make and judge every predictor of a study; accuracy against latency in one report.
+    /// Train and test every predictor of a study; report accuracy against latency.
     Study(commands::study::Options),
-    /// Hold every table and figure of the paper against ours.
+    /// Reproduce every table and figure of the paper, beside our results.
     Paper(commands::paper::Options),
-    /// Find how many frames of another make of machine a calibration needs.
+    /// Measure calibration error by number of frames, on another make of machine.
     Frames(commands::frames::Options),
-    /// Record what every frame of a path costs at a grid of ray steps.
+    /// Record the time of every frame of a path at a grid of ray steps.
     Record(commands::record::Options),
-    /// Record how much somebody else on the machine slows frames down.
+    /// Record the slowdown of frames by another program on the machine.
     Disturb(commands::disturb::Options),
-    /// Replay recorded cost curves under every controller and target, beside an oracle.
+    /// Replay recorded time curves under every controller and target, beside an oracle.
     Replay(commands::replay::Options),
-    /// Choose the controller's constants on recorded paths.
+    /// Search for better constants of the controller on recorded paths.
     Tune(commands::tune::Options),
-    /// Play the scenes in which methods of holding a frame time break.
+    /// Play stress scenes, in which methods of holding a frame time fail.
     Stress(commands::stress::Options),
-    /// Study a device: pictures, costs, tables, models, frames held; one report.
+    /// Measure a device: pictures, rates, timing tables, models and steering, in one report.
     GpuStudy(commands::gpu_study::Options),
-    /// Compare every way to balance a render farm.
+    /// Compare methods of load balancing on a render farm.
     Farm(commands::farm::Options),
-    /// Measure the bars of render farms that need no engine.
+    /// Measure the goals of render farms that need no engine.
     FarmBars(commands::farm_bars::BarsOptions),
     /// Simulate a farm on a task list.
     FarmSimulate(commands::farm_bars::SimulateOptions),
-    /// Simulate a farm on a volume that is too large for a node.
+    /// Simulate a farm with a volume that is too large for a node.
     FarmSortLast(commands::farm_sort_last::Options),
-    /// Stand in for a renderer in `entire farm`.
+    /// Stand-in for a renderer in `entire farm`: sleeps for listed times.
     FarmStandIn(commands::farm_bars::StandInOptions),
 }
 
-/// The commands with their options, as `--help` tells of them.
+/// The commands with their options, as in `--help`.
 pub fn command() -> clap::Command {
     Lab::command()
 }

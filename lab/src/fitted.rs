@@ -1,5 +1,4 @@
-//! Predictors fitted to recorded calibration frames, and the choice between them: who steers where a recorded path is
-//! replayed.
+//! Predictors fitted to recorded calibration frames, and the choice of the one that steers a replay.
 
 use anyhow::{Context, Result};
 use entire_cli::steering::calibrate::{Quality, Sample};
@@ -18,10 +17,10 @@ use std::ops::ControlFlow;
 /// Hidden widths of the small network.
 pub const HIDDEN: [usize; 2] = [24, 24];
 
-/// Every this many scenes, one is held out: never fitted to, only judged by.
+/// Every this many scenes, one is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
 
-/// True for a sample that is held out from fitting.
+/// True for a held-out sample.
 fn held_out(sample: &Sample) -> bool {
     sample.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
 }
@@ -78,10 +77,10 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
     Ok(file)
 }
 
-/// A predictor with what is known of it, for reports.
+/// A predictor with its errors, for reports.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
-    /// What it is.
+    /// Name of the predictor.
     pub title: String,
     /// Its errors on calibration frames that it was not fitted to.
     pub held_out: Quality,
@@ -93,7 +92,7 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Judges a predictor; it is not chosen yet.
+    /// Measures the errors of a predictor; it is not chosen yet.
     ///
     /// # Errors
     /// As [`SteeringModel::quality`].
@@ -151,7 +150,7 @@ impl Calibrated {
         self.candidates.iter().find(|c| c.chosen).unwrap_or(&self.candidates[0])
     }
 
-    /// What a controller may take as known of it.
+    /// Prior of a controller that uses it.
     pub fn prior(&self) -> Prior {
         Prior::Fitted { log_sd: self.chosen().held_out.log_sd as f32 }
     }

@@ -1,5 +1,5 @@
-//! How long a prediction takes when it is asked for between frames: from camera and transfer function to
-//! seconds, with the caches of the processor filled by something else.
+//! Latency of a prediction between frames: from camera and transfer function to seconds, with the processor's
+//! caches filled by something else.
 
 use anyhow::Result;
 use entire_core::model::Model;
@@ -13,34 +13,34 @@ use entire_steer::predict::{GroupKind, Inputs, load};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// Bytes walked over before each cold call: more than the first two cache levels hold.
+/// Bytes that are read before each cold call: more than the first two cache levels hold.
 const EVICTED_BYTES: usize = 16 << 20;
 
-/// Frames that are predicted.
+/// Number of predicted frames.
 const FRAMES: u64 = 200;
 
-/// How often they are.
+/// Rounds of measurement.
 const ROUNDS: usize = 5;
 
-/// Seconds of one prediction in one thread, scene features included. Once per volume and once per transfer
-/// function there is more to do; the latter is apart. What a transfer function does to a cell is found when a ray
-/// first meets the cell: that belongs to the transfer function where it is the first frame's, and to the prediction
-/// where the camera has turned since.
+/// Seconds of one prediction in one thread, scene features included. Work per volume is not included; work
+/// per transfer function is separate. The opacity of a cell is computed when a ray first meets it: that
+/// counts as work per transfer function in the first frame, and as part of the prediction when the camera has
+/// turned since.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Latency {
     /// Median with cold caches.
     pub cold: f64,
-    /// Median over calls in a row.
+    /// Median over consecutive calls.
     pub warm: f64,
-    /// Median for a new transfer function: what it takes at once, and what its first prediction takes beyond the
-    /// next one; 0 for models that do not look at the scene.
+    /// Median for a new transfer function: its immediate work, and the excess of its first prediction over
+    /// the next one; 0 for models that do not use the scene.
     pub transfer: f64,
 }
 
-/// Frames that share a transfer function, where its cost is spread over them.
+/// Number of frames per transfer function, over which its cost is spread.
 const FRAMES_PER_TRANSFER: f64 = 30.0;
 
-/// How far the camera turns from one frame to the next, degrees.
+/// Turn of the camera from one frame to the next, degrees.
 const TURN: f32 = 3.0;
 
 impl Latency {
@@ -68,7 +68,7 @@ struct Shot {
     lobes: Vec<GaussianLobe>,
 }
 
-/// Frames of one volume on which latencies are taken.
+/// Frames of one volume for measuring latencies.
 #[derive(Debug)]
 pub struct Bench {
     summary: VolumeSummary,
@@ -99,7 +99,7 @@ impl Bench {
         Ok(Self { summary, scenes, evicted: vec![1; EVICTED_BYTES / 8] })
     }
 
-    /// Latency of a model: the best of a few rounds, since others on the machine only ever add to it.
+    /// Latency of a model: the best of a few rounds, since other programs only ever add to it.
     ///
     /// # Errors
     /// When the model cannot be loaded or lacks an input.
@@ -121,11 +121,11 @@ impl Bench {
         })
     }
 
-    /// As [`Bench::latency`], of anything that predicts. `probe_side` where it looks at the scene, and how
-    /// many volume features it takes.
+    /// As [`Bench::latency`], for any predictor, with its `probe_side` if it uses the scene, and its number
+    /// of volume features.
     ///
     /// # Errors
-    /// What `predict` gives.
+    /// Latency of `predict`.
     pub fn latency_of(
         &mut self,
         probe_side: Option<usize>,

@@ -1,5 +1,5 @@
-//! Studies around `entire`: predictors and controllers judged beside others, what they are judged by, and the
-//! bars. Nothing here is published; the product is `entire-cli`.
+//! Studies around `entire`: comparisons of predictors and controllers, their references, and the bars.
+//! Nothing here is published; the product is `entire-cli`.
 
 pub mod bars;
 pub mod calibration;

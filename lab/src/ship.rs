@@ -1,4 +1,4 @@
-//! Shipping what a study made: model files with cards, judged as they are shipped.
+//! Shipping of a study's models: model files with cards, evaluated in their shipped form.
 
 use crate::study::{Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, Set, Ship, Study, clock, shipped};
 use anyhow::{Context, Result};
@@ -14,7 +14,7 @@ use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// How a shipped model did on a split.
+/// Errors of a shipped model on a split.
 struct Figures {
     split: String,
     tables: Vec<String>,

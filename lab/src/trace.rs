@@ -1,17 +1,16 @@
-//! Traces: what every frame of a path costs, and how its picture looks, at a grid of ray steps and image
-//! scales.
+//! Traces: time and picture quality of every frame of a path at a grid of ray steps and image scales.
 //!
-//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds: a
+//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds. A
 //! controller's step is answered by the frame's own curve over the step at full size, a decision on image
 //! resolution by its curve over image scales at the reference step, both times the noise that was measured at
-//! that very frame. The curve over the step without the noise is what an oracle knows.
+//! that very frame. An oracle knows the curve over the step without the noise.
 //!
 //! # File format
 //!
 //! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the volumes (file and enlargement), the path
-//! ([`entire_io::path`]), `hold` (frames per volume of a series; 0 where there is one volume), `scales`
-//! (image scale from a frame on), how frames were drawn, the grid, and per frame the seconds of every repeat
-//! at every step and scale beside the likeness to the picture at the reference step.
+//! ([`entire_io::path`]), `hold` (frames per volume of a series; 0 for a single volume), `scales` (image
+//! scale from a frame on), the draw settings, the grid, and per frame the seconds of every repeat at every
+//! step and scale, with the PSNR against the picture at the reference step.
 
 mod format;
 
@@ -34,22 +33,22 @@ use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
 use std::time::{Duration, Instant};
 
-/// Ray steps of the grid where none are given, reference steps: half octaves over the default limits.
+/// Default ray steps of the grid, reference steps: half octaves over the default limits.
 pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
 
 /// Smaller images of every frame at the reference step, as s for images with 1 / s of the pixels: the steps'
 /// half octaves, and on to image sample distance 10, the largest of VTK's fixed-point mapper.
 pub const TRACE_IMAGES: [f32; 11] = [1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0, 32.0, 64.0, 100.0];
 
-/// Image scales of every fourth frame, at the steps of [`SCALED_STEPS`]: they serve the quality model.
+/// Image scales of every fourth frame, at the steps of [`SCALED_STEPS`], for the quality law.
 pub const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
 
 /// Steps at which the images of [`TRACE_SCALES`] are drawn.
 pub const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
 
-// Beside the file's reader, which knows files alone.
+// Apart from the file's reader, which does not open volumes.
 impl TraceVolume {
-    /// Opens the volume, enlarged as it was drawn.
+    /// Opens the volume, enlarged as in the recording.
     ///
     /// # Errors
     /// When the file cannot be read or the enlarged volume does not fit.
@@ -59,7 +58,7 @@ impl TraceVolume {
     }
 }
 
-/// What a recording is told.
+/// Settings of a recording.
 #[derive(Clone, Debug)]
 pub struct Recording<'a> {
     /// A name for reports.
@@ -68,15 +67,15 @@ pub struct Recording<'a> {
     pub volumes: &'a [(TraceVolume, Volume)],
     /// The path.
     pub path: &'a PathFile,
-    /// Frames that each volume is shown for; 0 where there is one.
+    /// Frames per volume; 0 for a single volume.
     pub hold: u32,
-    /// From which frame on images have which scale.
+    /// Image scales, each from a frame on.
     pub scales: &'a [(u32, f32)],
-    /// How frames are drawn.
+    /// Settings of drawing.
     pub draw: DrawSettings,
-    /// Ray steps of the grid at scale 1, ascending; smaller images are drawn beside [`TRACE_STEPS`] alone.
+    /// Ray steps of the grid at scale 1, ascending; smaller images are drawn only with [`TRACE_STEPS`].
     pub steps: &'a [f32],
-    /// How often every point is drawn.
+    /// Renderings of every point.
     pub repeats: usize,
 }
 
@@ -121,7 +120,7 @@ impl Recording<'_> {
     }
 }
 
-/// True for volumes that are the same, by their files' content where both sides say what it was.
+/// True for the same volumes, by their files' content if both sides have it.
 fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
     let same = |(a, b): (&TraceVolume, &TraceVolume)| {
         let unknown = a.files.is_empty() || b.files.is_empty();
@@ -131,7 +130,7 @@ fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
 }
 
 impl Trace {
-    /// What of it differs from a recording, so that it cannot be gone on with; nothing where it can.
+    /// Differences from a recording that prevent its continuation; empty where there are none.
     pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
         let other = recording.begun();
         let points = |frame: &Vec<TracePoint>| frame.iter().map(|p| (p.step, p.scale)).collect::<Vec<_>>();
@@ -150,7 +149,7 @@ impl Trace {
         .collect()
     }
 
-    /// How frames were drawn.
+    /// Settings of drawing.
     ///
     /// # Errors
     /// When a mode is not known.
@@ -166,12 +165,12 @@ impl Trace {
         })
     }
 
-    /// Which volume a frame shows.
+    /// Volume of a frame.
     pub fn volume_at(&self, frame: usize) -> usize {
         volume_at(self.hold, self.volumes.len(), frame)
     }
 
-    /// A frame as the path has it, at the reference step.
+    /// A frame of the path at the reference step.
     ///
     /// # Errors
     /// When the core refuses a value.
@@ -180,10 +179,10 @@ impl Trace {
         drawn_frame(path, draw, scale, index)
     }
 
-    /// Volumes as files beside the trace's working folder, opened and summarized.
+    /// Summaries of the volumes, opened relative to the working folder.
     ///
     /// # Errors
-    /// When a file is not there.
+    /// When a file is missing.
     pub fn summaries(&self) -> Result<Vec<VolumeSummary>> {
         self.volumes
             .iter()
@@ -198,15 +197,15 @@ fn drawn_frame(path: &FlightPath, draw: &DrawSettings, scale: f32, index: usize)
     DrawSettings { width, height, ..*draw }.frame(camera)
 }
 
-/// Time after which what has been recorded is kept, so that no accident loses more.
+/// Interval between savings of a recording.
 const KEEP_EVERY: Duration = Duration::from_secs(5);
 
-/// Draws every frame of a path at every point of the grid, but for those that `begun` holds.
+/// Draws every frame of a path at every point of the grid, except those that `begun` holds.
 ///
-/// `keep` is given the trace every few seconds and at the end. The trace is not complete when `stop` said so.
+/// `keep` gets the trace every few seconds and at the end. The trace is incomplete if `stop` returned true.
 ///
 /// # Errors
-/// When the renderer fails; names the frame. What was recorded before has been kept.
+/// When the renderer fails; names the frame. Earlier frames have been saved.
 pub fn record(
     recording: &Recording<'_>,
     renderer: &mut dyn Renderer,
@@ -271,7 +270,7 @@ fn record_on(
         let mut seconds = vec![Vec::with_capacity(recording.repeats); grid.len()];
         let mut looks = vec![(0.0, 0.0); grid.len()];
         let mut reference: Option<Image> = None;
-        // Repeats are whole rounds over the grid, so that a disturbance does not hit one point alone.
+        // Repeats are whole rounds over the grid, so that a disturbance does not affect one point only.
         for round in 0..recording.repeats {
             for (k, &(step, scale)) in grid.iter().enumerate() {
                 let (width, height) = scaled_size(full, scale);
@@ -308,9 +307,9 @@ fn record_on(
     Ok(())
 }
 
-/// A frame's cost and likeness as functions of the ray step or of image resolution, and its noise.
+/// Time and picture quality of a frame as functions of the ray step or of image resolution, and its noise.
 ///
-/// Image resolution is s, for images with 1 / s of the pixels; what is said of steps here is said of s as well.
+/// Image resolution is s, for images with 1 / s of the pixels; statements about steps hold for s as well.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
     /// ln(step), ln(seconds), psnr, ssim; seconds never rise with the step.
@@ -320,13 +319,13 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Of a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with the
-    /// step by pooling neighbors that do not.
+    /// From a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with
+    /// the step by pooling neighbors that do not.
     pub fn of(points: &[TracePoint]) -> Self {
         Self::over(points.iter().filter(|p| p.scale == 1.0).map(|p| (f64::from(p.step), p)).collect())
     }
 
-    /// Over image resolution, of a frame's points at the reference step; `None` without smaller images.
+    /// Over image resolution, from a frame's points at the reference step; `None` without smaller images.
     pub fn of_images(points: &[TracePoint]) -> Option<Self> {
         let mut images: Vec<(f64, &TracePoint)> = points
             .iter()
@@ -337,7 +336,7 @@ impl Curve {
         (images.len() >= 2 && images[0].0 == 1.0).then(|| Self::over(images))
     }
 
-    /// Of points with their steps, ascending.
+    /// From points with their steps, ascending.
     fn over(points: Vec<(f64, &TracePoint)>) -> Self {
         let logs: Vec<f64> =
             points.iter().map(|(_, p)| median(&mut p.seconds.clone()).unwrap_or(f64::NAN).ln()).collect();
@@ -362,7 +361,7 @@ impl Curve {
         Self { points, residuals }
     }
 
-    /// The coarsest step that was recorded.
+    /// The coarsest recorded step.
     pub fn coarsest(&self) -> f64 {
         self.points.last().map_or(1.0, |p| p[0].exp())
     }
@@ -395,12 +394,12 @@ impl Curve {
         self.at(step, 3)
     }
 
-    /// Noise that was measured at this frame, in ln(seconds); `which` picks one.
+    /// Measured noise of this frame, in ln(seconds); `which` selects one.
     pub fn noise(&self, which: u64) -> f64 {
         self.residuals[(which % self.residuals.len() as u64) as usize]
     }
 
-    /// What an oracle does: the finest step within the limits whose seconds do not exceed the target; the
+    /// Choice of an oracle: the finest step within the limits whose seconds do not exceed the target; the
     /// coarsest where none does.
     pub fn oracle(&self, target: f64, finest: f64, coarsest: f64) -> f64 {
         if self.seconds(finest) <= target {
@@ -417,7 +416,7 @@ impl Curve {
         high.exp()
     }
 
-    /// Whether the target lies between what the limits' steps take.
+    /// True if the target lies between the times of the limits' steps.
     pub fn reaches(&self, target: f64, finest: f64, coarsest: f64) -> bool {
         (self.seconds(coarsest)..=self.seconds(finest)).contains(&target)
     }
@@ -457,7 +456,7 @@ mod tests {
         assert_eq!(c.residuals.len(), 4);
         assert!((c.noise(2) - 0.9f64.ln()).abs() < 1e-9 && c.noise(6) == c.noise(2));
         assert!((c.psnr(2.0) - 48.0).abs() < 1e-9);
-        // A rise is pooled away.
+        // Pooling removes a rise.
         let c = Curve::of(&[point(1.0, &[2.0]), point(2.0, &[4.0]), point(4.0, &[1.0])]);
         assert!((c.seconds(1.0) - 8f64.sqrt()).abs() < 1e-9 && c.seconds(1.0) == c.seconds(2.0));
     }
@@ -473,7 +472,7 @@ mod tests {
             TracePoint { step: 2.0, ..image(0.7, 1.5) },
         ];
         let c = Curve::of_images(&frame).unwrap();
-        // A fourth and a hundredth of the pixels; s between points as steps are.
+        // A fourth and a hundredth of the pixels; s is interpolated between points like a step.
         assert!((c.seconds(4.0) - 1.0).abs() < 1e-9 && (c.seconds(2.0) - 2.0).abs() < 1e-9);
         assert!((c.coarsest() - 100.0).abs() < 1e-4 && (c.seconds(400.0) - 0.2).abs() < 1e-9);
         assert!((c.ssim(4.0) - 0.5).abs() < 1e-9 && (c.ssim(1.0) - 1.0).abs() < 1e-9);

@@ -1,5 +1,5 @@
-//! Gradient-boosted trees of a library, as a yardstick in studies: they are in no model file and predict in
-//! no renderer.
+//! Gradient-boosted trees of a library, as a reference in studies: no model file holds them and no renderer
+//! uses them.
 
 use anyhow::{Result, anyhow, ensure};
 use entire_core::model::Model;
@@ -12,16 +12,16 @@ use forust_ml::objective::ObjectiveType;
 use forust_ml::{GradientBooster, Matrix};
 use indicatif::ProgressBar;
 
-/// Trees at most.
+/// Maximum number of trees.
 const TREES: usize = 1500;
 
-/// Share of a tree that counts.
+/// Learning rate: the share of each tree that is added.
 const LEARNING_RATE: f32 = 0.05;
 
 /// Trees without a better validation error after which growing stops.
 const PATIENCE: usize = 60;
 
-/// Trees on ln seconds, or, of recipes of kind residual, on what an analytic model leaves of it.
+/// Trees on ln seconds or, for residual recipes, on the residual of an analytic model.
 pub struct Trees {
     layout: Layout,
     analytic: Option<Model>,
@@ -38,7 +38,7 @@ impl std::fmt::Debug for Trees {
 }
 
 impl Trees {
-    /// Grows trees on a recipe's inputs; validation frames, where there are any, decide how many.
+    /// Grows trees on a recipe's inputs; validation frames, if there are any, determine their number.
     ///
     /// # Errors
     /// When inputs cannot be computed, or the library refuses them.
@@ -121,13 +121,13 @@ impl Trees {
         self.layout.probe_side()
     }
 
-    /// How many trees there are.
+    /// Number of trees.
     pub fn count(&self) -> usize {
         self.booster.prediction_iteration.unwrap_or(self.booster.trees.len())
     }
 }
 
-/// Rows laid down column after column.
+/// Rows rearranged column by column.
 fn by_columns(rows: &[f32], width: usize) -> Vec<f64> {
     let count = rows.len() / width;
     let mut out = vec![0.0; rows.len()];

@@ -1,6 +1,6 @@
-//! `entire-lab gpu-study` as a process, on the Vulkan driver that is there or else on the CPU twin: pictures of all
-//! shading modes beside the twin's, steps that have no time are left out by name, what is done is kept, and the same
-//! command goes on.
+//! `entire-lab gpu-study` as a process, on a Vulkan driver or else on the CPU version: pictures of all
+//! shading modes are compared, steps without time are skipped and named, finished steps are kept, and the
+//! same command continues.
 
 use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
@@ -14,8 +14,8 @@ fn entire() -> Option<PathBuf> {
     path.is_file().then_some(path)
 }
 
-/// Who renders and which clock counts, as options: the study's own, the Vulkan device by its time stamps, where there
-/// are both; wall time where the device has no time stamps, and the CPU twin where there is no device.
+/// Renderer and clock, as options: the study's own, the Vulkan device by its time stamps, if there are both;
+/// wall time if the device has no time stamps, and the CPU version if there is no device.
 fn setting() -> [&'static str; 4] {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => {
@@ -60,7 +60,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     let ended = |name: &str, text: &str| {
         assert!(matches!(state(name).as_deref(), Some("done" | "cut-short")), "{name}: {text}");
     };
-    // Far too little time: what was not begun is named, and the page is there.
+    // Far too little time: skipped steps are named, and the page exists.
     let (code, text) = study("1", &[]);
     assert_eq!(code, Some(1), "{text}");
     assert_eq!(state("pictures").as_deref(), Some("done"), "{text}");
@@ -68,7 +68,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     assert!(text.contains("bar gpu-study-steps-missing") && text.contains("short"), "{text}");
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("left out") && page.contains("Pictures"), "{page}");
-    // Every mode's pictures are those of the twin.
+    // Every mode's pictures agree with the CPU version's.
     let bar = text.lines().find(|l| l.starts_with("bar gpu-study-picture-difference-of-255"));
     assert!(bar.is_some_and(|l| l.ends_with(" ok")), "{text}");
     let pictures = json("pictures.json");
@@ -77,13 +77,14 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     assert_eq!(modes, BTreeSet::from(["none", "local", "scatter"]));
     let drawn = || std::fs::metadata(out.join("pictures.json")).unwrap().modified().unwrap();
     let first = drawn();
-    // With time enough one mode is done, and what was done stays. Modes that are not asked for stay as they were.
+    // With enough time one mode is finished, and finished steps stay. Modes that are not selected stay
+    // unchanged.
     let (code, text) = study("600", &["--shade", "none"]);
     for step in ["calibrate-none", "frames-none", "evaluate-frames-none", "switches"] {
         ended(step, &text);
     }
     assert_eq!((code, state("calibrate-scatter").as_deref()), (Some(1), Some("left-out")), "{text}");
-    // The same command goes on with the other modes.
+    // The same command continues with the other modes.
     let (_, text) = study("600", &[]);
     for mode in ["none", "local", "scatter"] {
         for step in ["calibrate", "frames", "evaluate-frames"] {
@@ -100,7 +101,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     Ok(())
 }
 
-// Ignored, rather than passed, where the command is not there.
+// Ignored, rather than passed, if the command does not exist.
 fn main() {
     let arguments = Arguments::from_args();
     let missing = entire().is_none();

@@ -1,4 +1,4 @@
-"""Draws middle slices of volumes above those that VolumeNet makes of their features, as one PNG.
+"""Draws middle slices of volumes above VolumeNet's reconstructions of them, as one PNG.
 
     python reconstruct.py --model ../../out/volumenet-128f2.safetensors --out slices.png VOLUME.nrrd ...
 """

@@ -1,4 +1,4 @@
-"""Trains VolumeNet for every input size and feature length asked for, and draws what each is worth.
+"""Trains VolumeNet for every requested input size and feature length, and draws the results.
 
     python sweep.py                                              # 64^3, F = 2, 4, 8, 16, 32, the volumes in ../../data
     python sweep.py --sizes 64,128 --features 2,8 --data PATH --epochs 60 --val-members A/m04 --test-members A/m05
@@ -35,7 +35,7 @@ def numbers(text: str) -> list[int]:
 
 
 def train(size: int, features: int, args: argparse.Namespace, rest: list[str]) -> dict:
-    """The record that train_volumenet.py writes beside the model; trains unless it is there."""
+    """The record that train_volumenet.py writes beside the model; trains unless it exists."""
     out = args.out / f"volumenet-{size}f{features}.safetensors"
     record = out.with_suffix(".json")
     if not record.exists():

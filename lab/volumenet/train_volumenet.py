@@ -82,7 +82,7 @@ def options() -> argparse.Namespace:
 
 
 def split(files: list[VolumeFile], args: argparse.Namespace) -> dict[str, list[VolumeFile]]:
-    """Training, validation and test volumes; a member is torn apart only where --split volume or --parts asks for it."""
+    """Training, validation and test volumes; a member is split only with --split volume or --parts."""
     if args.parts:
         if args.test_members or args.val_members:
             sys.exit("--val-members and --test-members do not go with --parts")

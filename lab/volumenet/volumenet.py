@@ -146,7 +146,7 @@ def read_volume(path: Path, scalar_range: tuple[float, float] | None = None) -> 
 
 
 def network_input(path: Path, size: int, scalar_range: tuple[float, float] | None = None) -> torch.Tensor:
-    """A volume file as the network takes it: (1, size, size, size) float32 in [-1, 1]."""
+    """A volume file in the form of the network's input: (1, size, size, size) float32 in [-1, 1]."""
     return torch.from_numpy((resample(read_volume(path, scalar_range), size) * 2.0 - 1.0).astype(np.float32))[None]
 
 
@@ -198,7 +198,7 @@ def load_model(path: Path, dtype: torch.dtype = torch.float32) -> VolumeNet:
 
 @dataclass(frozen=True)
 class VolumeFile:
-    """A volume on disk and where it belongs: `dataset/member`, from the folders that it lies in."""
+    """A volume on disk with its `dataset/member`, from its folders."""
 
     path: Path
     dataset: str

@@ -10,7 +10,7 @@ rm -rf "$results" && mkdir -p "$results"
 script=plugins/paraview/python/check.py
 failed=0
 
-# run NAME COMMAND...: the check must say that it passed.
+# run NAME COMMAND...: runs a check, whose output must say that it passed.
 run() {
     local name=$1
     shift
@@ -49,7 +49,8 @@ if command -v mpirun >/dev/null; then
 else
     skip "test-paraview, two ranks and pvserver" "the program mpirun is not installed (it is in openmpi-bin)"
 fi
-# The whole output is read before it is searched: a reader that leaves early ends nm with SIGPIPE, which pipefail reports.
+# The whole output is read before it is searched: a reader that ends early stops nm with SIGPIPE, which pipefail
+# reports.
 if ! symbols=$(nm -DC "$ENTIRE_PLUGIN"); then
     echo "FAILED gui: nm cannot list the symbols of $ENTIRE_PLUGIN"
     failed=1

@@ -43,7 +43,7 @@ else
             dpkg -x python3-paraview_*.deb . && rm -f python3-paraview_*.deb) ||
             lacks "python3-paraview is neither installed nor to be fetched (set PARAVIEW_PYTHON)"
     fi
-    # ParaView's CMake package insists on its Python modules: a prefix of links in which they are.
+    # ParaView's CMake package requires its Python modules: a prefix of links that contains them.
     prefix=$out/prefix
     if [[ ! -e $prefix/lib/$arch/cmake ]]; then
         rm -rf "$prefix" && mkdir -p "$prefix/lib/$arch/cmake"

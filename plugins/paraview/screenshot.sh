@@ -13,7 +13,7 @@ client=$!
 trap 'kill $client 2>/dev/null || true' EXIT
 for _ in $(seq 120); do grep -q "^shown" "$results/log" && break; sleep 1; done
 sleep 5
-# The welcome window, where it is there.
+# The welcome window, if there is one.
 xdotool search --name "Welcome to ParaView" key Escape 2>/dev/null || true
 sleep 2
 xdotool mousemove "${BOX_X:-872}" "${BOX_Y:-182}" click 1

@@ -38,8 +38,8 @@ command -v "$python" >/dev/null || lacks "$python is not installed (apt-get inst
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))' || lacks "$python is older than 3.9"
 "$python" -c 'import ensurepip, venv' 2>/dev/null || lacks "Python's venv is not installed (apt-get install python3-venv)"
 
-# environment NAME: a virtual environment with exactly the packages of requirements-NAME.txt, made once per list. Fails, and
-# leaves the reason in `why`, where they cannot be installed.
+# environment NAME: a virtual environment with exactly the packages of requirements-NAME.txt, made once per list. Fails,
+# with the reason in `why`, if they cannot be installed.
 environment() {
     local folder=$out/$1 list=$here/requirements-$1.txt
     cmp -s "$list" "$folder/made-from" && return
@@ -83,7 +83,7 @@ needs_display() {
     command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
 }
 
-# tests NAME ARGUMENT...: pytest in an environment; what it skips is part of the list of what did not run.
+# tests NAME ARGUMENT...: pytest in an environment; its skips are added to the list of skipped tests.
 tests() {
     local name=$1
     shift
@@ -97,7 +97,7 @@ tests() {
     run_pytest "$name" "$out/$name/bin/python" -m pytest "$@"
 }
 
-# The tests in windows of Qt, which ends a process whose window it cannot open.
+# The tests in windows of Qt, which ends a process if it cannot open a window.
 qt_tests() {
     local libraries="libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-xinerama0
         libxkbcommon-x11-0 libegl1 libdbus-1-3"
@@ -154,7 +154,7 @@ case $what in
                         tests test --ignore tests/test_qt.py "$@"
                         continue
                     fi
-                    # In a process of their own: after them, making a window has crashed inside Mesa's GLX (22.3).
+                    # In a separate process: after them, making a window has crashed inside Mesa's GLX (22.3).
                     tests test tests/test_integrations.py
                     tests test --ignore tests/test_qt.py --ignore tests/test_integrations.py
                     ;;
@@ -168,7 +168,7 @@ case $what in
     bars)
         needs_display
         wheel
-        # The C call that arrays are compared with.
+        # The C call for the comparison with arrays.
         "${CARGO:-cargo}" build --release --quiet --package entire-ffi
         installed test || lacks "$why"
         display "$out/test/bin/python" $here/bars/bars.py --wheels out/wheels --out out/python \

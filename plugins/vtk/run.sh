@@ -6,8 +6,8 @@
 #   plugins/vtk/run.sh test [--full]
 #   plugins/vtk/run.sh exec COMMAND...
 #
-# test leaves out what is marked `long` in Testing/CMakeLists.txt unless --full is given. asan builds adapter and tests with
-# AddressSanitizer and runs the tests of re-entrant events.
+# test leaves out tests that are marked `long` in Testing/CMakeLists.txt unless --full is given. asan builds adapter and
+# tests with AddressSanitizer and runs the tests of re-entrant events.
 #
 # ENTIRE_SDK   the folder of an installed libentire (default: that of `make install` is built into target/sdk)
 # VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
@@ -66,7 +66,7 @@ case $what in
         ;;
     asan)
         build "$out/asan" -DENTIRE_SANITIZE=address -DENTIRE_PYTHON=OFF -DCMAKE_BUILD_TYPE=RelWithDebInfo
-        # Leaks of OpenGL's and VTK's own do not count here; the tests under valgrind look for those of the adapter.
+        # Leaks of OpenGL and VTK do not count here; the tests under valgrind find those of the adapter.
         ASAN_OPTIONS=detect_leaks=0:abort_on_error=0:exitcode=99 display ctest --test-dir "$out/asan" \
             --label-regex reentry --output-on-failure
         ;;

@@ -9,7 +9,7 @@ use entire_io::files::write_whole;
 use entire_vk_raycaster::Image;
 use std::path::Path;
 
-/// A page under construction: a title, then whatever is added, in order.
+/// A page: a title, then the added blocks, in order.
 #[derive(Clone, Debug, Template)]
 #[template(path = "page.html")]
 pub struct Page {
@@ -18,7 +18,7 @@ pub struct Page {
     blocks: Vec<Block>,
 }
 
-/// A piece of a page. Texts are plain; the template escapes them.
+/// A block of a page. Texts are plain; the template escapes them.
 #[derive(Clone, Debug)]
 enum Block {
     Heading(String),
@@ -71,7 +71,7 @@ impl Page {
         self.blocks.push(Block::Pictures(encoded));
     }
 
-    /// Adds name and value pairs: where the numbers come from.
+    /// Adds name and value pairs of the provenance.
     pub fn facts<'a>(&mut self, facts: impl IntoIterator<Item = (&'a str, String)>) {
         let facts = facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
         self.blocks.push(Block::Facts(facts));
@@ -91,7 +91,7 @@ impl Page {
     }
 }
 
-/// Encodes a rendered image as PNG. The pixels are premultiplied over black; written opaque, as they look.
+/// Encodes a rendered image as PNG. The pixels are premultiplied over black, so they are written as opaque.
 ///
 /// # Errors
 /// When the buffer does not fit the size.

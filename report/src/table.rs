@@ -3,7 +3,7 @@
 use askama::Template;
 use std::fmt::Write as _;
 
-/// Where a column's texts stand.
+/// Alignment of a column's texts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Align {
     /// Texts.
@@ -35,7 +35,7 @@ impl Column {
     }
 }
 
-/// A cell: its text, and whether it is the best of its column.
+/// A cell: its text, and true if it is the best of its column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cell {
     text: String,
@@ -54,7 +54,7 @@ impl From<&str> for Cell {
     }
 }
 
-/// A dash where there is nothing to say.
+/// A dash for a missing value.
 impl<T: Into<Self>> From<Option<T>> for Cell {
     fn from(value: Option<T>) -> Self {
         value.map_or_else(|| "-".into(), Into::into)
@@ -90,7 +90,7 @@ impl Table {
     }
 
     /// Marks the best cell of a numeric column (several where equal): the lowest value, or the highest.
-    /// `values` has one entry per row; those that are not finite take no part.
+    /// `values` has one entry per row; values that are not finite are ignored.
     pub fn mark_best(&mut self, column: usize, values: &[f64], lowest: bool) {
         let sign = if lowest { 1.0 } else { -1.0 };
         let best = values.iter().filter(|v| v.is_finite()).map(|v| v * sign).fold(f64::INFINITY, f64::min);

@@ -58,7 +58,7 @@ void *aligned_alloc(size_t alignment, size_t size) {
     return fails(size) ? NULL : __libc_memalign(alignment, size);
 }
 
-/* A volume that is larger than anything the library needs for itself. */
+/* A volume that is larger than any other allocation of the library. */
 enum { SIDE = 64, LARGE = SIDE * SIDE * SIDE, ROWS = 100000, COLUMNS = 11 };
 
 static uint8_t *model_bytes;
@@ -125,7 +125,7 @@ static entire_result set_volume(void) {
     return entire_session_set_volume(session, volume);
 }
 
-/* The next time steps of a volume, and a session that follows. */
+/* The next time steps of a volume, and a session that follows them. */
 static entire_result update_volume(void) {
     entire_volume_desc desc;
     entire_volume *made = NULL;
@@ -206,8 +206,8 @@ static entire_result plan_and_observe(void) {
     return result == ENTIRE_OK ? observe() : result;
 }
 
-/* Handles that are kept while the system has no memory at all: they are made until the reserve is half held, then
- * refused; once freed, there is room again. */
+/* Handles while the system has no memory at all: they are made until the reserve is half held, then refused; after some
+ * are freed, they can be made again. */
 static entire_result fill_the_reserve(void) {
     enum { MOST = 10000 };
     static entire_transfer_function *held[MOST];
@@ -229,7 +229,7 @@ static const struct {
     entire_result (*call)(void);
     /* Allocates nothing. */
     int hot;
-    /* Bytes from which on every request fails: the declared size answers ENTIRE_OUT_OF_MEMORY. 0: no such size. */
+    /* Size from which on every request fails: the declared size returns ENTIRE_OUT_OF_MEMORY. 0: no such size. */
     size_t declared;
 } calls[] = {
     {"entire_model_predict", predict, 1, 0},
@@ -253,7 +253,7 @@ static const struct {
     {"a refused call", refused, 0, 0},
 };
 
-/* How a child ended in which the n-th request, or those from a size on, failed. */
+/* End of a child in which the n-th request, or those from a size on, failed. */
 enum ending { DONE, ANSWERED };
 
 static enum ending in_child(entire_result (*call)(void), long n, size_t from, long *made, entire_result *answer) {
@@ -298,7 +298,7 @@ int main(int argc, char **argv) {
     session = toy_session(NULL);
     trained = toy_session(model);
     frame = toy_frame();
-    /* What is made at first use is there. */
+    /* Objects that are made at first use exist. */
     OK(plan_and_observe());
     OK(encode());
     OK(predict_batch());
@@ -313,9 +313,9 @@ int main(int argc, char **argv) {
             CHECK(in_child(calls[c].call, 0, calls[c].declared, &unused, &answer) == ANSWERED);
             CHECK(answer == ENTIRE_OUT_OF_MEMORY);
         }
-        /* All of them at once: what the reserve cannot serve is answered. */
+        /* All requests fail at once: those that the reserve cannot serve are reported. */
         if (in_child(calls[c].call, 0, 1, &unused, &answer) == ANSWERED) CHECK(answer == ENTIRE_OUT_OF_MEMORY);
-        /* One after the other, or a spread of 200 where there are more. */
+        /* Each request in turn, or an even choice of 200 if there are more. */
         const long stride = made / 200 + 1;
         for (long n = 1; n <= made; n += stride) {
             if (in_child(calls[c].call, n, 0, &unused, &answer) == DONE) {

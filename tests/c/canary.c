@@ -1,4 +1,4 @@
-/* Two mistakes that a sanitizer must see; tests/c/run.sh fails when it does not. */
+/* Two deliberate errors that a sanitizer must find; tests/c/run.sh fails if it does not. */
 #include "check.h"
 
 int main(void) {

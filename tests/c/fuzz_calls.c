@@ -32,7 +32,7 @@ static float uniform(float low, float high) {
     return low + (high - low) * (float)(bits() >> 40) / (float)(1 << 24);
 }
 
-/* Mostly in the range, sometimes anything that a float can be. */
+/* Mostly in the range, sometimes any float. */
 static float number(float low, float high) {
     static const float odd[] = {0, -1, 1e-30f, 1e30f, -1e30f, 3.4e38f, INFINITY, -INFINITY, NAN, -0.0f};
     if (one_in(12)) return odd[below(sizeof odd / sizeof odd[0])];
@@ -61,7 +61,7 @@ static size_t any_size(void) {
     return one_in(3) ? below(2) : any;
 }
 
-/* For counts that the library may read as far as: never more than there is. */
+/* For counts up to which the library may read: never more than the array has. */
 static size_t count_within(size_t there) {
     return one_in(6) ? below(there + 1) : there;
 }
@@ -81,7 +81,7 @@ static entire_transfer_function *tfs[SLOTS];
 static entire_session *sessions[SLOTS];
 static uint64_t failures[128], successes;
 
-/* The first slot most of the time: it holds what most sequences start with. */
+/* Mostly the first slot, which holds the start of most sequences. */
 #define PICK(pool) (one_in(40) ? NULL : (pool)[one_in(6) ? below(SLOTS) : 0])
 
 static entire_result note(entire_result result) {
@@ -413,7 +413,7 @@ int main(int argc, char **argv) {
     for (long i = 0; i < sequences; ++i) {
         state = (seed + 1) * 0x9e3779b97f4a7c15u + (uint64_t)i * 0xbf58476d1ce4e5b9u + 1;
         for (int k = 0; k < 4; ++k) bits();
-        /* Most sequences start from a scene that works, so that most of the library is reached. */
+        /* Most sequences start from a valid scene, so that most of the library is reached. */
         if (!one_in(8)) {
             OK(entire_model_from_bytes(model_bytes, model_size, &models[0]));
             volumes[0] = toy_volume();

@@ -32,7 +32,7 @@ int main(int argc, char **argv) {
     entire_transfer_function *made_tf = NULL;
     entire_session *made_session = NULL;
 
-    /* Nothing to be NULL. */
+    /* No pointer arguments. */
     entire_version();
     entire_version_number();
     entire_abi_version();

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tests the installed C library: from C and C++, with sanitizers that are proven to be in, under valgrind, and against the
-# Rust crate. `make test-ffi`.
+# Tests the installed C library: from C and C++, with verified sanitizers, under valgrind, and against the Rust crate.
+# `make test-ffi`.
 #
 #   tests/c/run.sh             one compiler and language standard; the sanitizers on 10^4 call sequences
 #   tests/c/run.sh --full      also C++20, clang, 10^5 call sequences, every program under valgrind
@@ -54,7 +54,7 @@ lib=$stage/lib/libentire.so
 say "symbols, SONAME, pkg-config"
 nm -D --defined-only "$lib" | awk '{print $3}' | sort >"$work/exported"
 grep -o '\bentire_[a-z0-9_]*(' include/entire/entire.h | grep -v '^entire_[a-z_]*_callback' | tr -d '(' | sort -u >"$work/candidates"
-# A declaration starts at the margin; mentions in comments do not count.
+# A declaration starts in the first column; mentions in comments do not count.
 sed -e 's|/\*.*\*/||' -e '/^ *\*/d' -e '/^ *\/\*/d' include/entire/entire.h | tr '\n' ' ' \
     | grep -o '\bentire_[a-z0-9_]* *(' | tr -d ' (' | sort -u >"$work/declared"
 diff "$work/declared" "$work/exported" || fail "declared (<) and exported (>) functions differ"
@@ -66,7 +66,7 @@ soname=$(readelf -d "$lib" | sed -n 's/.*SONAME.*\[\(.*\)\]/\1/p')
 [[ $(readlink -f "$stage/lib/$soname") == "$(readlink -f "$lib")" ]] || fail "SONAME $soname is no file of the package"
 ok "$(wc -l <"$work/exported") exported functions, all declared, all prefixed, all tested with NULL; SONAME $soname"
 if have pkg-config; then
-    # For these alone: crates that ask pkg-config would be built anew.
+    # Only for these: crates that use pkg-config would be built again.
     of_package() { PKG_CONFIG_PATH=$stage/lib/pkgconfig pkg-config "$@" entire; }
     read -ra flags <<<"$(of_package --cflags --libs)"
     "${CC:-cc}" -std=c11 examples/c/01_predict.c "${flags[@]}" -Wl,-rpath,"$stage/lib" -o "$work/by_pkg_config"
@@ -89,7 +89,7 @@ for file in examples/c/*.c examples/cpp/*.cpp; do
 done
 ok "examples: built by find_package, each under 80 lines"
 
-# The whole suite with one compiler, then what differs with the others.
+# The whole suite with one compiler, then the differing parts with the others.
 configure_and_test gcc-c++17 "$stage" -DCMAKE_C_COMPILER=gcc -DCMAKE_CXX_COMPILER=g++ -DCMAKE_BUILD_TYPE=RelWithDebInfo
 
 if [[ $full ]]; then
@@ -124,7 +124,7 @@ ok "parity of Rust and C; the C log is read as a timing table"
 
 if [[ -n ${ENTIRE_SDK:-} ]]; then
     say "panic boundary (a library built with test-panic)"
-    # Into the gate's own build, of which this library alone is made anew.
+    # Into the gate's own build, of which only this library is built again.
     $cargo build --quiet --workspace --features entire-cli/explore,entire-ffi/test-panic --all-targets
     ffi/package/install.sh --profile dev --no-build --prefix "$work/stage-panic" >/dev/null
     ctest_options="-R panic_boundary" configure_and_test panic "$work/stage-panic" -DENTIRE_TEST_PANIC=ON
@@ -136,7 +136,7 @@ ctest_options="-E constant_memory" configure_and_test asan "$stage" -DCMAKE_BUIL
     -DCMAKE_C_COMPILER=gcc -DCMAKE_CXX_COMPILER=g++ \
     -DCMAKE_C_FLAGS="-fsanitize=$sanitize -fno-sanitize-recover=all" \
     -DCMAKE_CXX_FLAGS="-fsanitize=$sanitize -fno-sanitize-recover=all"
-# The sanitizers are in every program, and they see what they should: a leak of the library's, a write past a buffer.
+# The sanitizers are in every program, and find what they should: a leak in the library, a write beyond a buffer.
 for program in "$work"/asan/test_* "$work"/asan/fuzz_calls "$work"/asan/null_args; do
     holds "$program" __asan_init || fail "$program has no address sanitizer"
     holds "$program" __ubsan_ || fail "$program has no undefined-behavior sanitizer"

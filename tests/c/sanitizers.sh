@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# The library's Rust code under the address sanitizer and the thread sanitizer, driven by the C tests, and its 32-bit build
-# (`scripts/miri.sh` has Miri). Needs a nightly toolchain with rust-src; says what is missing. `make test-sanitizers`.
+# The library's Rust code under the address sanitizer and the thread sanitizer, driven by the C tests, and its 32-bit
+# build (`scripts/miri.sh` has Miri). Needs a nightly toolchain with rust-src; names missing parts. `make
+# test-sanitizers`.
 #
 #   tests/c/sanitizers.sh [address] [thread] [32bit]      default: all
 #
@@ -34,7 +35,7 @@ component() { # component NAME: whether nightly has it; tries to install it
 }
 
 build_library() { # of `sanitized`, whose variables it reads
-    # Lightly optimized: the reports are the same, and the build is done sooner.
+    # Lightly optimized: the reports are the same, and the build is faster.
     RUSTFLAGS="-Zsanitizer=$name -Cforce-frame-pointers=yes" CARGO_TARGET_DIR=$out \
         CARGO_PROFILE_DEV_OPT_LEVEL=1 CARGO_PROFILE_DEV_DEBUG=line-tables-only \
         timeout "$seconds" cargo +nightly build --quiet "${build_std[@]}" --target "$host" --package entire-ffi --lib \
@@ -60,7 +61,7 @@ sanitized() { # sanitized NAME FLAG
         skip test-sanitizers "$name sanitizer: the build took over $seconds s (SANITIZER_SECONDS); what is built is kept for the next run"
         return 1
     elif ((status != 0 && ${#build_std[@]})) && grep -q 'no matching package\|failed to download\|unable to update' "$work/build.log"; then
-        # The standard library's own crates are not at hand.
+        # The standard library's own crates are not available.
         if [[ $name == thread ]]; then
             skip test-sanitizers "thread sanitizer: the standard library's crates cannot be fetched (-Zbuild-std)"
             return 1

@@ -8,7 +8,7 @@ _Static_assert(ENTIRE_OK == 0 && ENTIRE_INVALID_ARGUMENT == 1 && ENTIRE_SIZE_MIS
                "result numbers never change");
 _Static_assert(ENTIRE_STRIDE_CONTIGUOUS == SIZE_MAX, "the library takes it for SIZE_MAX");
 
-/* The layouts of ABI 1 on 64-bit targets, as C sees them. */
+/* The layouts of ABI 1 on 64-bit targets, in C. */
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_model_info) == 56, "entire_model_info");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_input_group) == 32, "entire_input_group");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_desc) == 104, "entire_volume_desc");
@@ -100,7 +100,7 @@ static void struct_sizes(void) {
         frame.struct_size = bad[i];
         EXPECT(ENTIRE_STRUCT_SIZE, entire_session_plan(session, &frame, 0.02f, &plan));
     }
-    /* An output struct of a newer caller is filled as far as the library knows it. */
+    /* An output struct of a newer caller is filled up to the fields that the library knows. */
     struct {
         entire_plan plan;
         uint64_t later_field;

@@ -1,4 +1,4 @@
-/* What a caller declares is refused before it is allocated or scanned; what a model answers that is no frame time is
+/* Declared sizes of a caller are refused before anything is allocated or scanned; a model's answer that is no frame time is
  * never ENTIRE_OK. */
 #include "check.h"
 #include <math.h>
@@ -19,7 +19,7 @@ static void volume_sizes(void) {
             for (int a = 0; a < 3; ++a) desc.dims[a] = sides[i], desc.strides[a] = 0;
             EXPECT(ENTIRE_SIZE_MISMATCH, entire_volume_new(&desc, &none));
             SAYS(sides[i] > ENTIRE_MAX_SIDE ? "ENTIRE_MAX_SIDE" : "ENTIRE_MAX_REPEATED_VOXELS");
-            /* One long axis alone. */
+            /* Only one long axis. */
             desc.dims[1] = desc.dims[2] = 1;
             const entire_result alone = entire_volume_new(&desc, &none);
             CHECK(alone == (sides[i] > ENTIRE_MAX_SIDE ? ENTIRE_SIZE_MISMATCH : ENTIRE_OK));
@@ -68,7 +68,7 @@ static void brick_sizes(void) {
     CHECK(volume == NULL);
 }
 
-/* Counts that are refused before the array behind them is looked at: there is one element each. */
+/* Counts that are refused before their array is read: it has one element. */
 static void counts(const char *path) {
     const double second = 1;
     size_t node = 7;
@@ -146,7 +146,7 @@ static entire_model *with_tensor(const char *path, const char *tensor, float val
     return model;
 }
 
-/* Whatever a model answers: what comes back with ENTIRE_OK is a frame time, or said to be absent. */
+/* Whatever a model answers, a result with ENTIRE_OK is a frame time, or marked absent. */
 static long answers(const entire_model *model) {
     enum { COLUMNS = 11, ROWS = 7 };
     long refused = 0;

@@ -159,7 +159,7 @@ static void hostile_files(const char *path) {
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_model_open("\xc3\x28", &model));
     CHECK(model == NULL);
 
-    /* A file without networks for the call. */
+    /* A file without the networks that the call needs. */
     OK(altered(path, "\"prednet.", "\"predmet.", &model));
     entire_session *session = NULL;
     float seconds = 0;
@@ -179,7 +179,7 @@ static void hostile_files(const char *path) {
     entire_volume_free(volume);
     entire_model_free(model);
 
-    /* An input group that the library cannot supply: plain predictions work, sessions say why they do not. */
+    /* An input group that the library cannot supply: plain predictions work, sessions refuse with the reason. */
     OK(altered(path, "\"camera", "\"camfra", &model));
     EXPECT(ENTIRE_MISSING_INPUT, entire_session_new(model, NULL, &session));
     SAYS("camfra");
@@ -187,7 +187,7 @@ static void hostile_files(const char *path) {
     entire_model_free(model);
 }
 
-/* The machine's model lies in the user's data folder, where `entire calibrate` puts it. */
+/* The machine's model is in the user's data folder, where `entire calibrate` puts it. */
 static void machines_model(const char *path) {
     entire_model *model = NULL;
     char folder[] = "/tmp/entire-test-XXXXXX", inner[64], file[96];

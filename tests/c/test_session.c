@@ -13,7 +13,7 @@ static entire_plan plan_of(entire_session *session, const entire_frame *frame, f
     return plan;
 }
 
-/* A plan of half of the time that the finest step takes, as the session was taught. */
+/* A plan for half of the time of the finest step, after the session has learned. */
 static entire_plan plan_for_half(entire_session *session, const entire_frame *frame) {
     entire_frame large = *frame;
     large.width = large.height = 1024;
@@ -235,7 +235,7 @@ static void options(const entire_model *model) {
     CHECK(plan_of(session, &frame, 10.0f).image_sample_distance == 1);
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 0.5f, 1));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 2, NAN));
-    /* Where smaller images cost more than any step, the step is coarsened, and the reverse. */
+    /* If smaller images cost more picture quality than any step, the step is coarsened, and vice versa. */
     OK(entire_session_set_limits(session, 1, 100));
     OK(entire_session_set_quality(session, 500, 1, 0.1f, 0));
     const entire_plan coarse = plan_for_half(session, &frame);
@@ -287,7 +287,7 @@ static void probe_sides(void) {
     CHECK(seconds[0] > 0 && seconds[0] == seconds[1]);
     CHECK(seconds[2] != seconds[0] && fabsf(seconds[2] / seconds[0] - 1) < 0.3f);
     CHECK(seconds[3] != seconds[2] && fabsf(seconds[3] / seconds[0] - 1) < 0.5f);
-    /* A plan that any probe decides takes the coarsest; a prediction takes the finest. */
+    /* A plan that any probe can decide takes the coarsest probe; a prediction takes the finest. */
     options.probe_side = 0;
     options.probe_tolerance = 0.05f;
     entire_session *climbs = NULL;
@@ -343,7 +343,7 @@ static void choices(void) {
     entire_session_free(session);
 }
 
-/* A renderer that pays for pixels and for nothing else, and a loop that learns it without being left. */
+/* A renderer whose time depends on the pixels only, and one loop that learns it without a restart. */
 static float draw_pixels(uint32_t width, uint32_t height) {
     return 1e-3f + 4e-8f * (float)(width * height);
 }
@@ -411,12 +411,12 @@ static void calibration(void) {
     CHECK(strcmp(entire_model_metadata(model, "entire.clock"), "wall") == 0);
     CHECK(strcmp(entire_model_metadata(model, "entire.renderer"), "a renderer of pixels") == 0);
 
-    /* The model predicts what it never drew, in this loop and after its file in another. */
+    /* The model predicts frames that it was not fitted to, in this loop and from its file in another. */
     float known[4] = {9, 9, 9, 9};
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(known[0] == 0 && known[1] == 0 && known[2] == 0 && known[3] == 0);
     OK(entire_session_set_model(session, model));
-    /* What the pictures follow is found again, for this renderer alone, until the host knows better. */
+    /* The pictures' quality law is fitted again, for this renderer alone, until the host knows better. */
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(fabsf(known[0] - 5) < 0.1f && fabsf(known[1] - 1.2f) < 0.02f && fabsf(known[2] - 0.9f) < 0.02f && fabsf(known[3] - 0.2f) < 0.01f);
     OK(entire_session_set_quality(session, 3, 1, 1, 0));
@@ -443,7 +443,7 @@ static void calibration(void) {
     const float real = draw_pixels(frame.width, frame.height);
     CHECK(p.seconds == q.seconds && fabsf(p.seconds / real - 1) < 0.1f);
 
-    /* It is a prior in its turn, and goes with any probe: it holds unit costs. */
+    /* It can be a prior in turn, and works with any probe: it holds unit costs. */
     OK(entire_session_record(other, again, 8));
     play(other, 20);
     entire_model *third = NULL;
@@ -490,7 +490,7 @@ static void state(void) {
     CHECK(p.source != 0 && isfinite(p.seconds));
     OK(entire_session_reset(b));
 
-    /* A state is of one renderer and one clock; what is refused changes nothing. */
+    /* A state is of one renderer and one clock; a refused one changes nothing. */
     OK(entire_session_set_timing_source(a, "a mapper", "wall"));
     OK(entire_session_save_state(a, NULL, 0, &again));
     uint8_t *named = malloc(again);
@@ -539,7 +539,7 @@ static void with_a_model(const char *path) {
     size_t count = 0;
     OK(entire_model_encode(model, volume, features, 2, &count));
 
-    /* Its first prediction, uncorrected, is the network's own on the same inputs, and says so. */
+    /* Its first prediction, uncorrected, is the network's own on the same inputs, and its source says so. */
     OK(entire_session_predict(session, &frame, &prediction));
     CHECK(prediction.source == ENTIRE_SOURCE_NETWORK && isfinite(prediction.seconds) && prediction.seconds > 0);
     OK(entire_volume_set_features(volume, features, 2));
@@ -550,7 +550,7 @@ static void with_a_model(const char *path) {
     OK(entire_session_predict(session, &frame, &again));
     CHECK(again.seconds == prediction.seconds);
 
-    /* It keeps the probe that it was trained with. */
+    /* It keeps the probe of its training. */
     entire_session_options small;
     OK(entire_session_options_init(&small, sizeof small));
     small.probe_side = 4;
@@ -571,7 +571,7 @@ static void with_a_model(const char *path) {
     OK(entire_session_predict(session, &frame, &again));
     CHECK(again.seconds == prediction.seconds);
 
-    /* A transfer function that is not made of lobes has no numbers for this model's transfer_function group. */
+    /* A transfer function that is not made of lobes has no values for this model's transfer_function group. */
     const float table[8] = {0, 0, 0, 0, 1, 1, 1, 0.5f};
     entire_transfer_function_free(tf);
     OK(entire_transfer_function_from_table(table, 2, &tf));
@@ -580,7 +580,7 @@ static void with_a_model(const char *path) {
     SAYS("lobes");
     entire_transfer_function_free(tf);
 
-    /* Bricks alone cannot be encoded. */
+    /* Bricks without voxels cannot be encoded. */
     const float bounds[2] = {0, 1};
     entire_brick_desc desc;
     OK(entire_brick_desc_init(&desc, sizeof desc));

@@ -76,7 +76,7 @@ static void scalar_types(const entire_model *model) {
 }
 
 static void layouts(const entire_model *model) {
-    /* The toy volume inside a larger array, x slowest: strides say so. */
+    /* The toy volume inside a larger array, x slowest, by strides. */
     uint8_t plain[TOY_VOXELS], swapped[TOY_X * TOY_Y * TOY_Z + 3];
     for (int z = 0; z < TOY_Z; ++z)
         for (int y = 0; y < TOY_Y; ++y)
@@ -239,7 +239,7 @@ static void bricks(void) {
     CHECK(entire_volume_desc_init(&desc, 9) == ENTIRE_STRUCT_SIZE);
 }
 
-/* A session that follows a volume from step to step plans as one that is given the last step alone. */
+/* A session that follows a volume from step to step plans like one that gets only the last step. */
 static void time_steps(entire_voxels_ownership ownership) {
     uint16_t voxels[TOY_VOXELS];
     for (int i = 0; i < TOY_VOXELS; ++i) voxels[i] = (uint16_t)(i % 3);

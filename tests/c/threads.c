@@ -1,5 +1,5 @@
-/* Eight threads share one model, one volume and one transfer function; each has a session of its own. Predictions of all
- * threads are the same bits; a failing thread reads its own error. */
+/* Eight threads share one model, one volume and one transfer function; each has its own session. Predictions of all
+ * threads have the same bits; a failing thread reads its own error. */
 #include "check.h"
 #include <pthread.h>
 

@@ -1,4 +1,5 @@
-//! Compares the coarse ray probe's estimated work with the counts of the CPU twin of the reference raycaster.
+//! Compares the coarse ray probe's estimated work with the counts of the CPU version of the reference
+//! raycaster.
 //!
 //! ```text
 //! cargo run --release -p entire-tests --example probe_accuracy -- [--frames N] [--max-size N] VOLUME…
@@ -78,7 +79,7 @@ fn main() {
                 let share = |q| features.quantity(q, &setting, &work);
                 let terminated = share(SceneQuantity::TerminatedShare);
                 let occupied = share(SceneQuantity::OccupiedShare);
-                // The twin counts shadow samples with the primary ones.
+                // The CPU version counts shadow samples with the primary ones.
                 let pairs = [
                     (work.rays, counts.rays as f64),
                     (work.samples + work.shadow_samples, counts.samples as f64),
@@ -86,7 +87,7 @@ fn main() {
                     (work.shaded, counts.shaded as f64),
                 ];
                 for (k, (estimate, count)) in pairs.into_iter().enumerate() {
-                    // Less than a tenth of an event per ray is no work.
+                    // Less than a tenth of an event per ray is negligible.
                     if count > 0.1 * counts.rays as f64 {
                         ratios[k].push(estimate / count);
                         let off = (estimate / count).ln().abs();

@@ -1,14 +1,13 @@
-//! How many probe rays plans need that climb a ladder, and how far their steps lie from those of the finest
-//! probe.
+//! Number of probe rays of adaptive plans, and the distance of their steps from those of the finest probe.
 //!
 //! ```text
 //! cargo run --release -p entire-tests --example probe_ladder -- [--frames N] [--tolerance T] VOLUME…
 //! ```
 //!
 //! Draws random scenes as `entire collect` does (seed 2). Every scene is planned by a session without a
-//! model, once with a ladder up to 16² rays and once with 16² rays, for targets of 0.25 to 64 times the
-//! median time that the second predicts at the finest step. Prints for each target how many plans ended at
-//! each probe, the mean number of rays cast (coarser probes on the way included), and the median and the
+//! model, once adaptively with up to 16² rays and once with 16² rays, for targets of 0.25 to 64 times the
+//! median time that the second predicts at the finest step. Prints for each target the number of plans by
+//! their last probe, the mean number of rays (coarser probes on the way included), and the median and the
 //! largest of |step / step of the finest probe − 1|.
 
 use entire_core::scene::{Camera, Frame, TransferFunction};

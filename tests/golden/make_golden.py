@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the golden models beside this script: small model files, inputs, and what a float64 evaluation gives.
+"""Writes the golden models beside this script: small model files, inputs, and float64 results.
 
 usage: python make_golden.py        (needs torch and safetensors; the results are committed)
 
@@ -17,7 +17,7 @@ DTYPES = {"F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16}
 
 
 def groups(width):
-    """Input groups that add up to `width`."""
+    """Input groups with a total size of `width`."""
     if width == 16:
         sizes = {"volume_features": 2, "camera": 3, "resolution": 2, "transfer_function": 9}
     elif width == 24:
@@ -65,7 +65,7 @@ def prednet(name, dims, target, normalised, dtype, seed):
         if group["name"] == "scene_features":
             metadata["entire.scene_features"] = json.dumps([f"feature_{i}" for i in range(group["size"])])
     save_file(tensors, HERE / f"{name}.safetensors", metadata=metadata)
-    # Values that nearly cancel say nothing about relative errors.
+    # Values that nearly cancel are useless for relative errors.
     scale = y.abs().max()
     keep = [i for i in range(len(y)) if y[i, 0].abs() > 0.02 * scale]
     return {
@@ -111,7 +111,7 @@ def volumenet(name, edge, blocks, features, dtype, seed):
     tensors["volumenet.fc.weight"] = (normal(features, flat.shape[1]) / flat.shape[1] ** 0.5).to(DTYPES[dtype])
     tensors["volumenet.fc.bias"] = (0.3 * normal(features)).to(DTYPES[dtype])
     y = flat @ tensors["volumenet.fc.weight"].double().T + tensors["volumenet.fc.bias"].double()
-    # A tensor of the training decoder, which readers pass over.
+    # A tensor of the training decoder, which readers ignore.
     tensors["volumenet.decoder.0.weight"] = torch.zeros(2)
     layout = {"input": edge, "blocks": [{"stride": s, "padding": p} for _, _, s, p, _ in blocks]}
     save_file(tensors, HERE / f"{name}.safetensors", metadata={"entire.format": "1", "entire.volumenet": json.dumps(layout)})

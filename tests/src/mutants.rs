@@ -1,6 +1,6 @@
-//! Structure-aware mutants of model files: what a random flip of bytes never reaches, because the header's
-//! length would no longer fit. Every file's length field is right; what stands behind it is wrong in ways
-//! that a reader has to find.
+//! Structure-aware mutants of model files, which random bit flips never reach, because the header's length
+//! would no longer fit. Every file's length field is right; the data after it are wrong in ways that a reader
+//! must detect.
 
 use entire_core::model::{GroupKind, Key, Model};
 use entire_core::nn::{Executor, PredNet, VolumeNet, VolumeNetParts};
@@ -9,10 +9,10 @@ use entire_steer::features::{Changes, FrameFeatures, Setting};
 use entire_steer::predict::{Inputs, check_predictions, load};
 use serde_json::{Map, Value, json};
 
-/// Multiplications of an encoding beyond which a mutant's encoder is built and not run.
+/// Limit of the multiplications of an encoding; a larger mutant encoder is built but not run.
 pub const MOST_WORK: u128 = 20_000_000;
 
-/// Most bytes of the tensors of an encoder that is made up.
+/// Limit of the tensor bytes of a generated encoder.
 const MOST_TENSOR: usize = 1 << 18;
 
 /// A tensor of a file that is being mutated.
@@ -22,7 +22,7 @@ struct Tensor {
     dtype: String,
     shape: Vec<u64>,
     data: Vec<u8>,
-    /// Written in place of the offsets that the data has.
+    /// Written instead of the data's real offsets.
     offsets: Option<[u64; 2]>,
 }
 
@@ -31,7 +31,7 @@ struct Tensor {
 struct Parts {
     metadata: Map<String, Value>,
     tensors: Vec<Tensor>,
-    /// Raw text in place of the header.
+    /// Raw text instead of the header.
     header: Option<String>,
 }
 
@@ -84,12 +84,12 @@ impl Parts {
 pub struct Mutants {
     state: u64,
     seeds: Vec<Parts>,
-    /// Whether the file at hand has usable weights and strides wherever no mutation says otherwise.
+    /// True if the file has usable weights and strides except where a mutation changes them.
     calm: bool,
 }
 
 impl Mutants {
-    /// Mutants of the given model files and of encoders that are made up.
+    /// Mutants of the given model files and of generated encoders.
     ///
     /// # Panics
     /// When one of the files is no model file.
@@ -120,7 +120,7 @@ impl Mutants {
         of[self.below(of.len())]
     }
 
-    /// A size as hostile files have it: small, at an edge, or near what overflows.
+    /// A hostile size: small, at an edge, or near an overflow.
     fn size(&mut self) -> u64 {
         let small = self.below(20) as u64;
         let power = 1u64 << self.below(64);
@@ -145,7 +145,7 @@ impl Mutants {
         (0..n).flat_map(|_| each(self).to_le_bytes()).collect()
     }
 
-    /// Tensors and layout of an encoder whose sizes fit together, of any input size, channels, kernels and
+    /// Tensors and layout of an encoder with consistent sizes, of any input size, channels, kernels and
     /// strides.
     fn encoder(&mut self, parts: &mut Parts) {
         parts.tensors.retain(|t| !t.name.starts_with("volumenet."));
@@ -193,7 +193,7 @@ impl Mutants {
         parts.metadata.insert(Key::Format.into(), "1".into());
     }
 
-    /// A prediction network whose sizes fit together: deep, wide, or both.
+    /// A prediction network with consistent sizes: deep, wide, or both.
     fn prednet(&mut self, parts: &mut Parts) {
         parts.tensors.retain(|t| !t.name.starts_with("prednet."));
         let mut width = 1 + self.below(40);
@@ -264,7 +264,7 @@ impl Mutants {
             2 => t.shape = (0..self.below(7)).map(|_| self.size()).collect(),
             3 => t.dtype = self.one(&["F32", "F16", "BF16", "F64", "I64", "U8", "BOOL", "F99"]).into(),
             4 => t.offsets = Some([size, size.wrapping_add(t.data.len() as u64)]),
-            // Overlaps, holes and pieces that lie behind the end.
+            // Overlaps, holes and pieces after the end.
             5 => t.offsets = Some([size % (total + 9), (size % (total + 9)) + t.data.len() as u64]),
             6 => t.offsets = Some([self.size(), self.size()]),
             7 => t.data.truncate(self.below(t.data.len().max(1))),
@@ -335,7 +335,7 @@ impl Mutants {
         }
         let mut bytes = parts.bytes();
         if self.below(10) == 0 {
-            // Behind the length field, which stays right.
+            // After the length field, which stays right.
             for _ in 0..1 + self.below(4) {
                 let at = 8 + self.below(bytes.len() - 8);
                 bytes[at] ^= 1 << self.below(8);
@@ -345,7 +345,7 @@ impl Mutants {
     }
 }
 
-/// What became of a mutant.
+/// Outcome of a mutant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outcome {
     /// It was read as a model.
@@ -358,12 +358,11 @@ pub struct Outcome {
     pub encoded: bool,
 }
 
-/// Opens a file and does with it what a host would: builds its networks, predicts one frame alone, in a batch
-/// and through the predictor, and encodes a volume where that is at most [`MOST_WORK`].
+/// Opens a file and uses it as a host would: builds its networks, predicts one frame alone, in a batch and
+/// through the predictor, and encodes a volume if that takes at most [`MOST_WORK`].
 ///
 /// # Panics
-/// When something that was accepted cannot be run, a time is not finite and positive, or an error says
-/// nothing.
+/// When an accepted file cannot be run, a time is not finite and positive, or an error has no message.
 pub fn exercise(bytes: &[u8]) -> Outcome {
     let mut out = Outcome::default();
     let model = match Model::from_bytes(bytes) {

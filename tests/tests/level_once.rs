@@ -1,10 +1,10 @@
-//! The environment is asked for the level once: a host that changes it later, from another thread, disturbs
-//! nothing.
+//! The environment is read once for the level: a host that changes it later, from another thread, has no
+//! effect.
 
 use entire_core::nn::Level;
 use libtest_mimic::{Arguments, Failed, Trial};
 
-/// What a user sets.
+/// Variable that a user sets.
 const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 #[allow(unsafe_code, reason = "setting the environment is unsafe; this test is alone in its process")]

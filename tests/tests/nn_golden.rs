@@ -1,5 +1,5 @@
-//! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), stamped on every level. A
-//! level that this CPU lacks is reported as ignored.
+//! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), one test for every level.
+//! A level that this CPU lacks is reported as ignored.
 
 use entire_core::model::Model;
 use entire_core::nn::{Dtype, Executor, PredNet, Storage};
@@ -34,13 +34,13 @@ fn rows(case: &Value) -> (Vec<Vec<f32>>, Vec<f64>) {
     (inputs, numbers(&case["seconds"]))
 }
 
-/// The format that a file's weights have.
+/// Storage format of a file's weights.
 fn stored(model: &Model) -> Dtype {
     model.prednet().expect("a PredNet").layers[0].dtype
 }
 
-/// Exact storages are judged row by row, as the contract has it; rounded ones against the largest value,
-/// since what a rounded weight does to a sum that nearly cancels is no matter of the arithmetic.
+/// Exact storage formats are compared row by row, as the contract says; rounded ones with the largest value
+/// as scale, since the effect of a rounded weight on a sum that nearly cancels is no error of the arithmetic.
 fn prednets_agree(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, expected)) = (model(&case), rows(&case));
@@ -95,7 +95,7 @@ fn storage_follows_the_file() {
     }
 }
 
-/// Same model, same inputs, same level: same bits, whatever else is in the batch and however it is cut.
+/// Same model, same inputs, same level: same bits, whatever the rest of the batch and however it is split.
 fn batches_do_not_depend_on_their_cut(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));

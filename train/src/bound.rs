@@ -1,27 +1,27 @@
-//! Upper bounds: from residuals, in and out of model files, and how well they hold.
+//! Upper bounds: computed from residuals, read from and stored in model files, and tested.
 
 use entire_core::model::{Key, Model};
 use entire_io::metrics::{BoundMetrics, SHORTEST};
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 
-/// ln(measured / predicted) of every frame; what is not positive counts as the shortest prediction.
+/// ln(measured / predicted) of every frame; a prediction that is not positive counts as the shortest one.
 pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
     let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
     predicted.iter().zip(measured).map(|(&p, t)| (t / usable(p)).ln()).collect()
 }
 
-/// The bound that frames which no weight was fitted to give.
+/// The bound from frames that no weight was fitted to.
 pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
     UpperBound::from_residuals(&mut log_residuals(predicted, measured))
 }
 
-/// As [`from_predictions`] where frames come in groups (ensemble members) and new frames are of new groups:
-/// every group counts alike, however many frames it has.
+/// As [`from_predictions`] for grouped frames (ensemble members) where new frames belong to new groups: every
+/// group has the same weight, however many frames it has.
 pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> UpperBound {
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().zip(groups))
 }
 
-/// How often a bound holds.
+/// Coverage and quantile loss of an upper bound.
 pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
     BoundMetrics::new(&of_predictions(upper, predicted), measured, UPPER_LEVEL)
 }
@@ -62,8 +62,8 @@ mod tests {
         let predicted = vec![1.0; 399];
         let one = vec!["a".to_owned(); 399];
         assert_eq!(from_groups(&predicted, &measured, &one), from_predictions(&predicted, &measured));
-        // The slow 39 frames are a group of their own: half of all, so that the bound is their 90 % and not
-        // the whole's 95 %.
+        // The 39 slow frames form a group: it is half of all weight, so the bound is its 90 % quantile and
+        // not the 95 % quantile of all frames.
         let two: Vec<String> = (1..=399).map(|i| if i > 360 { "slow" } else { "quick" }.to_owned()).collect();
         let upper = from_groups(&predicted, &measured, &two);
         assert!((f64::from(upper.factor()) - 1.396).abs() < 1.5e-3, "{}", upper.factor());

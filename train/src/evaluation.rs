@@ -1,4 +1,4 @@
-//! What predictors are judged by: errors by kind of frame, the constant baseline, warm latency.
+//! Evaluation of predictors: errors by kind of frame, the constant baseline, warm latency.
 
 use crate::inputs::{Layout, measure, open_volume};
 use anyhow::{Context, Result};
@@ -26,16 +26,16 @@ pub const PROBE_SHARE: f64 = 0.15;
 /// Warm time of one prediction, in one thread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WarmLatency {
-    /// Median seconds of one prediction, from camera and transfer function to seconds; once-per-volume and
-    /// once-per-transfer-function work is apart.
+    /// Median seconds of one prediction, from camera and transfer function to seconds, without the work per
+    /// volume and per transfer function.
     pub seconds: f64,
-    /// Of that, the network's.
+    /// The network's part of it.
     pub network_seconds: f64,
-    /// Median seconds of what a new transfer function costs once; 0 where the model does not look at it.
+    /// Median seconds of the work per transfer function; 0 where the model does not use it.
     pub transfer_seconds: f64,
 }
 
-/// What a frame may be like.
+/// A kind of frame: its name, and the test for it.
 type Kind = (&'static str, fn(&TimedFrame) -> bool);
 
 const KINDS: [Kind; 6] = [
@@ -47,8 +47,8 @@ const KINDS: [Kind; 6] = [
     ("coarser than the reference step", |f| f.scene.step > 1.0),
 ];
 
-/// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without
-/// frames are left out.
+/// Errors by image size, distance of the eye (near or inside the volume), and ray step; kinds without frames
+/// are left out.
 pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
     let errors = |(name, test): Kind| {
         let (p, t): (Vec<f64>, Vec<f64>) = frames
@@ -76,7 +76,7 @@ pub fn noise_by_kind(
     KINDS.into_iter().filter_map(floor).collect()
 }
 
-/// For each frame the mean time of a random share of its volume's frames, those probes included.
+/// For each frame the mean time of a random share of its volume's frames, which may include it.
 pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f64> {
     let mut by_volume: BTreeMap<(usize, &str), Vec<usize>> = BTreeMap::new();
     for (i, f) in frames.iter().enumerate() {
@@ -96,11 +96,10 @@ pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f
     means
 }
 
-/// Warm latency over frames of the first volume: each stage by itself, median over many calls.
+/// Warm latency over frames of the first volume: the median over many calls of each stage.
 ///
 /// # Errors
-/// When the model looks at the scene and that volume is not there: features kept beside a table tell what
-/// they are, not what they cost.
+/// When the model uses the scene and that volume is missing: stored features have values but no latency.
 pub fn warm_latency(
     model: &Model,
     layout: &Layout,
@@ -186,9 +185,8 @@ pub fn warm_latency(
     Ok(WarmLatency { seconds: middle(all), network_seconds, transfer_seconds: middle(transfer_times) })
 }
 
-/// Seconds that a session predicts: it is told of each frame before it is drawn and of its time afterwards,
-/// frame by frame in their order, as a render loop would. What it is told of the first frames is what the
-/// later ones are predicted with.
+/// Seconds that a session predicts: it plans and observes the frames in their order, as a render loop would,
+/// so later predictions use the observations of earlier frames.
 ///
 /// # Errors
 /// When a volume is not found or the model predicts no times.

@@ -1,5 +1,5 @@
-//! Model inputs for measured frames: opens the volumes that a timing table names, one at a time, and computes
-//! what a model's input groups ask for.
+//! Model inputs of measured frames: opens the volumes that a timing table names, one at a time, and computes
+//! the values of a model's input groups.
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::{Model, ModelFile};
@@ -36,7 +36,7 @@ impl Encoder {
     }
 }
 
-/// What a model takes, and the encoder of its volume features.
+/// Inputs of a model, and the encoder of its volume features.
 #[derive(Debug)]
 pub struct Layout {
     layout: InputLayout,
@@ -47,8 +47,8 @@ impl Layout {
     /// A layout for a new model. `lobes` is the number of Gaussian lobes of the transfer functions.
     ///
     /// # Errors
-    /// When a group stands there twice or none does, volume features are asked for without an encoder, or
-    /// there are no lobes to take.
+    /// When a group appears twice or none is given, volume features are requested without an encoder, or
+    /// there are no lobes.
     pub fn new(
         groups: &[GroupKind],
         scene_features: Vec<SceneFeature>,
@@ -81,12 +81,12 @@ impl Layout {
         Self { layout: InputLayout { probe_side, ..self.layout }, ..self }
     }
 
-    /// The same, its Gaussian lobes by ascending center or as they are given.
+    /// The same, with Gaussian lobes sorted by center or in their given order.
     pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
         Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
     }
 
-    /// Whether Gaussian lobes go in by ascending center.
+    /// True if Gaussian lobes go in by ascending center.
     pub fn sorted_lobes(&self) -> bool {
         self.layout.sorted_lobes
     }
@@ -101,7 +101,7 @@ impl Layout {
         self.layout.width()
     }
 
-    /// The same with these unit costs behind `estimated_seconds`.
+    /// The same, with these unit costs for `estimated_seconds`.
     pub fn with_unit_costs(self, costs: UnitCosts) -> Self {
         Self { layout: InputLayout { unit_costs: Some(costs), ..self.layout }, ..self }
     }
@@ -177,7 +177,7 @@ impl Layout {
 }
 
 impl Layout {
-    /// Rows from the features that are kept beside the tables; `None` where any is missing.
+    /// Rows from the feature tables; `None` where any value is missing.
     pub fn rows_beside(&self, tables: &[Table], frames: &[&TimedFrame]) -> Option<Vec<f32>> {
         let mut out = vec![0.0; frames.len() * self.width()];
         let mut current: Option<(usize, KeptColumns<'_>)> = None;
@@ -191,7 +191,7 @@ impl Layout {
         Some(out)
     }
 
-    /// Where the features of a table are kept; `None` where any is missing.
+    /// Columns of a table's feature table; `None` where any is missing.
     fn kept_columns<'a>(&self, table: &'a Table) -> Option<KeptColumns<'a>> {
         let features = table.features.as_ref()?;
         let column = |q: SceneQuantity| features.column(&quantity_column(q, self.probe_side()));
@@ -199,7 +199,7 @@ impl Layout {
         for feature in self.scene_features() {
             quantities.insert(feature.quantity, column(feature.quantity)?);
         }
-        // What costs nothing need not be kept.
+        // Quantities without a unit cost are not kept.
         quantities.extend(COST_QUANTITIES.iter().filter_map(|&q| Some((q, column(q)?))));
         let code = match self.encoder() {
             Some(e) => (0..e.net.feature_len())
@@ -211,7 +211,7 @@ impl Layout {
     }
 }
 
-/// Where a feature table holds what a model takes.
+/// Columns in a feature table of a model's inputs.
 struct KeptColumns<'a> {
     features: &'a FeatureTable,
     quantities: HashMap<SceneQuantity, usize>,
@@ -226,7 +226,7 @@ impl KeptColumns<'_> {
     }
 }
 
-/// The values of a frame that a feature table holds.
+/// Values of a frame in a feature table.
 struct KeptValues<'a> {
     columns: &'a KeptColumns<'a>,
     row: &'a [f32],
@@ -271,15 +271,15 @@ impl InputValues for KeptValues<'_> {
             .zip(&costs.0[1..])
             .map(|(q, &cost)| if cost == 0.0 { Some(0.0) } else { self.kept(*q) })
             .collect();
-        // In single precision, as the table holds it of other costs.
+        // In single precision, like the table's values for other costs.
         Some(f64::from(seconds_of(costs, &work?) as f32))
     }
 }
 
-/// Calls `f` with everything that is known about each frame before it is drawn, in parallel over the frames
-/// of a volume, one volume after another; returns what it gave in the frames' order. `probe_side` goes to
-/// [`FrameFeatures::with_probe_side`]; without it the scene features are those of nothing, and volumes are
-/// opened only where there is an encoder.
+/// Calls `f` with all known data of each frame before it is drawn, in parallel over the frames of a volume,
+/// one volume after another; returns the results in the frames' order. `probe_side` goes to
+/// [`FrameFeatures::with_probe_side`]; without it the scene features are empty, and volumes are opened only
+/// for an encoder.
 ///
 /// # Errors
 /// When a volume is not found or has another size than the table says, or `f` fails.
@@ -357,8 +357,8 @@ pub fn measure<T: Send>(
 /// Opens the volume that a frame names, enlarged where the table's size is a whole multiple of the file's.
 ///
 /// # Errors
-/// When it is not found, cannot be read, has another size than the table says, or was written anew since its
-/// frames were measured.
+/// When it is not found, cannot be read, has another size than the table says, or changed after its frames
+/// were measured.
 pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
@@ -375,8 +375,8 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         && let Some(what) = manifest.changed(name, &path)?
     {
         bail!(
-            "{} was written anew since the frames of {} were measured: {what}; put the file back, or collect \
-             its frames anew into another table",
+            "{} changed after the frames of {} were measured: {what}; restore the file, or collect its \
+             frames again into another table",
             path.display(),
             table.path.display()
         );
@@ -396,7 +396,7 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
     );
 }
 
-/// What unit costs are paid for: one frame, then values of [`COST_QUANTITIES`], in their order.
+/// Inputs of the unit costs: one frame, then values of [`COST_QUANTITIES`], in their order.
 pub fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
     let mut work = [1.0; COSTS];
     for (slot, count) in work[1..].iter_mut().zip(counts) {

@@ -1,5 +1,4 @@
-//! A predictor in a renderer's place: frames cost nothing but their prediction, so that a model which needs
-//! very many can be distilled from one that needs few.
+//! A predictor in place of a renderer, for distillation: a frame costs only its prediction.
 
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Frame, Skipping, TransferTable, VolumeView};
@@ -9,7 +8,7 @@ use entire_steer::features::{
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
 
-/// Draws nothing, and takes as long as its model says: the time by every clock is the prediction.
+/// Draws nothing; the time by every clock is the model's prediction.
 pub struct Teacher {
     name: String,
     predictor: Box<dyn Predictor + Send>,
@@ -19,10 +18,10 @@ pub struct Teacher {
 }
 
 impl Teacher {
-    /// A teacher by the name of `name` from a model on scene features alone.
+    /// A teacher named `name` from a model on scene features only.
     ///
     /// # Errors
-    /// When the model holds no PredNet, or needs inputs that a renderer is not given (volume features,
+    /// When the model holds no PredNet, or needs inputs that a renderer does not get (volume features,
     /// Gaussian lobes).
     pub fn new(name: &str, model: &Model) -> anyhow::Result<Self> {
         let predictor = load(model)?;
@@ -73,7 +72,7 @@ impl Renderer for Teacher {
             features: &self.features,
             setting: Setting::from(frame),
             changes: Changes::default(),
-            // Scene features hold what counts of it.
+            // The scene features already contain the camera.
             camera: Arcball { rx: 0.0, ry: 0.0, dz: 2.0 },
             volume_features: None,
             lobes: None,
@@ -119,10 +118,10 @@ mod tests {
         teacher.set_volume(&volume.view()).unwrap();
         teacher.set_transfer(&table).unwrap();
         let time = teacher.render(&frame).unwrap().time;
-        // A cost of a frame and of a pixel.
+        // Unit costs of a frame and of a pixel.
         assert!((time.wall / (1e-3 + 1200.0 * 1e-6) - 1.0).abs() < 1e-5, "{time:?}");
         assert_eq!((time.device, time.cpu), (Some(time.wall), Some(time.wall)));
-        // Another volume forgets the transfer function.
+        // Setting another volume clears the transfer function.
         teacher.set_volume(&volume.view()).unwrap();
         assert!(teacher.render(&frame).is_err());
     }

@@ -1,6 +1,6 @@
 //! Renders frames on request, so that a script can time them beside those of other renderers in one run.
-//! Reads one command per line and answers each with one line, `@@` and a JSON object (`{"err": …}` where it
-//! failed):
+//! Reads one command per line and answers each with one line, `@@` and a JSON object (`{"err": …}` for an
+//! error):
 //!
 //! ```text
 //! make noise|vessels N FILE             writes a generated volume of N³ raw bytes
@@ -22,7 +22,7 @@ use std::io::{BufRead, Write};
 
 struct Server {
     renderer: VulkanRaycaster,
-    /// Dims and spacing of the present volume.
+    /// Sizes and spacing of the current volume.
     volume: Option<([usize; 3], [f32; 3])>,
     frame: Option<Frame>,
 }

@@ -1,19 +1,19 @@
-//! Min–max blocks, which of them are empty under a transfer function, and how far each is from the other
-//! kind.
+//! Min–max blocks, their emptiness under a transfer function, and the distance of each to the nearest block
+//! of the other kind.
 
 use crate::error::{Error, Result};
 use crate::table::Classifier;
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;
 
-/// Cells along a block's edge, unless another of [`BLOCK_EDGES`] was chosen.
+/// Default cells along a block's edge; see [`BLOCK_EDGES`].
 pub const BLOCK_EDGE: usize = 8;
 
-/// The edges that blocks may have, in cells. Small ones leave less that is sampled in vain, large ones make a
-/// smaller map.
+/// Allowed block edges, in cells. Small blocks leave fewer unnecessary samples, large ones make a smaller
+/// map.
 pub const BLOCK_EDGES: [usize; 3] = [4, 8, 16];
 
-/// Checks an edge that somebody chose.
+/// Checks a user's choice of the edge.
 pub(crate) fn check_edge(edge: usize) -> Result<()> {
     if BLOCK_EDGES.contains(&edge) {
         return Ok(());
@@ -85,7 +85,7 @@ pub(crate) struct SkipMap {
 }
 
 impl SkipMap {
-    /// Emptiness alone, all distances 1.
+    /// Emptiness only, all distances 1.
     pub(crate) fn occupancy(blocks: &BlockMap, classifier: &Classifier) -> Self {
         let bytes = blocks
             .ranges
@@ -129,7 +129,7 @@ fn distances(bytes: &[u8], dims: [usize; 3], kind: u8) -> Vec<u8> {
                 line.clear();
                 line.extend((0..n).map(|i| d[start + i * stride]));
                 for i in 0..n {
-                    // Search outwards until nothing farther away can be nearer.
+                    // Searches outwards until no block farther away can be nearer.
                     let mut best = line[i];
                     let mut r = 1;
                     while r < usize::from(best) {

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-/// CPU time spent by this process so far, all threads, in seconds. `None` where the system does not tell.
+/// CPU time of this process so far, all threads, in seconds. `None` if the system does not report it.
 pub(crate) fn process_cpu_seconds() -> Option<f64> {
     #[cfg(unix)]
     {

@@ -1,4 +1,4 @@
-//! The CPU twin of the ray-casting shader: plain loops that render the same picture and count what they do.
+//! The CPU version of the ray-casting shader: plain loops that render the same picture and count their work.
 
 #![allow(
     clippy::needless_range_loop,
@@ -15,13 +15,13 @@ use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use rayon::prelude::*;
 
-/// The CPU twin: renders the picture that the crate documentation defines, with exact counts, on all threads
-/// of the current rayon pool.
+/// The CPU version: renders the picture that the crate documentation defines, with exact counts, on all
+/// threads of the current rayon pool.
 pub struct CpuRaycaster {
     block_edge: usize,
     volume: Option<(PreparedVolume, BlockMap)>,
     classifier: Option<Classifier>,
-    /// Made when volume and transfer function are both there.
+    /// Made once volume and transfer function are set.
     skip: Option<SkipMap>,
 }
 
@@ -59,7 +59,7 @@ impl CpuRaycaster {
         Ok((pixels, counts))
     }
 
-    /// Makes the skip map of the present volume and transfer function; the two times are those of its
+    /// Makes the skip map of the current volume and transfer function; the two times are those of its
     /// occupancy and of its distances.
     fn update_skip_map(&mut self, preparation: &mut Preparation) {
         if let (Some((_, blocks)), Some(classifier)) = (&self.volume, &self.classifier) {
@@ -235,8 +235,8 @@ impl<V: Voxel> Caster<'_, V> {
         sum
     }
 
-    /// The run of samples from `k` on that are treated alike: whether they are skipped, and the first one
-    /// after them.
+    /// The run of equally treated samples from `k` on: true if they are skipped, and the first sample after
+    /// them.
     fn segment(
         &self,
         first: &[f32; 3],

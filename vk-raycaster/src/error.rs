@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// An error of a renderer: the call that failed, why, and what to do.
+/// An error of a renderer: the call that failed, the cause, and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     message: String,

@@ -1,12 +1,12 @@
 //! The reference volume raycaster whose frame times entire predicts: a compute shader on Vulkan, and a CPU
-//! twin of it that renders the same picture and counts every sample.
+//! version of it (the *twin*) that renders the same picture and counts every sample.
 //!
-//! Both stand behind [`Renderer`]. This crate depends on `entire_core::scene` alone and knows nothing of
-//! prediction: it is an honest judge of the predictor.
+//! Both implement [`Renderer`]. This crate depends on `entire_core::scene` only and knows nothing of
+//! prediction, so its times are independent of the predictor.
 //!
 //! # Definition of the picture
 //!
-//! Both renderers follow this text, in 32-bit floats and with the operations in the same order.
+//! Both renderers follow this specification, in 32-bit floats and with the operations in the same order.
 //!
 //! *Space.* Voxel coordinates p: the box spans 0…n along each axis (n voxels), voxel i is centered at i +
 //! 0.5. A ray goes through a pixel's center, from the eye or, with parallel rays, from the plane through it.
@@ -41,12 +41,12 @@
 //! T ← T·(1 − α′)^[`SHADOW_STEP`], until the box is left or T falls below [`SHADOW_TERMINATION`].
 //! c ← c·(0.25 + 0.75·T).
 //!
-//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`], (a cell lies between
-//! eight voxel centers) know the smallest and largest value that their samples can take; a block is empty
-//! when the table is transparent over that interval. A sample that would fall into an empty block is not
-//! taken: the ray goes on with the first sample beyond it (`blocks`), or beyond all blocks that the Chebyshev
-//! distance map shows to be empty as well (`distance`). Sample positions are the same with every skipping
-//! mode, and so is the picture. Shadow rays skip as well.
+//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`] (a cell lies between
+//! eight voxel centers), store the smallest and largest value of their samples; a block is empty when the
+//! table is transparent over that interval. A sample inside an empty block is not taken: the ray continues
+//! with the first sample beyond it (`blocks`), or beyond all blocks that the Chebyshev distance map shows to
+//! be empty as well (`distance`). Sample positions are the same with every skipping mode, and so is the
+//! picture. Shadow rays skip as well.
 //!
 //! *Counts.* See [`WorkCounts`].
 

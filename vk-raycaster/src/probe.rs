@@ -1,4 +1,4 @@
-//! Measures what a frame's parts cost on the machine at hand.
+//! Measures the costs of a frame's parts on this machine.
 
 use crate::cpu::CpuRaycaster;
 use crate::error::{Error, Result};
@@ -12,15 +12,15 @@ use glam::{Mat4, Vec3};
 /// Voxels along each axis of the probe's volumes.
 const EDGE: usize = 64;
 
-/// Largest edge that images grow to.
+/// Largest image edge of the growing images.
 const LARGEST_IMAGE: u32 = 4096;
 
-/// How long a probe takes its time.
+/// Options of a probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProbeOptions {
-    /// Images grow until their frames take this long, in seconds, so that clocks can tell them apart.
+    /// Images grow until their frames take this long, in seconds, so that clocks are precise enough.
     pub frame_seconds: f64,
-    /// Frames of which the median counts.
+    /// Number of frames whose median is taken.
     pub repeats: usize,
 }
 
@@ -30,31 +30,30 @@ impl Default for ProbeOptions {
     }
 }
 
-/// What a probe found out.
+/// Results of a probe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Probe {
     /// [`Renderer::device`].
     pub device: String,
     /// [`Renderer::backend`].
     pub backend: &'static str,
-    /// The clock behind the five numbers, `device` or `wall`.
+    /// The clock of the five numbers, `device` or `wall`.
     pub clock: &'static str,
     /// The device's own limits.
     pub limits: Option<DeviceLimits>,
-    /// How a frame of this renderer agrees with the CPU twin's.
+    /// Agreement of this renderer's frame with the CPU version's.
     pub agreement: Agreement,
-    /// How device timestamps behave; `None` where there are none.
+    /// Quality of device timestamps; `None` where there are none.
     pub timestamps: Option<TimestampQuality>,
-    /// A frame in which every ray misses, 64 × 64 pixels: seconds, of whatever a frame costs by itself.
+    /// Seconds of a frame in which every ray misses, 64 × 64 pixels: the fixed cost of a frame.
     pub frame_seconds: f64,
     /// Rays per second that end at their first sample.
     pub rays_per_second: f64,
     /// Samples per second of parallel rays of equal length, none of which skips or stops.
     pub coherent_samples_per_second: f64,
-    /// Samples per second of rays that leave in all directions, start at random offsets and stop at random
-    /// depths.
+    /// Samples per second of rays in all directions, with random offsets and random depths at their ends.
     pub divergent_samples_per_second: f64,
-    /// Jumps per second over empty blocks, block by block.
+    /// Skips per second of empty blocks, block by block.
     pub skips_per_second: f64,
 }
 
@@ -71,20 +70,20 @@ impl Probe {
     }
 }
 
-/// A frame against the CPU twin's.
+/// Comparison of a frame with the CPU version's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agreement {
     /// Largest difference of a color or opacity, of 255.
     pub largest: u8,
     /// Mean difference, of 255.
     pub mean: f64,
-    /// What the renderer counted, where it counts.
+    /// The renderer's counts, where it counts.
     pub counts: Option<WorkCounts>,
-    /// What the twin counted.
+    /// The CPU version's counts.
     pub twin: WorkCounts,
 }
 
-/// Device timestamps beside the host's clock, over the frames of coherent rays.
+/// Device timestamps compared with the host's clock, over the frames of coherent rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimestampQuality {
     /// Median of device seconds ÷ wall seconds.
@@ -100,7 +99,7 @@ fn hash(i: usize) -> u8 {
     ((h ^ (h >> 12)) >> 24) as u8
 }
 
-/// Smooth blobs, for the comparison with the twin.
+/// Smooth blobs, for the comparison with the CPU version.
 fn blobs() -> Vec<u8> {
     let at = |i: usize| (i as f32 + 0.5) / EDGE as f32 * 2.0 - 1.0;
     let mut out = Vec::with_capacity(EDGE * EDGE * EDGE);
@@ -154,7 +153,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Renders a shaded frame, counted, and compares it with the twin's.
+/// Renders a shaded frame, counted, and compares it with the CPU version's.
 fn agree(renderer: &mut dyn Renderer, view: &VolumeView<'_>) -> Result<Agreement> {
     let table = table(&[(0.0, 0.0), (0.1, 0.0), (1.0, 0.3)])?;
     let frame = Frame { shading: Shading::Local, ..frame((25.0, 40.0, 2.5), 45.0, 96)? };
@@ -177,7 +176,7 @@ fn agree(renderer: &mut dyn Renderer, view: &VolumeView<'_>) -> Result<Agreement
     })
 }
 
-/// How the device's clock goes with the host's.
+/// Ratio of device to host times, and its spread.
 fn quality(times: &[FrameTime]) -> Option<TimestampQuality> {
     let device: Vec<f64> = times.iter().filter_map(|t| t.device).collect();
     let (low, high) = device.iter().fold((f64::INFINITY, 0.0f64), |(l, h), &t| (l.min(t), h.max(t)));
@@ -193,7 +192,8 @@ struct Prober<'a> {
 }
 
 impl Prober<'_> {
-    /// Median seconds of a frame that is large enough to be timed, all its times, and its counts by the twin.
+    /// Median seconds of a frame that is large enough to be timed, all its times, and its counts by the CPU
+    /// version.
     fn time(&mut self, scene: &Scene<'_>) -> Result<(f64, Vec<FrameTime>, WorkCounts)> {
         self.renderer.set_volume(&scene.view)?;
         self.renderer.set_transfer(&scene.table)?;
@@ -217,7 +217,7 @@ impl Prober<'_> {
             let mut twin = CpuRaycaster::new();
             twin.set_volume(&scene.view)?;
             twin.set_transfer(&scene.table)?;
-            // Counts grow with the pixels: a smaller image of the same view tells them.
+            // Counts grow with the pixels: they follow from a smaller image of the same view.
             let counted = edge.min(256);
             let (_, counts) = twin.render_linear(&(scene.frame)(counted)?)?;
             let ratio = u64::from(edge / counted).pow(2);
@@ -239,8 +239,8 @@ struct Scene<'a> {
     grows: bool,
 }
 
-/// Renders known scenes and tells what this machine needs for each part of a frame. Takes a second or so; the
-/// renderer's volume and transfer function are others afterwards, and work is not counted.
+/// Renders known scenes and measures this machine's rates for the parts of a frame. Takes a second or so;
+/// afterwards the renderer has another volume and transfer function, and does not count work.
 ///
 /// # Errors
 /// When the renderer fails.
@@ -312,7 +312,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         frame: |edge| Ok(Frame { skipping: Skipping::Blocks, ..frame((20.0, 30.0, 50.0), 2.0, edge)? }),
         grows: true,
     })?;
-    // The jump that a ray in place of its one sample makes is in both.
+    // The skip of a ray that replaces its only sample is in both.
     let skips = counts.skips.saturating_sub(counts.rays) as f64 / rest("a frame of skips", seconds, &counts)?;
     Ok(Probe {
         device: renderer.device(),
@@ -338,7 +338,7 @@ mod tests {
     const RAY: f64 = 1e-7;
     const SAMPLE: f64 = 1e-8;
 
-    /// The twin, with a clock that goes by what it counts.
+    /// The CPU version, with a clock that follows its counts.
     struct Clockwork(CpuRaycaster);
 
     impl Renderer for Clockwork {

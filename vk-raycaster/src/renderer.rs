@@ -1,4 +1,4 @@
-//! What every renderer of this crate can do.
+//! Interface of all renderers of this crate.
 
 use crate::error::{Error, Result};
 use entire_core::scene::{Frame, TransferTable, VolumeView};
@@ -14,19 +14,19 @@ pub struct Image {
     pub rgba: Vec<u8>,
 }
 
-/// How long a frame took, by each clock that there is. A clock that does not exist is `None`, never zero.
+/// Time of a frame by each clock. A clock that does not exist is `None`, never zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameTime {
     /// Between device timestamps around the ray-casting pass, seconds.
     pub device: Option<f64>,
     /// From submission to completion as the host saw it, seconds.
     pub wall: f64,
-    /// CPU time that this process spent meanwhile, all threads, seconds.
+    /// CPU time of this process during the frame, all threads, seconds.
     pub cpu: Option<f64>,
 }
 
 impl FrameTime {
-    /// The time that prediction is judged by: the device's where it has timestamps, else wall time.
+    /// The frame's time for prediction: the device's if it has timestamps, else wall time.
     pub fn seconds(&self) -> f64 {
         self.device.unwrap_or(self.wall)
     }
@@ -37,14 +37,14 @@ impl FrameTime {
     }
 }
 
-/// What a frame really did. Counted by renderers that can, over the whole image.
+/// Work of a frame, counted over the whole image by renderers that can.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WorkCounts {
     /// Rays that hit the volume's box.
     pub rays: u64,
     /// Samples taken, those of shadow rays included; the fetches of a gradient are not counted.
     pub samples: u64,
-    /// Jumps over empty blocks, those of shadow rays included.
+    /// Skips of empty blocks, those of shadow rays included.
     pub skips: u64,
     /// Samples that were shaded (visible ones, with shading on).
     pub shaded: u64,
@@ -55,29 +55,29 @@ pub struct WorkCounts {
 pub struct Rendered {
     /// The picture.
     pub image: Image,
-    /// How long it took.
+    /// Time of the frame.
     pub time: FrameTime,
-    /// What it did, where the renderer counts.
+    /// Work of the frame, where the renderer counts.
     pub counts: Option<WorkCounts>,
 }
 
-/// Time of a preparation (volume or transfer-function change), apart from any frame: the whole and its parts,
-/// wall seconds. A part that the change did not need is `None`.
+/// Time of a preparation (volume or transfer-function change), separate from any frame: the whole and its
+/// parts, wall seconds. A part that the change did not need is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Preparation {
-    /// Everything that the change needed.
+    /// The whole preparation.
     pub wall: f64,
-    /// Bringing the voxels into the renderer's form and onto its device.
+    /// Conversion of the voxels and their upload to the device.
     pub upload: Option<f64>,
     /// The smallest and largest value of each block.
     pub block_map: Option<f64>,
-    /// Which blocks are empty under the transfer function.
+    /// Emptiness of blocks under the transfer function.
     pub occupancy: Option<f64>,
     /// The distances between empty and occupied blocks.
     pub distance_map: Option<f64>,
 }
 
-/// A Vulkan device and its limits, as its driver tells them.
+/// A Vulkan device and its limits, as its driver reports them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceLimits {
     /// The device's name.
@@ -86,36 +86,35 @@ pub struct DeviceLimits {
     pub driver: String,
     /// Vulkan version, `major.minor.patch`.
     pub api_version: String,
-    /// Whether it is a CPU in truth.
+    /// True if the device is a software implementation.
     pub is_software: bool,
-    /// Most texels along an axis of a 3-D texture.
+    /// Maximum number of texels along an axis of a 3-D texture.
     pub max_image_3d: u32,
-    /// Most bytes of a storage buffer.
+    /// Maximum number of bytes of a storage buffer.
     pub max_storage_buffer: u64,
-    /// Most bytes of one allocation.
+    /// Maximum number of bytes of one allocation.
     pub max_allocation: u64,
     /// Bytes of the largest memory heap on the device.
     pub memory: u64,
-    /// Invocations that run together.
+    /// Invocations of a subgroup.
     pub subgroup_size: u32,
-    /// Valid bits and nanoseconds per tick of device timestamps; `None` where there are none.
+    /// Valid bits and nanoseconds per tick of device timestamps; `None` if there are none.
     pub timestamps: Option<(u32, f64)>,
 }
 
 /// A volume renderer. Set a volume and a transfer function, then render frames.
 pub trait Renderer {
-    /// What renders: device name and driver, for manifests.
+    /// Device name and driver, for manifests.
     fn device(&self) -> String;
 
     /// `vulkan` or `cpu`.
     fn backend(&self) -> &'static str;
 
-    /// Chooses the edge of the blocks that are skipped, in cells: one of [`BLOCK_EDGES`](crate::BLOCK_EDGES).
-    /// It holds for the volumes that are set from then on; until it is called it is
-    /// [`BLOCK_EDGE`](crate::BLOCK_EDGE).
+    /// Sets the edge of the blocks that are skipped, in cells: one of [`BLOCK_EDGES`](crate::BLOCK_EDGES), by
+    /// default [`BLOCK_EDGE`](crate::BLOCK_EDGE). It applies to volumes that are set afterwards.
     ///
     /// # Errors
-    /// For another edge, and from renderers whose blocks have one size.
+    /// For another edge, and for renderers with a fixed edge.
     fn set_block_edge(&mut self, edge: usize) -> Result<()> {
         crate::blocks::check_edge(edge)?;
         if edge == crate::BLOCK_EDGE {
@@ -128,18 +127,18 @@ pub trait Renderer {
         )))
     }
 
-    /// What the device is and how much it takes; `None` where nothing is behind the renderer but the host.
+    /// Kind and limits of the device; `None` where the renderer runs on the host.
     fn limits(&self) -> Option<DeviceLimits> {
         None
     }
 
-    /// Takes a volume; the view is only borrowed for the call.
+    /// Sets the volume; the view is only borrowed for the call.
     ///
     /// # Errors
-    /// When the device cannot hold it; says the size and the limit.
+    /// When the device cannot hold it; names the size and the limit.
     fn set_volume(&mut self, volume: &VolumeView<'_>) -> Result<Preparation>;
 
-    /// Takes a transfer function.
+    /// Sets the transfer function.
     ///
     /// # Errors
     /// When the device fails.
@@ -148,12 +147,11 @@ pub trait Renderer {
     /// Renders a frame and reads it back.
     ///
     /// # Errors
-    /// When volume or transfer function were not set, or the device fails; after an error nothing is half
-    /// done.
+    /// When volume or transfer function were not set, or the device fails; the renderer then stays usable.
     fn render(&mut self, frame: &Frame) -> Result<Rendered>;
 
-    /// Asks for [`Rendered::counts`] in the frames that follow, which may make them a little slower;
-    /// renderers that always count, or never can, ignore it.
+    /// Requests [`Rendered::counts`] for later frames, which may make them a little slower; renderers that
+    /// always count, or never can, ignore it.
     fn count_work(&mut self, on: bool) {
         let _ = on;
     }

@@ -1,5 +1,5 @@
-//! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a
-//! struct.
+//! Parameters that a frame hands to its rays: the shader reads them as its uniform block, the CPU version as
+//! a struct.
 
 use crate::error::{Error, Result};
 use crate::voxels::Geometry;
@@ -20,7 +20,7 @@ pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
 /// Beyond every sample.
 pub(crate) const FAR: f32 = 3.0e38;
 
-/// Everything a ray needs to know of its frame. Laid out as a uniform block: seventeen rows of 16 bytes.
+/// A frame's parameters for its rays. Laid out as a uniform block: seventeen rows of 16 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub(crate) struct FrameSetup {
@@ -60,7 +60,7 @@ pub(crate) struct FrameSetup {
     pub(crate) tile_width: u32,
     /// Pixel rows of the dispatch's output.
     pub(crate) tile_height: u32,
-    /// 0 starts the rays, 1 goes on where the dispatch before left them.
+    /// 0 starts the rays, 1 continues where the dispatch before left them.
     pub(crate) resume: u32,
     /// The dispatch takes samples before this one; [`FAR`] ends the rays.
     pub(crate) window_end: f32,
@@ -80,8 +80,8 @@ pub(crate) struct FrameSetup {
     pub(crate) pad_origin: f32,
     pub(crate) brick_dims: [f32; 3],
     pub(crate) pad_dims: f32,
-    /// From the middle's origin to those of rays half an image to the right and up, in voxels; 0 but with
-    /// parallel rays.
+    /// Offset between the ray origins at the image's middle and half an image to the right and up, in voxels;
+    /// 0 except with parallel rays.
     pub(crate) origin_right: [f32; 3],
     pub(crate) pad_right: f32,
     pub(crate) origin_up: [f32; 3],
@@ -139,7 +139,7 @@ impl FrameSetup {
         }
     }
 
-    /// Confines the dispatch to a brick: its first and last cell, the first voxel of its texture and the
+    /// Restricts the dispatch to a brick: its first and last cell, the first voxel of its texture and the
     /// texture's size.
     pub(crate) fn set_brick(
         &mut self,
@@ -163,7 +163,7 @@ pub(crate) fn check(frame: &Frame) -> Result<()> {
     frame.checked().map(drop).map_err(|e| Error::new(e.to_string()))
 }
 
-/// Whether samples of a frame are shaded.
+/// True if samples of a frame are shaded.
 pub(crate) fn is_shaded(frame: &Frame) -> bool {
     frame.shading != Shading::None
 }

@@ -1,14 +1,14 @@
-//! The transfer-function table as the renderers use it.
+//! The transfer-function table in the renderers' form.
 
 use entire_core::scene::{TABLE_LEN, TransferTable};
 
-/// The opacity-corrected table of a ray step: what a sample looks up.
+/// The opacity-corrected table of a ray step, in which samples are looked up.
 pub(crate) type StepTable = [[f32; 4]; TABLE_LEN];
 
 /// A transfer function with its opacity floor applied.
 pub(crate) struct Classifier {
     table: TransferTable,
-    /// `visible_before[i]`: how many of the entries 0…i−1 have an opacity.
+    /// `visible_before[i]`: number of the entries 0…i−1 with an opacity.
     visible_before: [u32; TABLE_LEN + 1],
 }
 
@@ -32,8 +32,8 @@ impl Classifier {
         out
     }
 
-    /// Whether samples at table positions `low`…`high` (0…255) are all transparent. A margin of 1/1000 entry
-    /// on both sides makes this hold for values that rounding has pushed over the ends.
+    /// True if all samples at table positions `low`…`high` (0…255) are transparent. A margin of 1/1000 entry
+    /// on both sides covers values that rounding has pushed over the ends.
     pub(crate) fn is_empty(&self, low: f32, high: f32) -> bool {
         let first = (low - 1e-3).floor().clamp(0.0, 255.0) as usize;
         let last = (high + 1e-3).ceil().clamp(0.0, 255.0) as usize;

@@ -1,5 +1,4 @@
-//! A volume's voxels in the form that both renderers keep: contiguous, clamped to the range, of one of three
-//! types.
+//! A volume's voxels in the form of both renderers: contiguous, clamped to the range, of one of three types.
 
 use entire_core::scene::{ScalarType, Scalars, VolumeView};
 use rayon::prelude::*;
@@ -12,14 +11,14 @@ pub(crate) enum Voxels {
     F32(Vec<f32>),
 }
 
-/// A volume's shape and how its voxels map to table positions.
+/// A volume's shape, and the mapping of its voxels to table positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Geometry {
     /// Voxels along each axis.
     pub(crate) dims: [usize; 3],
     /// Voxel spacing divided by the smallest of the three.
     pub(crate) relative_spacing: [f64; 3],
-    /// Half the box in scene space.
+    /// Half the extent of the box in scene space.
     pub(crate) half_extent: [f64; 3],
     /// The table position of a voxel v is `v * scale + bias`, in 0…255 for every voxel.
     pub(crate) scale: f32,
@@ -63,8 +62,8 @@ impl Geometry {
     }
 }
 
-/// Integer voxels where the range covers them, less an offset; else 16 bits over the range. Returns the
-/// voxels, the scale and the bias of a table position.
+/// Integer voxels minus an offset if the range covers them; else 16 bits over the range. Returns the voxels,
+/// the scale and the bias of a table position.
 fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     view: &VolumeView<'_>,
     stored: &[T],
@@ -89,7 +88,7 @@ fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     }
 }
 
-/// 16-bit integers less their minimum, which always fit into an unsigned one.
+/// 16-bit integers minus their minimum, which always fit into an unsigned one.
 fn less_minimum<T: Copy + Send + Into<i32>>(voxels: Vec<T>, minimum: i32) -> (Voxels, i32)
 where
     Vec<T>: IntoParallelIterator<Item = T>,
@@ -149,7 +148,7 @@ impl Voxel for f32 {
     }
 }
 
-/// Runs a generic expression with the voxel slice of whatever type.
+/// Runs a generic expression with the voxel slice of any type.
 macro_rules! with_voxels {
     ($voxels:expr, $slice:ident => $body:expr) => {
         match $voxels {

@@ -1,6 +1,6 @@
-//! Devices that get lost and devices that hang: an error, never a panic, never a wait without end, and a new
-//! renderer can be opened. The device is a real one whose functions fail from a given call on. Where no
-//! Vulkan device exists every test is reported as ignored.
+//! Devices that are lost and devices that hang: an error, never a panic, never an endless wait, and a new
+//! renderer can be opened. The device is a real one whose functions fail from a given call on. Without a
+//! Vulkan device every test is reported as ignored.
 
 mod common;
 
@@ -14,30 +14,30 @@ use std::time::Duration;
 
 type Outcome = Result<(), Failed>;
 
-/// What the device of a thread does from a call on.
+/// Fault of a thread's device from a call on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     Sound,
-    /// Every call answers that the device is lost, once so many were made.
+    /// Every call returns `VK_ERROR_DEVICE_LOST` after this many calls.
     Lost(usize),
-    /// No submission ends, once so many were waited for.
+    /// No submission ends after this many waits.
     Hangs(usize),
 }
 
-/// How long these tests let a submission run: what the mock gets to see, not what anybody waits.
+/// Time limit of a submission in these tests: the mock sees it, but nobody waits for it.
 const WAIT: Duration = Duration::from_secs(20);
 
 thread_local! {
     static FAULT: Cell<Fault> = const { Cell::new(Fault::Sound) };
-    /// Calls that can fail, and waits for fences.
+    /// Number of calls that can fail, and of waits for fences.
     static CALLS: Cell<(usize, usize)> = const { Cell::new((0, 0)) };
-    /// Nanoseconds that each wait for a fence allowed.
+    /// Time limits of the waits for fences, nanoseconds.
     static WAITS: RefCell<Vec<u64>> = const { RefCell::new(Vec::new()) };
     static DESTROYED: Cell<usize> = const { Cell::new(0) };
     static DEVICE: RefCell<Option<ash::Device>> = const { RefCell::new(None) };
 }
 
-/// Starts to count anew.
+/// Resets the counters.
 fn set(fault: Fault) {
     FAULT.set(fault);
     CALLS.set((0, 0));
@@ -60,7 +60,7 @@ fn settle() {
     });
 }
 
-/// What a call answers in place of the device.
+/// Result of a call instead of the device's.
 fn fault(waits: bool) -> Option<vk::Result> {
     let (calls, waited) = CALLS.get();
     CALLS.set((calls + 1, waited + usize::from(waits)));
@@ -88,7 +88,7 @@ unsafe extern "system" fn wait_for_fences(
 }
 
 unsafe extern "system" fn device_wait_idle(_: vk::Device) -> vk::Result {
-    // It has no bound.
+    // The wait has no time limit.
     vk::Result::ERROR_UNKNOWN
 }
 
@@ -107,7 +107,7 @@ macro_rules! faulty {
             }
         )*
 
-        /// Puts the functions above in the place of the device's.
+        /// Replaces the device's functions by those above.
         fn wrap(device: ash::Device) -> ash::Device {
             let mut functions = device.fp_v1_0().clone();
             $(functions.$name = $name;)*
@@ -184,7 +184,7 @@ fn small_frame() -> Frame {
     frame(20.0, 35.0, 2.5, 19, 13)
 }
 
-/// Everything that a renderer does with a device: volume, transfer function, a frame in flight, a frame.
+/// All uses of a device by a renderer: volume, transfer function, a frame in flight, a frame.
 fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
     let dims = [9, 8, 7];
     let voxels = field_bytes(dims);
@@ -197,7 +197,7 @@ fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
     Ok(rendered.image)
 }
 
-/// Calls and waits of a device that does not fail, and its picture.
+/// Calls and waits of a device without faults, and its picture.
 fn sound() -> Result<(usize, usize, Image), Failed> {
     set(Fault::Sound);
     let mut gpu = open()?;
@@ -233,7 +233,7 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
         let name = gpu.limits().expect("a device").name;
         let error = use_it(&mut gpu).expect_err("the device is lost").to_string();
         assert!(error.contains("ERROR_DEVICE_LOST") && error.contains(&name), "call {after}: {error}");
-        // Whatever is asked of it next fails as well, and says what to do.
+        // Later calls fail as well, and name the remedy.
         for error in
             [gpu.render(&small_frame()).err(), gpu.set_transfer(&medium()).err(), use_it(&mut gpu).err()]
         {
@@ -261,7 +261,7 @@ fn frames_in_flight_of_a_lost_device_fail_one_by_one() -> Outcome {
         assert!(error.contains("make a new renderer"), "{error}");
     }
     assert!(gpu.collect()?.is_none());
-    // As well when they are never collected.
+    // The same if they are never collected.
     drop(gpu);
     set(Fault::Sound);
     let mut gpu = open()?;
@@ -273,7 +273,7 @@ fn frames_in_flight_of_a_lost_device_fail_one_by_one() -> Outcome {
     new_renderer_draws(&image)
 }
 
-/// Each wait in turn is one that does not end.
+/// Each wait in turn does not end.
 fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
     let (_, waits, image) = sound()?;
     assert!(waits >= 4, "{waits} waits");
@@ -312,14 +312,14 @@ fn a_device_that_answers_again_renders_again() -> Outcome {
     Ok(())
 }
 
-/// No mock: a frame that takes longer than the device may, given up while the device works on it.
+/// Without a mock: a frame that exceeds the time limit, given up while the device works on it.
 fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
     let options = VulkanOptions { longest_wait: Some(Duration::from_nanos(1)), ..VulkanOptions::from_env()? };
     let mut gpu = VulkanRaycaster::new(options)?;
     let dims = [48; 3];
     let voxels = field_bytes(dims);
     let view = VolumeView::new(Scalars::U8(&voxels), dims)?;
-    // A small copy may be done before anybody looks; the frame is not.
+    // A small copy may finish before it is waited for; the frame does not.
     let large =
         Frame { step: 0.25, shading: Shading::Scatter, ..frame(20.0, 35.0, 2.5, 512, 512) }.checked()?;
     let error = gpu

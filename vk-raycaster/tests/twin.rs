@@ -1,4 +1,4 @@
-//! The CPU twin against closed forms and against itself.
+//! The CPU version against closed forms and against itself.
 
 mod common;
 
@@ -297,7 +297,7 @@ fn transparent_tables_give_black_and_opaque_ones_stop_at_the_first_sample() {
 #[test]
 fn camera_inside_sees_only_what_lies_ahead() {
     let n = 32usize;
-    // Everything behind the camera (z over 16) is bright, ahead lies a dim medium.
+    // Everything behind the camera (z over 16) is bright; ahead lies a dim medium.
     let data: Vec<u8> = (0..n).flat_map(|z| vec![if z >= 18 { 255 } else { 50 }; n * n]).collect();
     let mut rgba = [[0.0, 0.0, 1.0, 0.05]; TABLE_LEN];
     for e in &mut rgba[200..] {
@@ -403,7 +403,7 @@ fn lighting_dims_edges_and_scattering_casts_shadows() {
 
 #[test]
 fn shadow_of_a_slab_has_its_closed_form() {
-    // A homogeneous medium: the sample nearest the top is lit through its own shadow ray alone.
+    // A homogeneous medium: the sample nearest the top is lit through its own shadow ray only.
     let n = 16usize;
     let data = vec![9u8; n * n * n];
     let alpha = 0.02f32;

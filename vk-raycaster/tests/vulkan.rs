@@ -1,5 +1,5 @@
-//! The Vulkan renderer against its CPU twin, under the validation layer where that is installed. Where no
-//! Vulkan device exists every test is reported as ignored.
+//! The Vulkan renderer against its CPU version, under the validation layer if it is installed. Without a
+//! Vulkan device every test is reported as ignored.
 
 mod common;
 
@@ -13,7 +13,7 @@ use entire_vk_raycaster::{
 };
 use libtest_mimic::{Arguments, Failed, Trial};
 
-/// Largest difference of a channel between device and twin, of 255.
+/// Largest difference of a channel between device and CPU version, of 255.
 const LARGEST: u8 = 2;
 /// Largest mean difference over all channels, of 255.
 const MEAN: f64 = 0.1;
@@ -26,7 +26,7 @@ fn open(options: VulkanOptions) -> Result<VulkanRaycaster, Failed> {
     Ok(VulkanRaycaster::new(VulkanOptions { device: environment.device, ..options })?)
 }
 
-/// Under validation where the layer is installed.
+/// Opened with the validation layer if it is installed.
 fn open_validated(fetch: Option<VoxelFetch>) -> Result<VulkanRaycaster, Failed> {
     let options = |validation| VulkanOptions { validation, fetch, count_work: true, ..Default::default() };
     open(options(true)).or_else(|_| open(options(false)))
@@ -43,7 +43,7 @@ struct Scene {
     table: TransferTable,
 }
 
-/// Cameras, sizes, steps, transfer functions; the modes are run through by the tests.
+/// Cameras, sizes, steps, transfer functions; the tests go through the modes.
 fn scenes() -> Vec<Scene> {
     let mut all = vec![];
     let mut add = |name, frame: Frame, table| all.push(Scene { name, frame, table });
@@ -131,7 +131,7 @@ fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
 const SHADINGS: [Shading; 3] = [Shading::None, Shading::Local, Shading::Scatter];
 const SKIPPINGS: [Skipping; 3] = [Skipping::None, Skipping::Blocks, Skipping::Distance];
 
-/// Device against twin over all scenes and modes for one way to fetch voxels.
+/// Device against CPU version over all scenes and modes for one way to fetch voxels.
 fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     let mut gpu = open_validated(Some(fetch))?;
     let mut twin = CpuRaycaster::new();
@@ -140,7 +140,7 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     for (kind, view) in data.views().into_iter().take(if bytes_only { 1 } else { 4 }) {
         gpu.set_volume(&view)?;
         twin.set_volume(&view)?;
-        // One type runs through all scenes, the others through the first few.
+        // One type with all scenes, the others with the first few.
         for scene in scenes().into_iter().take(if kind == "u8" { usize::MAX } else { 3 }) {
             gpu.set_transfer(&scene.table)?;
             twin.set_transfer(&scene.table)?;
@@ -167,8 +167,8 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Where the device's arithmetic differs, a few samples at box and block borders and some barely visible ones
-/// may too.
+/// With the device's own arithmetic, a few samples at box and block borders and some barely visible ones may
+/// differ, too.
 fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome {
     let close = |a: u64, b: u64, share: f64| a.abs_diff(b) as f64 <= 4.0 + share * b as f64;
     if close(device.rays, twin.rays, 0.01)
@@ -281,7 +281,7 @@ fn skipping_changes_nothing() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Volumes that no texture holds: the limit is lowered until this one is cut into bricks.
+/// Volumes that are larger than a texture: the limit is lowered until this one is cut into bricks.
 fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     let validated = |validation| {
         let largest_texture = Some(21);
@@ -323,7 +323,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
         return Err("single scattering in bricks".into());
     }
-    // A volume that fits again takes one texture, and scatters.
+    // A smaller volume takes one texture again, and supports scattering.
     let small = Data::new([20, 21, 8]);
     let (_, view) = small.views()[0];
     gpu.set_volume(&view)?;
@@ -338,7 +338,8 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Regions have the pixels of the whole frame, and what goes into a picture on the device says nothing.
+/// Regions have the pixels of the whole frame, and drawing into a picture on the device causes no validation
+/// message.
 fn regions_are_parts_of_the_whole() -> Outcome {
     let mut gpu = open_validated(None)?;
     let data = field_bytes([40; 3]);
@@ -383,7 +384,7 @@ fn regions_are_parts_of_the_whole() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Raycasters of one device draw from several threads what they draw alone.
+/// Several raycasters of one device, each in a thread, draw the same pictures as alone.
 fn raycasters_share_a_device() -> Outcome {
     let gpu = open_validated(None)?;
     let device = gpu.shared_device();
@@ -409,7 +410,7 @@ fn raycasters_share_a_device() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Frames in flight are the frames that `render` draws, in order, whatever changes meanwhile.
+/// Frames in flight equal those of `render`, in order, whatever changes meanwhile.
 fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     let mut gpu = open_validated(None)?;
     let mut alone = open(VulkanOptions { count_work: true, ..Default::default() })?;
@@ -450,14 +451,14 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
             check(&mut gpu, &mut wanted)?;
         }
         if i == 4 {
-            // While a frame is in flight, which keeps its own.
+            // While a frame with the old one is in flight.
             gpu.set_transfer(&opaque())?;
             alone.set_transfer(&opaque())?;
         }
         gpu.enqueue(f)?;
         wanted.push_back(alone.render(f)?);
         if i == 5 {
-            // While as many as may be are in flight: volume and transfer function, and back.
+            // With the maximum number in flight: volume and transfer function, and back.
             let other = field_bytes([24; 3]);
             let other = VolumeView::new(Scalars::U8(&other), [24; 3]).unwrap();
             for r in [&mut gpu, &mut alone] {
@@ -479,8 +480,8 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Frames that are timed may take another way than frames that are counted: rays of a subgroup skip together.
-/// The pictures are the same bits.
+/// Timed frames may use another shader variant than counted ones: rays of a subgroup skip together. The
+/// pictures have the same bits.
 fn counting_changes_no_picture() -> Outcome {
     let mut gpu = open_validated(Some(VoxelFetch::Packed))?;
     let data = Data::new([37, 53, 29]);
@@ -525,7 +526,7 @@ fn counting_changes_no_picture() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Rays whose loops turn more often than a software device's loop limit.
+/// Rays with more loop iterations than a software device allows.
 fn long_rays_are_cast_in_windows() -> Outcome {
     let mut gpu = open_validated(None)?;
     let mut twin = CpuRaycaster::new();
@@ -665,7 +666,7 @@ fn main() {
     ];
     let mut trials: Vec<Trial> =
         tests.into_iter().map(|(name, run)| Trial::test(name, run).with_ignored_flag(none)).collect();
-    // The other tests run without the layer where it is missing; this one says so.
+    // The other tests run without the layer if it is missing; this one reports it.
     trials.push(
         Trial::test("validation_layer_was_heard", || {
             let gpu = open(VulkanOptions { validation: true, ..Default::default() })?;

@@ -1,20 +1,20 @@
-//! Which frames tell most: greedy D-optimal design over what is known of the candidates.
+//! Choice of the most informative frames: greedy D-optimal design over the candidates' features.
 //!
-//! A frame's vector holds the shares of its expected time that each kind of work has, and the inputs of the
-//! prior's factor, if it has one, in standard deviations. The next frame is the one that adds most to ln det of the
-//! information matrix for what it costs; none of them has been drawn.
+//! A frame's vector holds the shares of each kind of work in its expected time, and the inputs of the prior's
+//! factor, if it has one, in standard deviations. The next frame is the one with the largest gain in ln det
+//! of the information matrix over its cost. No candidate has been drawn yet.
 
 use super::pool::Pool;
 use entire_steer::numeric::dot;
 #[cfg(test)]
 use entire_steer::numeric::solve;
 
-/// Exponent of a frame's seconds in what its information is divided by: 0 takes frames whatever they cost, 1
-/// takes the cheapest information alone, which leaves out the long frames that decide a root mean square. Where the
-/// number of frames is the limit, not the time, seconds are no reason to pass a frame over.
+/// Exponent of a frame's seconds in the denominator of its gain: 0 ignores the cost, 1 takes the cheapest
+/// information only, which leaves out the long frames that dominate a root mean square. If the number of
+/// frames is the limit, not the time, the exponent is 0.
 const COST_EXPONENT: f64 = 0.5;
 
-/// Information that is there before any frame.
+/// Regularization: information before any frame.
 const RIDGE: f64 = 0.05;
 
 /// Chooses frames one by one.
@@ -27,7 +27,7 @@ pub struct Design {
 }
 
 impl Design {
-    /// Nothing is chosen yet.
+    /// An empty design.
     pub fn new(pool: &Pool, costs: &[f64]) -> Self {
         let vectors = vectors(pool, costs);
         let width = vectors.first().map_or(0, Vec::len);
@@ -39,7 +39,7 @@ impl Design {
         Self { vectors, inverse, width, taken }
     }
 
-    /// What a frame would add to ln det of the information.
+    /// Gain of a frame in ln det of the information matrix.
     fn gain(&self, i: usize) -> f64 {
         let v = &self.vectors[i];
         let quadratic: f64 =
@@ -47,7 +47,7 @@ impl Design {
         quadratic.max(0.0).ln_1p()
     }
 
-    /// Takes a frame into the design (rank-one update of the inverse).
+    /// Adds a frame to the design (rank-one update of the inverse).
     pub fn take(&mut self, i: usize) {
         self.taken[i] = true;
         let v = &self.vectors[i];
@@ -61,11 +61,11 @@ impl Design {
     }
 
     /// Chooses frames until their `seconds` add up to `budget` or there are `most`. Every second one is the
-    /// next random candidate, so that the error to expect is told by frames as users draw them.
+    /// next random candidate, so that the error estimate is for typical frames.
     pub fn choose(&mut self, pool: &Pool, seconds: &[f64], budget: f64, most: usize) -> Vec<usize> {
         let mut out = Vec::new();
         let mut spent = 0.0;
-        // A single frame takes no more than a share of the budget.
+        // A single frame takes at most a share of the budget.
         let affordable = |i: usize| seconds[i] <= 0.12 * budget;
         let random_order = random_order(pool);
         let candidates: Vec<f64> =
@@ -190,7 +190,7 @@ mod tests {
         let vectors = design.vectors.clone();
         let chosen = design.choose(&pool, &seconds, 1e3, 6);
         assert_eq!(chosen.len(), 6);
-        // Each choice, looked at again: no other frame would have made the determinant larger.
+        // Each choice is checked: no other frame would have made the determinant larger.
         for k in 1..chosen.len() {
             let with = |i: usize| {
                 let mut all: Vec<&Vec<f64>> = chosen[..k].iter().map(|&c| &vectors[c]).collect();
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     fn seconds_count_only_where_they_are_the_limit() {
-        // The last candidate tells most and takes longest.
+        // The last candidate is the most informative and takes longest.
         let rows: Vec<[f32; 2]> =
             (0..200).map(|i| if i == 199 { [9.0, -9.0] } else { [(i % 3) as f32, (i % 4) as f32] }).collect();
         let pool = pool(&rows);
@@ -228,7 +228,7 @@ mod tests {
         assert!(!chosen.contains(&3));
         let spent: f64 = chosen.iter().map(|&i| seconds[i]).sum();
         assert!((0.9..=1.06).contains(&spent), "{spent}");
-        // What was taken is not taken again.
+        // A chosen frame is not chosen again.
         let again = design.choose(&pool, &seconds, 1.0, 100);
         assert!(again.iter().all(|i| !chosen.contains(i)));
     }

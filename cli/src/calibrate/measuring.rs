@@ -1,4 +1,4 @@
-//! Renders the frames that were chosen: in rounds, each a batch of frames gone through in passes.
+//! Renders the chosen frames in rounds: each is a batch of frames that is rendered in several passes.
 
 mod pictures;
 
@@ -19,36 +19,35 @@ use indicatif::ProgressBar;
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
-/// Wall seconds of a frame from which on its first rendering is no slower than the next: nothing is
-/// discarded.
+/// Wall seconds of a frame above which its first rendering is not slower than the next: none is discarded.
 const LONG: f64 = 0.12;
 
-/// Log-SD of a frame's median that is little enough: passes beyond the second are made only where it is more.
+/// Log-SD of a frame's median that is small enough: passes beyond the second are made only above it.
 const ENOUGH: f64 = 0.02;
 
-/// Passes over a batch at least and at most.
+/// Minimum and maximum number of passes over a batch.
 const PASSES: (usize, usize) = (2, 4);
 
-/// Seconds by which one volume follows another, before it was timed.
+/// Initial estimate of the seconds to switch volumes.
 const SWITCH: f64 = 0.15;
 
-/// Bytes of volumes that are kept in memory.
+/// Limit of volume bytes in memory.
 const KEPT_BYTES: usize = 512 << 20;
 
-/// One look at a frame.
+/// One visit of a frame.
 #[derive(Clone, Debug)]
 struct Visit {
     repeats: Vec<Timing>,
     disturbed: bool,
 }
 
-/// What was measured.
+/// Measured frames of a calibration.
 pub struct Measured {
-    /// Every frame with its repeats; of frames that were seen undisturbed, those repeats alone.
+    /// Every frame with its repeats; only the undisturbed repeats, if there are any.
     pub frames: Vec<TimedFrame>,
-    /// Passes that the repeats of each frame, by number, come in.
+    /// Number of passes of each frame's repeats, by frame number.
     pub passes: HashMap<u64, usize>,
-    /// What else used the machine.
+    /// Load of other programs.
     pub others: Others,
     /// Batches.
     pub rounds: usize,
@@ -56,7 +55,7 @@ pub struct Measured {
     pub warm_ups: usize,
 }
 
-/// A measurement under way.
+/// A running measurement.
 pub struct Measuring<'a> {
     settings: &'a Settings,
     pool: &'a Pool,
@@ -67,7 +66,7 @@ pub struct Measuring<'a> {
     bar: &'a ProgressBar,
     volumes: HashMap<(usize, usize), Volume>,
     visits: BTreeMap<usize, Vec<Visit>>,
-    /// Wall seconds over what the prior expects, this machine over its own.
+    /// Wall seconds on this machine over those that the prior expects for its own.
     scale: f64,
     switch: f64,
     others: Others,
@@ -76,7 +75,7 @@ pub struct Measuring<'a> {
 }
 
 impl<'a> Measuring<'a> {
-    /// Nothing is drawn yet.
+    /// A new measurement.
     pub fn new(
         settings: &'a Settings,
         pool: &'a Pool,
@@ -108,12 +107,12 @@ impl<'a> Measuring<'a> {
         self.deadline.saturating_duration_since(Instant::now()).as_secs_f64()
     }
 
-    /// Wall seconds that a candidate is expected to take.
+    /// Expected wall seconds of a candidate.
     fn wall(&self, i: usize) -> f64 {
         self.scale * self.pool.expected[i]
     }
 
-    /// Discarded and timed renderings of a visit.
+    /// Numbers of discarded and timed renderings of a visit.
     fn renderings(wall: f64) -> (usize, usize) {
         match wall {
             w if w < 0.006 => (2, 3),
@@ -123,13 +122,13 @@ impl<'a> Measuring<'a> {
         }
     }
 
-    /// Draws batch after batch until the time is over, there are frames enough, or it is stopped.
+    /// Draws batch after batch until the time is over, the frames are enough, or `stop` returns true.
     ///
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
     pub fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, self.pool.prior.costs());
-        // What the prior expects is of another machine: a small batch says by how much it is off here.
+        // The prior's seconds are of another machine: a small batch measures the factor here.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
             let groups = self.groups();
@@ -170,8 +169,8 @@ impl<'a> Measuring<'a> {
         groups.len()
     }
 
-    /// Goes through a batch once, volume by volume; every second time backward, so that a drift does not
-    /// follow the volumes.
+    /// Goes through a batch once, volume by volume; every second pass backward, so that a drift is not
+    /// confounded with the volumes.
     fn pass(&mut self, batch: &[usize], pass: usize) -> Result<()> {
         let mut groups: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
         for &i in batch {
@@ -214,7 +213,7 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// Hands a volume to the renderer.
+    /// Passes a volume to the renderer.
     fn show(&mut self, volume: usize, factor: usize) -> Result<()> {
         let key = (volume, factor);
         let path = &self.pool.volumes[volume];
@@ -222,7 +221,7 @@ impl<'a> Measuring<'a> {
         if !self.volumes.contains_key(&key) {
             let opened = Volume::open_as(path, &self.pool.reading, None)?;
             if let Some(what) = identity::difference(&self.pool.files[volume], &identity::of_volume(path)?) {
-                bail!("{} was written anew during the calibration: {what}; calibrate again", path.display());
+                bail!("{} changed during the calibration: {what}; calibrate again", path.display());
             }
             let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
             // Four bytes is the largest scalar.
@@ -236,13 +235,13 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// Renders a frame; `None` where time ran out or it was stopped first.
+    /// Renders a frame; `None` if time ran out or it was stopped first.
     fn visit(&mut self, i: usize) -> Result<Option<Vec<Timing>>> {
         let scene = &self.pool.candidates[i].scene;
         let place = || format!("{}, calibration frame {i}", scene.volume);
         let frame = scene.to_frame().with_context(place)?;
         self.renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
-        // What was seen of the frame tells better than what is expected of it.
+        // A measured time of the frame is better than its expected one.
         let seen = self.visits.get(&i).and_then(|v| v.first()?.repeats.first()?.wall);
         let (mut discard, timed) = match self.visits.get(&i) {
             Some(v) => (usize::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),
@@ -264,7 +263,7 @@ impl<'a> Measuring<'a> {
         Ok(Some(repeats))
     }
 
-    /// How far medians of a batch's frames scatter; infinite where that is not known.
+    /// Scatter of the medians of a batch's frames; infinite where it is unknown.
     fn spread(&self, batch: &[usize]) -> f64 {
         let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
         noise_floor(&frames, self.settings.clock, |f| self.passes(f.number as usize))
@@ -277,13 +276,13 @@ impl<'a> Measuring<'a> {
             .keys()
             .filter_map(|&i| Some(self.frame(i)?.seconds(Clock::Wall)? / self.pool.expected[i]))
             .collect();
-        // A little more than the middle: long frames must not overrun the time.
+        // A quantile above the median: long frames must not overrun the time.
         if let Some(scale) = median(&mut ratios) {
             self.scale = 1.1 * scale;
         }
     }
 
-    /// The visits of a frame that count: the undisturbed ones, all where there is none.
+    /// The visits of a frame that count: the undisturbed ones, or all if there are none.
     fn counted(&self, i: usize) -> Vec<&Visit> {
         let Some(visits) = self.visits.get(&i) else { return Vec::new() };
         let calm: Vec<&Visit> = visits.iter().filter(|v| !v.disturbed).collect();
@@ -300,7 +299,7 @@ impl<'a> Measuring<'a> {
         (!repeats.is_empty()).then_some(TimedFrame { table: 0, number: i as u64, scene, repeats })
     }
 
-    /// What came of it.
+    /// Result of the measurement.
     pub fn finish(&self) -> Measured {
         let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
         let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();

@@ -1,9 +1,10 @@
-//! A model of the machine at hand, in a minute and a half: frames that tell most, rendered in passes, and a
-//! shipped model taken to what they say.
+//! A model of this machine in a minute and a half: informative frames, rendered in passes, and a shipped
+//! model fitted to them.
 //!
-//! [`pool`] draws candidate frames and computes what is known of each before it is drawn; [`design`] chooses
-//! among them; [`measuring`] renders them, discards warm-ups, repeats in passes and compares pictures; [`others`] watches what
-//! else uses the machine; [`entire_steer::calibrate::PriorModel`] fits. [`place`] is where the machine's model lies.
+//! [`pool`] draws candidate frames and computes their features; [`design`] chooses among them; [`measuring`]
+//! renders them, discards warm-ups, repeats in passes and compares pictures; [`others`] measures the load of
+//! other programs; [`entire_steer::calibrate::PriorModel`] fits. [`place`] is the location of the machine's
+//! model.
 
 pub mod design;
 pub mod measuring;
@@ -32,30 +33,30 @@ use report::Report;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Seconds that are kept back for the fit.
+/// Seconds that are reserved for the fit.
 const FIT_SECONDS: f64 = 6.0;
 
-/// Share of the time in which pictures are compared.
+/// Share of the time for comparing pictures.
 const PICTURES_SHARE: f64 = 0.08;
 
-/// What is calibrated, and how long it may take.
+/// Settings and time limit of a calibration.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Volumes whose frames are rendered.
     pub volumes: Vec<PathBuf>,
-    /// Options of their reading.
+    /// Options of reading them.
     pub reading: Reading,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which rays stop.
     pub termination: f32,
     /// The clock that is learned.
     pub clock: Clock,
-    /// Wall seconds that all of it may take.
+    /// Limit of wall seconds for all steps.
     pub seconds: f64,
-    /// Frames at most.
+    /// Maximum number of frames.
     pub frames: usize,
     /// Shortest and longest image side, pixels.
     pub sizes: (u32, u32),
@@ -63,7 +64,7 @@ pub struct Settings {
     pub steps: Vec<f32>,
     /// Seed of every random choice.
     pub seed: u64,
-    /// How far a picture is from the one at full quality.
+    /// Error measure between a picture and the one at full quality.
     pub picture_error: PictureError,
 }
 
@@ -71,16 +72,16 @@ pub struct Settings {
 pub struct Calibrated {
     /// The model file.
     pub file: ModelFile,
-    /// What it was made of, and what error to expect.
+    /// Inputs of the fit, and its error on held-out volumes.
     pub report: Report,
     /// Every frame with its repeats.
     pub frames: Vec<TimedFrame>,
 }
 
-/// A model that a calibration may start from, by its name.
+/// A prior of a calibration, with its name.
 pub type NamedPrior = (String, ModelFile);
 
-/// Whether a model can state the clock.
+/// Checks that a model can state the clock.
 ///
 /// # Errors
 /// For [`Clock::Auto`].
@@ -89,15 +90,15 @@ fn ensure_fixed(clock: Clock) -> Result<()> {
     Ok(())
 }
 
-/// The files of models to start from, and their names in a list; no name without any.
+/// The files of the priors, and their names in a list; `None` without any.
 fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
     let names: Vec<&str> = priors.iter().map(|p| p.0.as_str()).collect();
     let names = (!names.is_empty()).then(|| names.join(", "));
     (priors.iter().map(|p| p.1.clone()).collect(), names)
 }
 
-/// Renders frames for as long as there is time, or until `stop` says so, and fits a model to them, starting from
-/// `priors` as [`PriorModel::new`] takes them.
+/// Renders frames until the time is over or `stop` returns true, and fits a model to them with `priors` as
+/// [`PriorModel::new`] takes them.
 ///
 /// # Errors
 /// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or it was
@@ -122,7 +123,7 @@ pub fn calibrate(
     let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, bar);
     measuring.run()?;
     let compared = measuring.pictures(deadline)?;
-    // Too few scenes say nothing; the model then states nothing of pictures.
+    // With too few scenes the model states no quality law.
     let quality = fit_quality(&compared).ok();
     let Measured { frames, passes, others, rounds, warm_ups } = measuring.finish();
     bar.set_message("fitting");
@@ -150,7 +151,7 @@ pub fn calibrate(
             })
         })
         .collect::<Result<_>>()?;
-    // Chosen frames are the strange ones; those drawn at random are what users draw.
+    // Designed frames are extreme; the randomly drawn ones represent users' frames.
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
@@ -175,7 +176,7 @@ pub fn calibrate(
     Ok(Calibrated { file, report, frames })
 }
 
-/// Fits a model to timed frames, whatever renderer drew them. Returns the fit, and the frames as it saw them.
+/// Fits a model to timed frames of any renderer. Returns the fit, and the frames as the fit used them.
 fn fit_to_frames(
     context: &FitContext<'_>,
     part: Timed<'_>,
@@ -210,10 +211,10 @@ fn fit_to_frames(
     Ok((chosen, observed))
 }
 
-/// Takes a model to timed frames, as few as there are; the file states nothing of its origin.
+/// Fits a model to timed frames, however few; the file states no origin.
 ///
 /// # Errors
-/// When there are no frames, inputs cannot be computed, or no calibration starts from the model.
+/// When there are no frames, inputs cannot be computed, or the model cannot be a prior.
 pub fn calibrate_to_frames(
     prior: &ModelFile,
     context: &FitContext<'_>,
@@ -234,8 +235,8 @@ pub fn calibrate_from(
     Ok(fit_to_frames(context, frames, &named(priors).0)?.0.file)
 }
 
-/// Fits a model to frames that some renderer logged, as [`calibrate`] does to those that it renders: nothing
-/// is drawn. Volumes are opened where features are not kept beside the tables.
+/// Fits a model to frames that a renderer logged, as [`calibrate`] does to those that it renders: nothing is
+/// drawn. Volumes are opened where features are not stored beside the tables.
 ///
 /// # Errors
 /// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, the clock is [`Clock::Auto`], or inputs

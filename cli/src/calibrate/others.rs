@@ -1,11 +1,11 @@
-//! What else uses the processor while frames are timed.
+//! Processor use by other programs while frames are timed.
 
 use std::time::Instant;
 
-/// Processors' worth of other work from which on a stretch of rendering counts as disturbed.
+/// Processors in use by other programs above which a stretch of rendering counts as disturbed.
 pub const DISTURBED: f64 = 0.25;
 
-/// A point in time: what the machine and this process had done by then, seconds of processor time.
+/// A point in time: processor seconds that the machine and this process had used by then.
 #[derive(Clone, Copy, Debug)]
 pub struct Mark {
     at: Instant,
@@ -13,7 +13,7 @@ pub struct Mark {
     own: Option<f64>,
 }
 
-/// Clock ticks per second of `/proc`: 100 on every Linux that reports in them.
+/// Clock ticks per second of `/proc`: 100 on every Linux.
 const TICKS: f64 = 100.0;
 
 impl Mark {
@@ -26,8 +26,8 @@ impl Mark {
         }
     }
 
-    /// Wall seconds since, and processors' worth of work by others meanwhile; `None` where the system does not
-    /// tell.
+    /// Wall seconds since then, and mean processors in use by others; `None` where the system does not report
+    /// it.
     pub fn others(&self) -> (f64, Option<f64>) {
         let now = Self::now();
         let wall = now.at.duration_since(self.at).as_secs_f64();
@@ -46,21 +46,21 @@ fn machine_seconds(text: &str) -> Option<f64> {
     (ticks.len() >= 4).then(|| (at(0) + at(1) + at(2) + at(5) + at(6) + at(7)) / TICKS)
 }
 
-/// User and system seconds of `/proc/self/stat`, all threads. The program's name may hold blanks; what counts
-/// comes after its closing bracket.
+/// User and system seconds of `/proc/self/stat`, all threads. The program's name may contain blanks; the
+/// fields follow its closing bracket.
 fn own_seconds(text: &str) -> Option<f64> {
     let fields: Vec<&str> = text.rsplit_once(')')?.1.split_whitespace().collect();
     Some((fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?) / TICKS)
 }
 
-/// How busy the machine was over a calibration.
+/// Load of other programs over a calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Others {
     /// Wall seconds watched.
     pub seconds: f64,
     /// Of these, seconds in which others used more than [`DISTURBED`] processors.
     pub disturbed: f64,
-    /// Mean processors' worth of work by others; `None` where the system does not tell.
+    /// Mean processors in use by others; `None` where the system does not report it.
     pub mean: Option<f64>,
 }
 
@@ -77,7 +77,7 @@ impl Others {
         self.seconds += wall;
     }
 
-    /// Whether more than a fifth of the time was disturbed.
+    /// True if more than a fifth of the time was disturbed.
     pub fn busy(&self) -> bool {
         self.disturbed > 0.2 * self.seconds
     }

@@ -1,4 +1,4 @@
-//! Where the machine's model lies: in the user's data folder, one file per shading mode.
+//! Location of the machine's model: the user's data folder, one file per shading mode.
 
 use crate::collection::Job;
 use anyhow::{Context, Result};
@@ -27,11 +27,11 @@ pub fn file_of(shading: Shading) -> Option<PathBuf> {
     Some(data_folder()?.join("entire").join(format!("machine-{shading}.safetensors")))
 }
 
-/// The machine's model for a shading mode, with its file and the clock that it predicts; `None` where `entire
-/// calibrate` was not run.
+/// The machine's model for a shading mode, with its file and its clock; `None` where `entire calibrate` was
+/// not run.
 ///
 /// # Errors
-/// When it is there and no model.
+/// When the file holds no model.
 pub fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Option<Clock>)>> {
     let Some(path) = file_of(shading).filter(|p| p.is_file()) else { return Ok(None) };
     let (file, model) = read_model_file(&path)?;
@@ -39,10 +39,10 @@ pub fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Opt
     Ok(Some((path, file, clock)))
 }
 
-/// The machine's model for a shading mode, where it must be there.
+/// The machine's model for a shading mode, which must exist.
 ///
 /// # Errors
-/// When it is not; says how to make it.
+/// When it does not; names the command that makes it.
 pub fn machine_file(shading: Shading) -> Result<PathBuf> {
     file_of(shading).filter(|p| p.is_file()).with_context(|| {
         let shading: &str = shading.into();
@@ -53,18 +53,17 @@ pub fn machine_file(shading: Shading) -> Result<PathBuf> {
     })
 }
 
-/// The folder that volumes are taken from where none are named, from the project's root.
+/// Default folder of volumes, in the project's root.
 pub const DATA_FOLDER: &str = "data";
 
 /// Ensemble members that the shipped models were trained on.
 pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
 
-/// Endings of volume files that are looked for.
+/// Endings of volume files.
 const VOLUMES: [&str; 6] = ["nrrd", "nhdr", "mha", "mhd", "vti", "nii"];
 
-/// Every volume below a folder, by name; timing tables and other files are passed over. Of ensembles the
-/// members that models are trained on ([`TRAINING_MEMBERS`]): the figures of the others stay those of members
-/// that no model has seen.
+/// Every volume below a folder, by name; other files are ignored. Of ensembles only the training members
+/// ([`TRAINING_MEMBERS`]), so that the others remain unseen test data.
 ///
 /// # Errors
 /// When a folder cannot be read.
@@ -72,8 +71,7 @@ pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
     volumes_of(folder, |member| member.is_none_or(|m| TRAINING_MEMBERS.contains(&m)))
 }
 
-/// Every volume below a folder that [`volumes_in`] passes over, by name: those of ensemble members that no model
-/// is trained on.
+/// Every volume below a folder that [`volumes_in`] leaves out, by name: those of held-out ensemble members.
 ///
 /// # Errors
 /// When a folder cannot be read.
@@ -81,7 +79,7 @@ pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
     volumes_of(folder, |member| member.is_some_and(|m| !TRAINING_MEMBERS.contains(&m)))
 }
 
-/// Every volume below a folder, by name, whose ensemble member, where it has one, is `wanted`.
+/// Every volume below a folder, by name, whose ensemble member, if any, is `wanted`.
 fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];

@@ -1,4 +1,4 @@
-//! Candidate frames: what is known of each before any is drawn.
+//! Candidate frames, with their features, before any is drawn.
 
 use super::Settings;
 use crate::collection::Job;
@@ -22,57 +22,57 @@ use std::path::PathBuf;
 /// Candidates per volume and size.
 const PER_VOLUME: u64 = 36;
 
-/// Every so many candidates one is random: drawn as users draw, at any cost.
+/// Every this many candidates one is random: drawn as users draw, at any cost.
 const RANDOM_EVERY: u64 = 3;
 
-/// Volumes of fewer voxels are rendered enlarged by 2 along every axis as well: what a frame costs depends on
-/// how much of the volume the caches hold.
+/// Volumes of fewer voxels are also rendered enlarged by 2 along every axis: the cost of a frame depends on
+/// the share of the volume that fits in the caches.
 const SMALL_VOLUME: u64 = 160 * 160 * 160;
 
-/// A frame that may be drawn.
+/// A candidate frame.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     /// The volume's index.
     pub volume: usize,
     /// Its enlargement.
     pub factor: usize,
-    /// What is shown.
+    /// Scene of the frame.
     pub scene: Scene,
-    /// Inputs of the prior's factor, in its order; empty where it has none.
+    /// Inputs of the prior's factor, in its order; empty if it has none.
     pub row: Vec<f32>,
     /// Estimated work: 1, then the counts.
     pub work: [f64; COSTS],
-    /// Whether it is one of those that are drawn as users draw.
+    /// True if it is a random candidate, drawn as `entire collect` draws.
     pub random: bool,
 }
 
-/// All candidates, and the model that calibration starts from.
+/// All candidates, and the prior.
 pub struct Pool {
     /// The volume files.
     pub volumes: Vec<PathBuf>,
     /// Identities of their files.
     pub files: Vec<Vec<Identity>>,
-    /// Options of their reading.
+    /// Options of reading them.
     pub reading: Reading,
     /// The candidates; a frame's number is its index.
     pub candidates: Vec<Candidate>,
-    /// The model that the calibration starts from.
+    /// The prior.
     pub prior: PriorModel,
-    /// Seconds by it, for its own machine.
+    /// Seconds that the prior expects, on its own machine.
     pub expected: Vec<f64>,
 }
 
 impl Pool {
-    /// Identities of the volumes' files, by the names that frames have.
+    /// Identities of the volumes' files, by the volumes' names in frames.
     pub fn named_files(&self) -> BTreeMap<String, Vec<Identity>> {
         let name = |path: &PathBuf| path.to_string_lossy().into_owned();
         self.volumes.iter().map(name).zip(self.files.iter().cloned()).collect()
     }
 
-    /// Draws candidates of every volume and computes what is known of them.
+    /// Draws candidates of every volume and computes their features.
     ///
     /// # Errors
-    /// When a volume cannot be read, or the models to start from do not go together.
+    /// When a volume cannot be read, or the priors do not fit together.
     pub fn draw(settings: &Settings, priors: &[ModelFile], threads: &rayon::ThreadPool) -> Result<Self> {
         ensure!(!settings.volumes.is_empty(), "there is no volume to calibrate with; name some");
         let scenes = SceneDistribution {

@@ -1,4 +1,4 @@
-//! What a calibration says of itself, to people and in the model file.
+//! Report of a calibration, printed and stored in the model file.
 
 use super::measuring::PictureError;
 use super::others::Others;
@@ -17,13 +17,13 @@ use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
-/// Drift between passes from which on it is said, as a share.
+/// Drift between passes above which the report warns, as a share.
 const DRIFT: f64 = 0.05;
 
-/// ln of the least upper bound over a prediction of a model that was calibrated on a busy machine.
+/// ln of the smallest upper bound over a prediction, for a model that was calibrated on a busy machine.
 const BUSY_LOG_FACTOR: f32 = 0.5;
 
-/// What came of a calibration.
+/// Report of a calibration.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// Shading mode.
@@ -34,59 +34,59 @@ pub struct Report {
     pub frames: usize,
     /// Volumes among them.
     pub volumes: usize,
-    /// Batches that they were drawn in, and renderings that were discarded.
+    /// Number of batches.
     pub rounds: usize,
     /// Renderings that were discarded as warm-up.
     pub warm_ups: usize,
     /// Wall seconds in all.
     pub seconds: f64,
-    /// The model that it started from; `None` for the unit costs of a software renderer.
+    /// The prior; `None` for the unit costs of a software renderer.
     pub prior: Option<String>,
     /// Parts of the cross-validation; 0 where there were too few volumes.
     pub folds: usize,
-    /// Frames that the error to expect is told by.
+    /// Frames on which the error was measured.
     pub judged: usize,
-    /// Median of |predicted / measured − 1| on volumes that were left out.
+    /// Median of |predicted / measured − 1| on held-out volumes.
     pub median_error: f64,
-    /// Its 95 % interval when volumes are drawn anew.
+    /// Its 95 % interval by bootstrap over volumes.
     pub median_error_interval: Option<(f64, f64)>,
     /// RMSE over the standard deviation on the same.
     pub rmse_over_sd: f64,
-    /// How far repeats scatter.
+    /// Noise of repeats.
     pub noise: Option<NoiseFloor>,
-    /// What else used the machine.
+    /// Load of other programs.
     pub others: Others,
-    /// What coarser steps and smaller images cost pictures; `None` where too few were compared.
+    /// Quality law of pictures; `None` where too few were compared.
     pub pictures: Option<Pictures>,
-    /// Files of the volumes, by the volumes' names; empty where that is not known.
+    /// Files of the volumes, by the volumes' names; empty where they are unknown.
     pub files: BTreeMap<String, Vec<Identity>>,
 }
 
-/// What compared pictures said.
+/// Fit of the quality law to compared pictures.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Pictures {
-    /// How far a picture is from the one at full quality.
+    /// Error measure between a picture and the one at full quality.
     pub error: PictureError,
-    /// The law, and what its choices cost.
+    /// The law, and the error of its choices.
     #[serde(flatten)]
     pub fitted: FittedQuality,
 }
 
 impl Report {
-    /// With what compared pictures said.
+    /// Adds the fit to compared pictures.
     #[must_use]
     pub fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
         let pictures = fitted.map(|fitted| Pictures { error, fitted });
         Self { pictures, ..self }
     }
 
-    /// With the files of its volumes.
+    /// Adds the files of its volumes.
     #[must_use]
     pub fn with_files(self, files: BTreeMap<String, Vec<Identity>>) -> Self {
         Self { files, ..self }
     }
 
-    /// Judges a calibration by the frames that `judged` names.
+    /// Measures the error of a calibration on the frames that `judged` names.
     ///
     /// # Errors
     /// When there are none.
@@ -131,13 +131,13 @@ impl Report {
         })
     }
 
-    /// Why what was measured may not be this machine's own speed; empty where nothing speaks against it.
+    /// Reasons why the measured times may not be this machine's normal speed; empty without any.
     pub fn warnings(&self) -> Vec<String> {
         let mut out = Vec::new();
         if self.others.busy() {
             out.push(format!(
-                "the machine was busy: others used {:.1} processors on average, in {:.0} of {:.0} seconds more \
-                 than {}; frames that were seen undisturbed count by those repeats alone; calibrate again on a \
+                "the machine was busy: other programs used {:.1} processors on average, in {:.0} of {:.0} \
+                 seconds more than {}; frames with undisturbed repeats use those alone; calibrate again on a \
                  quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
@@ -147,22 +147,22 @@ impl Report {
         }
         if let Some(drift) = self.noise.and_then(|n| n.drift).filter(|d| d.exp_m1() > DRIFT) {
             out.push(format!(
-                "passes over the same frames differ by {:.0} %: something slowed the machine down or sped it \
-                 up meanwhile",
+                "passes over the same frames differ by {:.0} %: the machine's speed changed during the \
+                 calibration",
                 100.0 * drift.exp_m1()
             ));
         }
         if self.folds == 0 {
             out.push(
-                "fewer than three volumes: nothing could be held out, and the error is that of frames that \
-                 the model was fitted to"
+                "fewer than three volumes: none could be held out, so the error is that of the training \
+                 frames"
                     .into(),
             );
         }
         out
     }
 
-    /// For people, a few lines.
+    /// The report as a few lines of text.
     pub fn text(&self) -> String {
         let mut out = String::new();
         let line = |out: &mut String, name: &str, value: String| {
@@ -196,7 +196,7 @@ impl Report {
             &mut out,
             "to expect",
             format!(
-                "on volumes not in it: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, \
+                "on held-out volumes: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, \
                  cross-validated by volume in {} parts)",
                 100.0 * self.median_error,
                 self.rmse_over_sd,
@@ -214,7 +214,7 @@ impl Report {
             line(
                 &mut out,
                 "pictures",
-                "too few were compared in the time; the model states nothing of them".into(),
+                "too few were compared in the time; the model states no quality law".into(),
             );
         }
         out
@@ -223,7 +223,7 @@ impl Report {
     /// Writes clock, upper bound and provenance into the model file.
     ///
     /// # Errors
-    /// When what the file holds is damaged.
+    /// When the file's content is damaged.
     pub fn write_into(
         &self,
         file: &mut ModelFile,
@@ -235,11 +235,12 @@ impl Report {
         let residuals = bound::log_residuals(crossed, &measured);
         let mut upper = UpperBound::from_groups(residuals.into_iter().zip(observed.iter().map(|f| f.group)));
         if self.others.busy() {
-            // What a busy machine's frames say of a quiet one is open: a session believes what it observes.
+            // A busy machine's bound does not hold on a quiet one: a wide bound lets a session trust its
+            // observations.
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         upper.store(file)?;
-        // What the prior knows is of another machine's pictures.
+        // The prior's quality law is of another machine's pictures.
         file.metadata.remove(Key::Quality.name());
         if let Some(pictures) = &self.pictures {
             pictures.fitted.quality.store(file)?;
@@ -266,18 +267,18 @@ impl Report {
     }
 }
 
-/// What compared pictures said, in one line: `error` is the measure that they were compared by.
+/// The quality law fitted to compared pictures, in one line; `error` names the measure of their difference.
 pub fn law_text(fitted: &FittedQuality, error: &str) -> String {
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(
         "{} scenes at {} steps and sizes: {error} as (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - \
-         1)^{image_exponent:.2}, {:.0} % of the time goes with rays; steps and sizes chosen so cost {:.2} times the error of \
-         the best ones, the step alone, which saves {:.0} % at most, {}",
+         1)^{image_exponent:.2}, {:.0} % of a frame's time is per ray; error over the best choice at equal \
+         time: step and image size {:.2}, step alone {} (it saves at most {:.0} % of the time)",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,
         fitted.over_best,
-        100.0 * (1.0 - fitted.step_least_time),
-        fitted.step_over_best.map_or("too little".into(), |over| format!("{over:.2} times"))
+        fitted.step_over_best.map_or("not comparable".into(), |over| format!("{over:.2}")),
+        100.0 * (1.0 - fitted.step_least_time)
     )
 }

@@ -1,9 +1,9 @@
-//! Collecting frames: many random scenes of volumes, rendered several times, written down as a timing table.
+//! Collection of frames: many random scenes of volumes, rendered several times, in a timing table.
 //!
 //! The protocol is the paper's (section "Data collection"): the renderer takes one volume at a time, renders
 //! all its frames, each several times, then takes the next; loading is not timed. Scenes come from
-//! [`entire_io::scenes::SceneDistribution`], each depending on the seed, the volume and its number alone. Every
-//! repeat is a row of the table (see [`entire_io::dataset`]); medians are taken by whoever reads it.
+//! [`entire_io::scenes::SceneDistribution`] and depend only on the seed, the volume and their number. Every
+//! repeat is a row of the table (see [`entire_io::dataset`]); readers take the medians.
 
 mod passes;
 mod protocol;
@@ -20,31 +20,31 @@ use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::path::Path;
 
-/// What came of a collection.
+/// Result of a collection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outcome {
-    /// Frames that are written down now; where there are several passes, those of each.
+    /// Frames in the table; with several passes, those of all passes together.
     pub done: u64,
-    /// Frames that are to be.
+    /// Frames to collect.
     pub total: u64,
     /// Warm-up renderings that were discarded in this run.
     pub discarded: u64,
-    /// Whether it was stopped before the end.
+    /// True if it was stopped before the end.
     pub interrupted: bool,
 }
 
 /// A scene's repeats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedScene {
-    /// What each took; `None` where it was stopped before the last.
+    /// Times of each repeat; `None` where collection stopped before the last.
     pub repeats: Option<Vec<Timing>>,
     /// Renderings that were discarded first.
     pub discarded: u64,
 }
 
-/// Renders a scene of the renderer's volume as often as the protocol says, after as many more that are discarded
-/// as `warm_up` says, and the protocol for each frame at least; it counts down. `stop` is asked before every
-/// rendering.
+/// Renders a scene of the renderer's volume as often as the protocol says, after the discarded renderings: at
+/// least `warm_up`, which counts down, and at least the protocol's number per frame. `stop` is called before
+/// every rendering.
 ///
 /// # Errors
 /// A scene that cannot be drawn, a renderer that fails.
@@ -77,8 +77,8 @@ pub fn time_scene(
     Ok(out)
 }
 
-/// Collects frames of each job in turn, skipping those that the table has. Frame `i` of job `j` has number
-/// `j · frames + i`. `stop` is asked before every rendering; a frame in flight is then given up.
+/// Collects frames of each job in turn, without those that the table has. Frame `i` of job `j` has number
+/// `j · frames + i`. `stop` is called before every rendering; an unfinished frame is then dropped.
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, a table that cannot be written; names the volume and

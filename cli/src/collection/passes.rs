@@ -9,15 +9,15 @@ use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Where each pass over the volumes keeps its frames until all are done; none for a single pass.
+/// Files in which each pass over the volumes keeps its frames until all are done; none for a single pass.
 pub fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
     let count = if passes > 1 { passes } else { 0 };
     (1..=count).map(|pass| out.with_extension(format!("pass{pass}.csv"))).collect()
 }
 
-/// As [`collect`], as many times over as the protocol has passes. Each pass has a table of its own beside
-/// `out`, so that it can be gone on with; in the end `table` takes them together, the repeats of a frame in
-/// the order of the passes, and they are removed.
+/// As [`collect`], once for each pass of the protocol. Each pass has its own table beside `out`, so that it
+/// can be continued; at the end `table` merges them, the repeats of a frame in the order of the passes, and
+/// they are removed.
 ///
 /// # Errors
 /// Those of [`collect`], and pass tables that cannot be read or removed.
@@ -33,8 +33,7 @@ pub fn collect_passes(
     progress: &ProgressBar,
 ) -> Result<Outcome> {
     let total = jobs.len() as u64 * u64::from(protocol.frames);
-    // Without passes, or interrupted between the last pass and the end of the table and its pass files'
-    // removal.
+    // Without passes, or after an interruption between the last pass and the removal of the pass files.
     let complete = (0..total).all(|n| table.done().contains(&n));
     if protocol.passes == 1 || complete {
         let outcome = collect(jobs, protocol, renderer, open, table, stop, progress)?;
@@ -62,7 +61,7 @@ pub fn collect_passes(
             let entry = frames.entry(frame.number).or_insert_with(|| (frame.scene.clone(), Vec::new()));
             ensure!(
                 entry.0 == frame.scene,
-                "{}: frame {} shows something else than in the passes before; remove the files of the passes",
+                "{}: frame {} differs from that frame in earlier passes; remove the pass files",
                 file.display(),
                 frame.number
             );

@@ -1,4 +1,4 @@
-//! What is collected and how, as a manifest keeps it.
+//! Protocol of a collection, as a manifest stores it.
 
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
@@ -21,12 +21,12 @@ pub struct Job {
     pub path: PathBuf,
     /// Its ensemble member; empty for none.
     pub member: String,
-    /// Its time step, where its name tells one.
+    /// Its time step, if its name contains one.
     pub time_step: Option<u32>,
 }
 
 impl Job {
-    /// What can be read off a path: `…/m01/t0012.nrrd` is time step 12 of member `m01`.
+    /// Parses a path: `…/m01/t0012.nrrd` is time step 12 of member `m01`.
     pub fn from_path(path: &Path) -> Self {
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let stem = name.split('.').next().unwrap_or_default();
@@ -43,13 +43,13 @@ impl Job {
         Self { path: path.to_owned(), member, time_step }
     }
 
-    /// Its name in tables: the path as it was given.
+    /// Its name in tables: the path as given.
     pub fn name(&self) -> String {
         self.path.to_string_lossy().into_owned()
     }
 
-    /// The name under which random scenes are drawn: the file's name, for a time step with the two folders
-    /// above it. It does not depend on the working directory or on where the data lie.
+    /// The name that seeds its random scenes: the file's name, for a time step with the two folders above it.
+    /// It does not depend on the working directory or the place of the data.
     pub fn seed_name(&self) -> String {
         let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
         let parts: Vec<String> =
@@ -59,14 +59,14 @@ impl Job {
     }
 }
 
-/// How frames are drawn and rendered.
+/// Settings by which frames are drawn and rendered.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Protocol {
     /// Frames per volume.
     pub frames: u32,
     /// Repeats per frame and pass.
     pub repeats: u32,
-    /// How often all volumes are gone through.
+    /// Number of passes over all volumes.
     pub passes: u32,
     /// Renderings discarded after each volume change.
     pub warm_up: u32,
@@ -74,27 +74,27 @@ pub struct Protocol {
     pub warm_up_repeats: u32,
     /// Seed.
     pub seed: u64,
-    /// What scenes are drawn from.
+    /// Distribution of the scenes.
     pub scenes: SceneDistribution,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
-    /// Where rays stop.
+    /// Accumulated opacity at which rays stop.
     pub termination: f32,
     /// Enlargement at load.
     pub enlarge: usize,
-    /// Edge in voxels that volumes are resampled to instead.
+    /// Voxels per side of a resampled volume, instead of the original.
     pub proxy: Option<usize>,
     /// Options of reading volume files.
     pub reading: Reading,
 }
 
 impl Protocol {
-    /// What the manifest of a table says that `entire collect` made, and the table's volumes.
+    /// Protocol and volumes of a table by `entire collect`, from its manifest.
     ///
     /// # Errors
-    /// When a setting is missing or is nothing that this version knows; names it.
+    /// When a setting is missing or unknown to this version; names it.
     pub fn of_manifest(manifest: &Manifest) -> Result<(Self, Vec<Job>)> {
         #[derive(Deserialize)]
         struct Settings {
@@ -136,7 +136,7 @@ impl Protocol {
         );
         ensure!(
             s.passes > 0 && manifest.repeats.is_multiple_of(s.passes),
-            "its {} repeats are not those of {} passes",
+            "its {} repeats cannot be split evenly over {} passes",
             manifest.repeats,
             s.passes
         );
@@ -160,7 +160,7 @@ impl Protocol {
         Ok((protocol, jobs.collect()))
     }
 
-    /// Frame `index` of a job whose volume has so many voxels as it is rendered.
+    /// Frame `index` of a job whose rendered volume has this many voxels.
     pub fn scene(&self, job: &Job, dims: [usize; 3], index: u64) -> Scene {
         let drawn = self.scenes.draw(self.seed, &job.seed_name(), index);
         Scene {
@@ -180,7 +180,7 @@ impl Protocol {
         }
     }
 
-    /// A volume as it is rendered: resampled or enlarged where that is asked for.
+    /// The volume to render: resampled or enlarged if the protocol says so.
     ///
     /// # Errors
     /// For an edge or a factor that is not accepted.
@@ -192,7 +192,7 @@ impl Protocol {
         }
     }
 
-    /// The manifest of a table of these jobs that begins now.
+    /// The manifest of a new table of these jobs.
     ///
     /// # Errors
     /// For more repeats than can be counted.
@@ -218,7 +218,7 @@ impl Protocol {
         })
     }
 
-    /// As the manifest of a table of these jobs keeps it.
+    /// The settings of these jobs for the manifest.
     pub fn settings(&self, jobs: &[Job]) -> serde_json::Value {
         let mut settings = json!({
             "frames_per_volume": self.frames,
@@ -249,13 +249,13 @@ impl Protocol {
         settings
     }
 
-    /// What [`super::Outcome`] counts.
+    /// Unit that [`super::Outcome`] counts in.
     pub fn counted(&self) -> &'static str {
         if self.passes > 1 { "frames of all passes" } else { "frames" }
     }
 }
 
-/// The driver with its version: what a Vulkan device's description ends with. Empty for the CPU twin, which
+/// The driver with its version: the end of a Vulkan device's description. Empty for the CPU version, which
 /// has none.
 fn driver_of(renderer: &dyn Renderer) -> String {
     let device = renderer.device();
@@ -265,7 +265,7 @@ fn driver_of(renderer: &dyn Renderer) -> String {
     }
 }
 
-/// Says what keeps a table from being gone on with, if anything.
+/// Differences between two manifests that prevent a table's continuation.
 pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     let mut out = Vec::new();
     let mut compare = |name: &str, a: serde_json::Value, b: serde_json::Value| {
@@ -284,10 +284,10 @@ pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     for name in names {
         let (old, new) = (a.get(name), b.get(name));
         if name == "volumes" && old != new {
-            out.push("the list of volumes is another (paths, members and order count)".into());
+            out.push("the list of volumes differs (paths, members and order must be the same)".into());
         } else {
             let mut compare = |a: Option<&serde_json::Value>, b: Option<&serde_json::Value>| {
-                // Numbers went through text: compare what is written.
+                // Numbers went through text: compare the texts.
                 let text =
                     |v: Option<&serde_json::Value>| v.map_or("nothing".to_owned(), ToString::to_string);
                 if text(a) != text(b) {
@@ -299,7 +299,7 @@ pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     }
     let changed = |(name, then): (&String, &Vec<Identity>)| {
         let what = identity::difference(then, new.files.get(name)?)?;
-        Some(format!("{name} was written anew since the table was begun ({what})"))
+        Some(format!("{name} changed since the table was begun ({what})"))
     };
     out.extend(old.files.iter().filter_map(changed));
     out

@@ -1,4 +1,4 @@
-//! Collections that are stopped, gone on with and repeated, with a renderer whose clock follows a script.
+//! Collections that are stopped, continued and repeated, with a renderer whose clock follows a script.
 
 use super::*;
 use crate::scripted::ScriptedRenderer;
@@ -199,7 +199,7 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
         other: BTreeMap::new(),
     };
     let base = manifest(&protocol(), &some_jobs(), "d");
-    // Through a file and back, numbers and all.
+    // Through a file and back, with equal numbers.
     let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
     assert_eq!(differences(&back, &base), Vec::<String>::new());
     // And from the manifest to the same frames.

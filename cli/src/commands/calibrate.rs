@@ -22,12 +22,12 @@ use std::path::{Path, PathBuf};
 
 /// Fit a model to this machine in a minute and a half.
 ///
-/// Renders the frames that tell most (chosen by design of experiment, none of the candidates drawn), discards
-/// warm-up renderings, repeats in passes until its own spread is small, and fits unit costs to what was measured,
-/// near those of the shipped models of the shading mode: three frames set the speed of this machine, hundreds every
-/// cost. Prints the error to expect on volumes that are not in it, and says if something else used the machine.
-/// Ctrl-C fits what was measured so far. `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the
-/// machine's model by themselves.
+/// Renders frames that are chosen by optimal design of experiments, discards warm-up renderings, and repeats
+/// passes until the spread of repeats is small. Then it fits unit costs to the measured times, with the
+/// shipped models of the shading mode as prior: three frames set the speed of this machine, hundreds set
+/// every cost. Prints the error on held-out volumes, and warns if other programs used the machine. Ctrl-C
+/// fits the frames measured so far. `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find
+/// the model by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate
@@ -38,11 +38,11 @@ use std::path::{Path, PathBuf};
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
         frames that a renderer of your own logged: nothing is rendered")]
 pub struct Options {
-    /// Volume files; unless given those in data/, of its ensembles the members that models are trained on.
+    /// Volume files; default: those in data/, and of its ensembles only the training members.
     #[arg(value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
-    /// Timing tables that a renderer of your own logged, instead of rendering: their frames with the shading
-    /// and the clock are what is fitted to. Needs --out.
+    /// Timing tables logged by your own renderer: nothing is rendered, and the model is fitted to their
+    /// frames of --shade and --clock. Needs --out.
     #[arg(
         long,
         num_args = 1..,
@@ -55,24 +55,24 @@ pub struct Options {
     /// Shading of each sample, or all modes one after another.
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOrAll,
-    /// The clock whose seconds the model predicts: processor time of all threads, wall time, or the device's
-    /// timestamps; auto is what a user waits for, the device's timestamps on a GPU and wall time elsewhere.
+    /// Clock of the predicted seconds: processor time of all threads, wall time, or the device's timestamps;
+    /// auto: the device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub clock: Clock,
-    /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Unless given,
+    /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Default:
     /// machine-MODE.safetensors in the folder entire of the user's data folder.
     #[arg(long, value_name = "FILE.safetensors")]
     pub out: Option<PathBuf>,
     /// Write the measured frames too, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// The model to start from, of kind analytic or residual; unless given, the shipped ones of the mode in models/.
+    /// Prior model, of kind analytic or residual; default: the shipped ones of the mode in models/.
     #[arg(long, value_name = "SAFETENSORS")]
     pub prior: Option<PathBuf>,
     /// Wall seconds that each mode may take.
     #[arg(long, default_value_t = 85.0, value_name = "SECONDS", value_parser = parse_seconds)]
     pub seconds: f64,
-    /// Frames at most.
+    /// Maximum number of frames.
     #[arg(long, default_value_t = 500, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=100_000))]
     pub frames: u32,
     /// Reading of the volumes.
@@ -90,24 +90,23 @@ pub struct Options {
     /// Longest image side, pixels.
     #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
     pub max_size: u32,
-    /// Ray steps to draw from, reference steps; those that stand there twice are drawn twice as often.
+    /// Ray steps to draw from, reference steps; a step that is listed twice is drawn twice as often.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0, 1.0, 1.0, 2.0, 4.0], value_name = "STEP,…")]
     pub steps: Vec<f32>,
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
-    /// Measure of how far pictures at coarser steps and of smaller images are from full quality; plans then
-    /// coarsen what shows less.
+    /// Error measure of pictures at coarser steps and smaller image sizes; plans then coarsen the one that
+    /// adds less error.
     #[arg(long, value_enum, default_value_t)]
     pub picture_error: PictureError,
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
-    /// table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
     #[arg(long, value_name = "FOLDER", requires = "data")]
     pub root: Option<PathBuf>,
-    /// Threads for what is computed of frames; all logical processors unless given.
+    /// Threads that compute scene features; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }
@@ -115,7 +114,7 @@ pub struct Options {
 /// A shading mode, or all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ShadeOrAll {
-    /// Color and opacity alone.
+    /// Color and opacity only.
     #[default]
     None,
     /// Local lighting with gradients.
@@ -144,7 +143,7 @@ pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Where the model of a mode goes.
+/// Path of the model of a mode.
 fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
     match &options.out {
         None => file_of(shading).context(
@@ -162,7 +161,7 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
 ///
 /// # Errors
 /// Volumes or models that cannot be read, a renderer that fails or lacks the clock, a file that cannot be
-/// written, interruption before there was anything to fit.
+/// written, interruption before enough frames for a fit.
 pub fn run(options: &Options) -> Result<()> {
     if !options.data.is_empty() {
         return from_tables(options);
@@ -256,7 +255,7 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
         driver: String::new(),
         commit: machine::version(),
         seed: options.seed,
-        // Frames differ in theirs.
+        // The number differs between frames.
         repeats: 0,
         step_reference: "smallest voxel spacing".into(),
         settings: json!({ "calibration": true, "reading": options.volume_args.reading() }),
@@ -265,7 +264,7 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
     }
 }
 
-/// The models to start from, by their names: the one that is named, else the shipped ones.
+/// The priors with their names: the given one, else the shipped ones.
 fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
     let found = match &options.prior {
         Some(path) => vec![(path.clone(), read_model_file(path)?.0)],
@@ -274,7 +273,7 @@ fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
     Ok(found.into_iter().map(|(path, file)| (path.display().to_string(), file)).collect())
 }
 
-/// Says on standard error where the model that is named to start from predicts another clock's seconds.
+/// Prints a note if the given prior predicts another clock's seconds.
 ///
 /// # Errors
 /// When it cannot be read.
@@ -287,7 +286,7 @@ fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     Ok(())
 }
 
-/// Fits to frames that were logged.
+/// Fits to logged frames.
 fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));

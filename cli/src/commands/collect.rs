@@ -1,4 +1,4 @@
-//! `entire collect`: render many random frames of volumes and write down how long each took.
+//! `entire collect`: render many random frames of volumes and write their times to a table.
 
 use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
 use anyhow::{Context, Result, bail, ensure};
@@ -17,12 +17,12 @@ use serde_json::json;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Render many random frames of volumes and write down how long each took.
+/// Render many random frames of volumes and write their render times to a table.
 ///
-/// Cameras stand on semi-spheres of several radii, transfer functions are random Gaussian lobes, images are
-/// square and not, sides log-uniform. Each frame is rendered several times and every repeat becomes a row; a
-/// manifest beside the table says with what it was measured. The same seed gives the same frames of a volume,
-/// whatever else is collected. Ctrl-C keeps every finished frame; go on with --resume.
+/// Cameras lie on semi-spheres of several radii, transfer functions are random Gaussian lobes, and image
+/// sides are log-uniform, square or not. Each frame is rendered several times and every repeat is a row; a
+/// manifest beside the table states machine, renderer and settings. The frames of a volume depend on the seed
+/// only. Ctrl-C keeps every finished frame; --resume continues.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire collect data/*.nrrd --out frames.csv
@@ -36,9 +36,9 @@ pub struct Options {
     /// The table to write; its manifest goes beside it as NAME.manifest.json.
     #[arg(long, value_name = "FILE.csv")]
     pub out: PathBuf,
-    /// Collect the frames of this table anew: volumes, frames and all settings come from its manifest, but
-    /// for --repeats, --passes and --warm-up-repeats where they are given. Its volume names start from the
-    /// working folder.
+    /// Collect the frames of this table again: volumes, frames and settings come from its manifest, except
+    /// --repeats, --passes and --warm-up-repeats if given. Its volume names are relative to the working
+    /// folder.
     #[arg(long, value_name = "TABLE", conflicts_with_all = [
         "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",
         "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy", "array", "fill", "range",
@@ -47,31 +47,31 @@ pub struct Options {
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
     pub frames: u32,
-    /// Renderings of each frame that are timed [default: 5].
+    /// Timed renderings of each frame [default: 5].
     #[arg(long, value_name = "R")]
     pub repeats: Option<u32>,
-    /// Go through all volumes so often, with --repeats renderings of each frame every time: repeats minutes
-    /// apart show the machine's drift, which repeats at once do not [default: 1].
+    /// Passes over all volumes, each with --repeats renderings of every frame: repeats that are minutes apart
+    /// show the machine's drift [default: 1].
     #[arg(long, value_name = "P")]
     pub passes: Option<u32>,
-    /// Renderings of each frame that are thrown away before those that are timed: the first one, of a new
-    /// image size and a new transfer function, is slower than the others [default: 1].
+    /// Renderings of each frame that are discarded before the timed ones: the first one, with a new image
+    /// size and transfer function, is slower [default: 1].
     #[arg(long, value_name = "N")]
     pub warm_up_repeats: Option<u32>,
-    /// Renderings thrown away after each volume is loaded, so that first-use work is not timed.
+    /// Renderings that are discarded after each volume is loaded, so that first-use work is not timed.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub warm_up: u32,
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// How frames are rendered.
+    /// Rendering options.
     #[command(flatten)]
     pub render: RenderArgs,
     /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// Predict the frames by this model instead of rendering them, so that a model that needs very many
-    /// frames can be distilled from one that needs few; every clock reads the prediction.
+    /// Predict the frames by this model instead of rendering them, to distill another model from it; all
+    /// clocks get the predicted time.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
     pub teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
@@ -80,28 +80,26 @@ pub struct Options {
     /// Longest image side, pixels.
     #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
     pub max_size: u32,
-    /// Radii of the semi-spheres that cameras stand on, bounding-sphere radii.
+    /// Radii of the cameras' semi-spheres, bounding-sphere radii.
     #[arg(long, value_delimiter = ',', default_values_t = DEFAULT_RADII, value_name = "R,…")]
     pub radii: Vec<f32>,
-    /// Gaussian lobes per transfer function: a number, or the least and most as `2-4`.
+    /// Gaussian lobes per transfer function: a number, or a range such as `2-4`.
     #[arg(long, default_value = "3", value_name = "N[-M]", value_parser = parse_lobe_range)]
     pub lobes: (u32, u32),
     /// Ray steps to draw from, reference steps.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
     pub steps: Vec<f32>,
-    /// Ensemble member of the volumes: one for all, or one for each. Else it follows from the folder's name.
+    /// Ensemble member of the volumes: one for all, or one for each. Default: the folder's name.
     #[arg(long, num_args = 1.., value_name = "NAME")]
     pub member: Vec<String>,
-    /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost what large ones
-    /// do.
+    /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost as much as large
+    /// ones.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub enlarge: usize,
-    /// Render every volume resampled to so many voxels an edge instead: the low-resolution proxy of the same
-    /// frames.
+    /// Render every volume resampled to EDGE voxels per side: the low-resolution proxy of the same frames.
     #[arg(long, value_name = "EDGE", conflicts_with = "enlarge")]
     pub proxy: Option<usize>,
-    /// Go on with a table that was interrupted. Settings, machine and volume files must be those of its
-    /// manifest.
+    /// Continue an interrupted table. Settings, machine and volume files must be those of its manifest.
     #[arg(long)]
     pub resume: bool,
 }
@@ -114,7 +112,7 @@ fn parse_lobe_range(text: &str) -> std::result::Result<(u32, u32), String> {
     }
 }
 
-/// What the options say.
+/// Protocol from the options.
 fn protocol(options: &Options) -> Protocol {
     Protocol {
         frames: options.frames,
@@ -155,7 +153,7 @@ fn jobs(options: &Options) -> Result<Vec<Job>> {
     Ok(jobs)
 }
 
-/// That every volume is there, once.
+/// Checks that every volume exists and is given once.
 fn check(jobs: &[Job], remedy: &str) -> Result<()> {
     for job in jobs {
         ensure!(job.path.is_file(), "{}: no such file; {remedy}", job.path.display());
@@ -171,7 +169,7 @@ fn check(jobs: &[Job], remedy: &str) -> Result<()> {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options or files, a device that fails, and interruption; the message says how to go on.
+/// Bad options or files, a device that fails, and interruption; the message names the command that continues.
 pub fn run(options: &Options) -> Result<()> {
     let (protocol, jobs) = match &options.like {
         Some(table) => {
@@ -179,8 +177,13 @@ pub fn run(options: &Options) -> Result<()> {
             let manifest = Manifest::read(table)?.with_context(|| {
                 format!("{shown} has no manifest {}", Manifest::path_for(table).display())
             })?;
-            let (mut protocol, jobs) = Protocol::of_manifest(&manifest)
-                .with_context(|| format!("{} cannot be followed", Manifest::path_for(table).display()))?;
+            let (mut protocol, jobs) = Protocol::of_manifest(&manifest).with_context(|| {
+                format!(
+                    "its frames cannot be collected again by \
+                     {}",
+                    Manifest::path_for(table).display()
+                )
+            })?;
             protocol.repeats = options.repeats.unwrap_or(protocol.repeats);
             protocol.passes = options.passes.unwrap_or(protocol.passes);
             protocol.warm_up_repeats = options.warm_up_repeats.unwrap_or(protocol.warm_up_repeats);
@@ -188,7 +191,7 @@ pub fn run(options: &Options) -> Result<()> {
             for job in &jobs {
                 if let Some(what) = manifest.changed(&job.name(), &job.path)? {
                     entire_io::files::note(&format!(
-                        "{} is another than {shown} was collected from: {what}",
+                        "{} is not the file that {shown} was collected from: {what}",
                         job.path.display()
                     ));
                 }
@@ -233,7 +236,7 @@ pub fn run(options: &Options) -> Result<()> {
             );
             if old.files.is_empty() {
                 entire_io::files::note(&format!(
-                    "{} does not say what the volumes' files were; they are taken for unchanged",
+                    "{} has no checksums of the volume files; they are taken as unchanged",
                     Manifest::path_for(&options.out).display()
                 ));
             }
@@ -247,7 +250,7 @@ pub fn run(options: &Options) -> Result<()> {
             manifest.created = old.created;
             manifest.commit = old.commit;
         } else {
-            // A collection that was killed before its manifest was written has no frame either.
+            // A collection that was killed before its manifest was written has no frame.
             ensure!(
                 Writer::is_fresh(&options.out)?,
                 "cannot go on with {}: its manifest {} is missing",
@@ -289,9 +292,7 @@ pub fn run(options: &Options) -> Result<()> {
         if let Some(then) = files.get(path)
             && let Some(what) = identity::difference(then, &identity::of_volume(path)?)
         {
-            bail!(
-                "it was written anew while frames were collected: {what}; put it back, or begin another table"
-            );
+            bail!("it changed while frames were collected: {what}; restore it, or begin another table");
         }
         Ok(volume)
     };

@@ -1,4 +1,4 @@
-//! `entire demo`: calibrate, explore and report: the main job, end to end.
+//! `entire demo`: calibrate, play a path under several controllers, and report.
 
 use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, volumes_in};
@@ -29,16 +29,16 @@ use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The volume that is taken where none is given, from the project's root.
+/// Default volume, relative to the project's root.
 pub const DEFAULT_VOLUME: &str = "data/nyx_cosmology/m04/t0010.nrrd";
 
-/// Volumes with fewer voxels are enlarged by 2 along every axis, so that their frames cost something.
+/// Volumes with fewer voxels are enlarged by 2 along every axis, so that their frames are not too cheap.
 const SMALL_VOLUME: u64 = 160 * 160 * 160;
 
-/// Seconds that all rendering may take; images are made smaller where they would take longer.
+/// Time limit of all rendering, seconds; images are reduced to meet it.
 const RENDERING_BUDGET: f64 = 150.0;
 
-/// Smallest image side that the budget may lead to, pixels.
+/// Smallest image side under the time limit, pixels.
 const SMALLEST_SIDE: u32 = 96;
 
 const CONTROLLERS: [ControllerKind; 5] = [
@@ -49,49 +49,51 @@ const CONTROLLERS: [ControllerKind; 5] = [
     ControllerKind::Hybrid,
 ];
 
-/// Calibrate, explore and report: the main job, end to end.
+/// Calibrate, play a path under several controllers, and report.
 ///
-/// Calibrates to this machine with other volumes, where it has no model, then plays an exploration of a volume that no
-/// model saw: 120 frames with three abrupt switches of the transfer function, under five controllers (fixed step, OLP,
-/// PID, Algorithm 1, ours). Prints how well each held the target frame time, and writes a report.
+/// If this machine has no model, calibrates one with other volumes. Then plays 120 frames of a volume that no
+/// model was trained on, with three abrupt switches of the transfer function, under five controllers (fixed
+/// step, OLP, PID, Algorithm 1, entire's). Prints each controller's distance from the target frame time, and
+/// writes a report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire demo
   entire demo skull.nii.gz --out out/skull")]
 pub struct Options {
-    /// The volume file; a step of a cosmology simulation where none is given.
+    /// The volume file; default: a time step of a cosmology simulation.
     #[arg(value_name = "VOLUME")]
     pub volume: Option<PathBuf>,
     /// Folder for report.html, frames.csv, summary.json, path.json and model.safetensors.
     #[arg(long, default_value = "out/demo", value_name = "DIR")]
     pub out: PathBuf,
-    /// Image size, pixels; smaller where rendering would take too long.
+    /// Image size, pixels; reduced if rendering would take too long.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// Frames of the exploration.
+    /// Frames of the path.
     #[arg(long, default_value_t = 120, value_name = "N")]
     pub frames: u32,
-    /// Wall seconds that the calibration may take, where the machine has no model.
+    /// Wall seconds for the calibration, if the machine has no model.
     #[arg(long, default_value_t = 25.0, value_name = "SECONDS", value_parser = parse_seconds)]
     pub seconds: f64,
-    /// Random scenes of the volume that are rendered first, at six steps each, to measure what a coarser step saves.
+    /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
+    /// coarser steps.
     #[arg(long, default_value_t = 16, value_name = "N")]
     pub scenes: usize,
     /// Reading of the volume.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// How frames are rendered.
+    /// Rendering options.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// The clock of frame times. `auto` is the one that the machine's model predicts (`entire calibrate`); without one the
-    /// device's, or wall time where software renders.
+    /// The clock of frame times. `auto`: the clock of the machine's model (`entire calibrate`), else the
+    /// device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
-    /// Enlarge the volume by this factor at load, trilinearly; else 2 for small volumes, 1 for others.
+    /// Enlarge the volume by this factor at load, trilinearly; default: 2 for small volumes, 1 for others.
     #[arg(long, value_name = "FACTOR")]
     pub enlarge: Option<usize>,
-    /// Pixels between rays along each image side, at most, that ours may choose together with the step,
-    /// whichever shows less; 1 leaves the image alone.
+    /// Coarsest image of entire's controller, in pixels between rays along each side; it coarsens step or
+    /// image, whichever adds less error. 1 keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
     /// Seed of the random scenes.
@@ -99,8 +101,8 @@ pub struct Options {
     pub seed: u64,
 }
 
-/// A model of this machine, made of other volumes than the one that is played: those in data/, of its ensembles the
-/// members that models are trained on. `None` where there are none.
+/// A model of this machine, calibrated with other volumes than the played one: those in data/, and of its
+/// ensembles only the training members. `None` without any.
 fn calibrated(
     options: &Options,
     draw: &DrawSettings,
@@ -143,8 +145,8 @@ fn calibrated(
     Ok(Some((title, file)))
 }
 
-/// Shrinks the image until all rendering fits the budget, judged by a frame that stands for the mean,
-/// rendered a few times.
+/// Reduces the image until all rendering fits the time limit, estimated by a typical frame that is rendered a
+/// few times.
 fn fit_size(
     mut draw: DrawSettings,
     view: &VolumeView<'_>,
@@ -171,7 +173,7 @@ fn fit_size(
     Ok(draw)
 }
 
-/// What the run shows of prediction against reaction at switches, in a sentence.
+/// Comparison of predicting and reactive controllers at switches, in a sentence.
 fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     let at = |name: &str| {
         let i = names.iter().position(|n| n == name)?;
@@ -184,15 +186,15 @@ fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     };
     let (predicting, reacting) = (hybrid.min(algorithm1), olp.min(pid));
     let outcome = if hybrid < reacting && algorithm1 < reacting {
-        "prediction beat reaction"
+        "both predicting controllers were closer than the reactive ones"
     } else if predicting < reacting {
-        "one of the two predicting controllers beat reaction, the other did not"
+        "one of the two predicting controllers was closer than the reactive ones"
     } else {
-        "prediction did not beat reaction in this run"
+        "neither predicting controller was closer than the reactive ones in this run"
     };
     format!(
-        "In the {SWITCH_FRAMES} frames from each abrupt switch on, frames were off the target by {hybrid:.0} \
-         % (hybrid) and {algorithm1:.0} % (Algorithm 1) on average, against {olp:.0} % (OLP) and {pid:.0} % \
+        "In the first {SWITCH_FRAMES} frames after each abrupt switch, the mean distance from the target was \
+         {hybrid:.0} % (hybrid) and {algorithm1:.0} % (Algorithm 1), against {olp:.0} % (OLP) and {pid:.0} % \
          (PID): {outcome}."
     )
 }
@@ -271,35 +273,35 @@ pub fn run(options: &Options) -> Result<()> {
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     println!("predictor  {}", prepared.predictor.sentence());
     println!(
-        "full step  {:.1} ms, the median of {} random scenes",
+        "reference  {:.1} ms at the reference step, median of {} random scenes",
         prepared.full_quality * 1e3,
         options.scenes
     );
     let target = format!("{:.1} ms: {}", prepared.target * 1e3, prepared.target_reason);
     println!("target     {target}");
-    println!("fixed step {:.2}, what the median random scene needs for the target", prepared.fixed_step);
+    println!("fixed step {:.2}, at which the median random scene meets the target", prepared.fixed_step);
 
     let keep = path.switches();
     let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
         "Every frame was drawn under every controller before the next one began, in rotating order, so that \
-         whatever else the machine did hit all of them alike. The picture at the reference step was drawn \
-         beside them, outside of the race. Changes of the transfer function are not part of frame \
-         times."
+         other load on the machine affected all of them alike. The picture at the reference step was drawn \
+         as well, without being timed. Changes of the transfer function are not part of frame times."
             .to_owned(),
         format!(
-            "The fixed step ({:.2}) is the one that the median random scene needs for the target. OLP \
-             takes the mean of the last three frames, brought to the reference step by G; PID has the gains \
-             0.3, 0.05, 0.1; Algorithm 1 sends the prediction at the reference step through G; the hybrid \
-             predicts every step, corrects the prediction by what it observed, and keeps a margin.",
+            "The fixed step ({:.2}) is the one that the median random scene needs for the target. OLP takes \
+             the mean of the last three frames, converted to the reference step by G, the curve of frame \
+             time over step; PID has the gains 0.3, 0.05, 0.1; Algorithm 1 converts the prediction at the \
+             reference step by G; the hybrid predicts every step, corrects the prediction by what it \
+             observed, and keeps a margin.",
             prepared.fixed_step
         ),
     ];
     if factor != 1 {
         remarks.push(format!(
-            "The volume was enlarged trilinearly by {factor} along every axis at load, so \
-            that its frames cost what larger volumes' do."
+            "The volume was enlarged trilinearly by {factor} along every axis at load, so that its frames \
+             cost as much as those of larger volumes."
         ));
     }
     let story = Story {
@@ -360,7 +362,10 @@ mod tests {
     fn the_verdict_says_who_won_whoever_did() {
         let names: Vec<String> = CONTROLLERS.iter().map(|k| k.name().to_owned()).collect();
         let say = |errors: [f64; 5]| verdict(&names, &errors.map(metrics));
-        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).ends_with("prediction beat reaction."));
+        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).ends_with(
+            "both predicting controllers were closer than the \
+             reactive ones."
+        ));
         assert!(say([0.9, 0.5, 0.6, 0.55, 0.1]).contains("one of the two"));
         assert!(say([0.9, 0.1, 0.6, 0.2, 0.2]).contains("did not beat"));
         assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).contains("10 % (hybrid) and 20 % (Algorithm 1)"));

@@ -9,8 +9,9 @@ use std::path::PathBuf;
 
 /// Turn a volume into its feature vector.
 ///
-/// The volume is mapped to [0, 1] over its range (--range sets another, such as an ensemble's), resampled to the network's input and encoded. Prints the
-/// features on one line, comma-separated, 9 significant digits.
+/// The volume is mapped to [0, 1] over its range (--range sets another, such as an ensemble's), resampled to
+/// the network's input size and encoded. Prints the features on one line, comma-separated, 9 significant
+/// digits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire encode --model volumenet.safetensors data/mr_banana.nrrd
@@ -24,7 +25,7 @@ pub struct Options {
     /// Reading of the volume.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }

@@ -1,4 +1,4 @@
-//! `entire explore`: a window on a volume whose frame time stays where it is put.
+//! `entire explore`: a window on a volume that holds a target frame time.
 
 #[cfg(feature = "explore")]
 mod surroundings;
@@ -9,14 +9,14 @@ use entire_io::options::{ShadeOption, SkipOption, VolumeArgs, parse_size};
 use entire_io::path::parse_target;
 use std::path::PathBuf;
 
-/// Explore a volume in a window whose frame time stays where it is put.
+/// View a volume in an interactive window that holds a target frame time.
 ///
-/// Every frame is planned before it is drawn and told to the predictor afterwards; a graph shows both beside
-/// the target. Whenever nothing changes the picture is refined to full quality, in slices that never take
-/// longer than the target. Without --model the machine's model steers where `entire calibrate --clock wall`
-/// made one, else the shipped model where the working folder is the project's, else an untrained one; all
-/// learn from the frames. Drag to turn, shift-drag to pan, scroll to
-/// zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to take back.
+/// Every frame is predicted before it is drawn, and the predictor learns from its measured time; a graph
+/// shows both beside the target. While nothing changes, the picture is refined to full quality in slices no
+/// longer than the target. Without --model, the model of this machine is used
+/// (`entire calibrate --clock wall`), else the shipped model if the working folder is the project's, else an
+/// untrained one; all learn from the frames. Drag to turn, shift-drag to pan, scroll to zoom, F to fly, 1 2 3
+/// to look along an axis, R to reset, Ctrl+Z to take back.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire explore data/nyx_cosmology/m01/t0010.nrrd
@@ -30,13 +30,13 @@ pub struct Options {
     /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// Time that frames should not exceed: 33ms, 0.033s or 30fps.
+    /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, default_value = "33ms", value_name = "TIME", allow_hyphen_values = true)]
     pub target: String,
-    /// Steer by this model file, which was calibrated to this machine.
+    /// Model file, calibrated to this machine.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// The controller that steers at first. Rules that act on image resolution elsewhere act on the ray step here.
+    /// Controller at the start. Rules that act on image resolution elsewhere act on the ray step here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
     /// Shading of each sample.
@@ -51,7 +51,7 @@ pub struct Options {
     /// Size of the window, pixels.
     #[arg(long, default_value = "1280x800", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// Play events from a file (JSON lines, see the book) instead of waiting for a person.
+    /// Play events from a file (JSON lines, see the book) instead of user input.
     #[arg(long, value_name = "FILE.jsonl")]
     pub script: Option<PathBuf>,
     /// Write every frame as a row of CSV: seconds, prediction, step, memory.

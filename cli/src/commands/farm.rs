@@ -1,4 +1,4 @@
-//! `entire farm`: render an image database on whatever runs tasks.
+//! `entire farm`: render an image database on an engine.
 
 use anyhow::{Context, Result, ensure};
 use entire_farm::database::{self, Database};
@@ -14,7 +14,7 @@ use entire_io::files::write_whole;
 use entire_io::machine;
 use std::path::PathBuf;
 
-/// What runs the tasks.
+/// Engine that runs the tasks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum EngineOption {
     /// Processes of this machine.
@@ -26,23 +26,23 @@ pub enum EngineOption {
     Slurm,
 }
 
-/// In which order tasks are sent.
+/// Order in which tasks are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum OrderOption {
     /// Longest expected first.
     #[default]
     Longest,
-    /// As the job lists them.
+    /// In the order of the job.
     Arrival,
-    /// All taken for equally long, as a scheduler without predictions does.
+    /// All tasks taken as equally long, as by a scheduler without predictions.
     Uniform,
 }
 
-/// Render an image database: plan, run, and say when it will be done.
+/// Render an image database: plan, run and predict the end.
 ///
 /// The job file (TOML) names volumes, cameras, transfer functions, sizes, steps and the renderer; see the
 /// book's chapter on render farms. The database is a Cinema database (Specification D): NAME.cdb/data.csv.
-/// Finished images are recorded in NAME.cdb/.farm; --resume goes on after whatever happened.
+/// Finished images are recorded in NAME.cdb/.farm; --resume continues after any interruption.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire farm job.toml --list
@@ -57,11 +57,11 @@ pub struct Options {
     /// The engine that runs the tasks.
     #[arg(long, value_enum, default_value_t)]
     pub engine: EngineOption,
-    /// Bundles that run at once: workers of this machine or of HyperQueue, nodes of Slurm. The processors of
-    /// this machine where it is not given, for Slurm the nodes that it lists.
+    /// Bundles that run at once: workers of this machine or of HyperQueue, nodes of Slurm. Default: the
+    /// processors of this machine, for Slurm its listed nodes.
     #[arg(long, value_name = "N")]
     pub slots: Option<usize>,
-    /// Go on with a database that was begun.
+    /// Continue an unfinished database.
     #[arg(long)]
     pub resume: bool,
     /// With --resume: try quarantined tasks again.
@@ -73,13 +73,13 @@ pub struct Options {
     /// Render a coarse subset first: every eighth view at the smallest size and the coarsest step.
     #[arg(long)]
     pub preview: bool,
-    /// Render nothing: print the volume files in the order in which they are taken, with their time steps.
+    /// Render nothing: print the volume files in their order, with their time steps.
     #[arg(long, conflicts_with_all = ["dry_run", "openjd", "resume", "report", "save_tasks"])]
     pub list: bool,
     /// Render nothing: print plan, cost and expected end.
     #[arg(long)]
     pub dry_run: bool,
-    /// With --dry-run: find the cheapest number of nodes that is done by then (90s, 30m, 2h, 1.5d).
+    /// With --dry-run: find the cheapest number of nodes that meets this deadline (90s, 30m, 2h, 1.5d).
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub deadline: Option<f64>,
     /// With --dry-run: price of a node hour.
@@ -88,30 +88,28 @@ pub struct Options {
     /// Order in which tasks are sent.
     #[arg(long, value_enum, default_value_t)]
     pub order: OrderOption,
-    /// Seconds that sending a bundle costs a slot, instead of the engine's own figure.
+    /// Overhead of a bundle on its slot, seconds, instead of the engine's own figure.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
-    /// Longest time that the engine runs a bundle (90s, 30m, 2h): HyperQueue's worker limit, Slurm's
-    /// partition.
+    /// Time limit of a bundle (90s, 30m, 2h): that of HyperQueue's workers or Slurm's partition.
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub time_limit: Option<f64>,
-    /// The Python that has HyperQueue's package.
+    /// Python with HyperQueue's package.
     #[arg(long, default_value = "python3", value_name = "PROGRAM")]
     pub python: String,
-    /// Folder of a running HyperQueue server; a server with workers is started where it is not given.
+    /// Folder of a running HyperQueue server; without it a server with workers is started.
     #[arg(long, value_name = "DIR")]
     pub server_dir: Option<String>,
-    /// Processors of a HyperQueue bundle.
+    /// Processors per HyperQueue bundle.
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub cpus: u32,
-    /// Another option of sbatch, such as --sbatch=--partition=long; may be given several times.
+    /// Additional option of sbatch, such as --sbatch=--partition=long; may be given several times.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
     pub sbatch: Vec<String>,
-    /// Write a report (HTML) when done; alone with --dry-run it tells of what is done.
+    /// Write a report (HTML) when done; with --dry-run it covers the finished tasks.
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Write the tasks with their expected seconds as a list (CSV) that `entire schedule` and predict.list
-    /// read.
+    /// Write the tasks with their expected seconds as a list (CSV) for `entire schedule` and predict.list.
     #[arg(long, value_name = "TASKS.csv")]
     pub save_tasks: Option<PathBuf>,
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of equal expected time.
@@ -127,7 +125,7 @@ pub struct WorkerOptions {
     /// The worker's name.
     #[arg(long, value_name = "NAME")]
     pub node: Option<String>,
-    /// Do this bundle and end; without it bundles come through standard input.
+    /// Run this bundle and end; without it bundles are read from standard input.
     #[arg(long, value_name = "N")]
     pub bundle: Option<u64>,
 }
@@ -135,7 +133,7 @@ pub struct WorkerOptions {
 /// Runs the command.
 ///
 /// # Errors
-/// A bad job file, an engine that is not there, tasks that were given up.
+/// A bad job file, a missing engine, tasks that were given up.
 pub fn run(options: &Options) -> Result<()> {
     let job = Job::open(&options.job)?;
     ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");

@@ -1,4 +1,4 @@
-//! `entire features`: what the core computes about the frames of timing tables, kept beside them.
+//! `entire features`: scene features of the frames of timing tables, stored beside them.
 
 use anyhow::{Context, Result, ensure};
 use entire_core::nn::VolumeNet;
@@ -13,8 +13,8 @@ use std::path::PathBuf;
 
 /// Compute the scene features of collected frames and keep them beside the tables.
 ///
-/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then need the volumes no more. Made anew
-/// for every version that changes the features.
+/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then no longer need the volumes. Run it
+/// again after every version that changes the features.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire features --data frames.csv
@@ -23,18 +23,17 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Model files whose VolumeNet encodes the volumes, for models on volume features.
+    /// Model files whose VolumeNet encodes the volumes, for models with volume features.
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
-    /// Rays along each side of further probes, 1 to 24, for models on cheaper or finer ones than the standard 11,
-    /// which is always computed.
+    /// Rays along each side of additional probes, 1 to 24, for models with cheaper or finer probes than the
+    /// standard 11, which is always computed.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
-    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
-    /// table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }

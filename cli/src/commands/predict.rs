@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 /// Predict seconds for rows of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. Nothing is printed when
-/// any row is wrong. Standard error says by which clock the seconds are, where the model states it.
+/// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. Nothing is printed
+/// when any row is wrong. The clock of the seconds, if the model states it, goes to standard error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs frames.csv
@@ -22,10 +22,10 @@ use std::path::{Path, PathBuf};
 
 A model lists its inputs in its metadata key entire.inputs; a wrong number of columns prints them.")]
 pub struct Options {
-    /// Model file with a PredNet; the machine's own of --shade unless given (`entire calibrate` makes it).
+    /// Model file with a PredNet; default: the machine's model of --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// The shading mode whose machine's model is taken where --model is not given.
+    /// Shading mode of the machine's model, without --model.
     #[arg(long, value_enum, default_value_t, conflicts_with = "model")]
     pub shade: ShadeOption,
     /// Table of inputs; `-` for standard input.

@@ -1,4 +1,4 @@
-//! `entire probe`: what the machine at hand needs for each part of a frame.
+//! `entire probe`: the rates of this machine for rays, samples and skips.
 
 use anyhow::{Context, Result};
 use entire_io::device::{self, Device};
@@ -7,11 +7,11 @@ use serde_json::json;
 use std::fmt::Write as _;
 use std::io::Write;
 
-/// Measure what this machine needs for each part of a frame.
+/// Measure this machine's rates for rays, samples and skips.
 ///
-/// Renders known scenes, compares one with the CPU twin, and prints the device, its limits, how good its
-/// timestamps are, and five numbers that describe the machine to a predictor: what a frame costs by itself,
-/// rays, samples of rays that go together and of rays that do not, and jumps over empty blocks, per second.
+/// Renders known scenes, compares one with the CPU version of the raycaster, and prints the device, its
+/// limits, the quality of its timestamps, and five numbers that describe the machine to a predictor: fixed
+/// seconds per frame, and rays, coherent samples, divergent samples and skips of empty blocks per second.
 /// Exit status is 1 when the picture is wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -22,10 +22,10 @@ pub struct Options {
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
-    /// Images grow until a frame takes this many milliseconds, so that its clock can tell.
+    /// Images grow until a frame takes this many milliseconds, so that the clock is precise enough.
     #[arg(long, default_value_t = 20.0, value_name = "MS", value_parser = parse_milliseconds)]
     pub frame_ms: f64,
-    /// Frames of which the median counts.
+    /// Number of frames whose median is taken.
     #[arg(
         long,
         default_value_t = 9,
@@ -45,7 +45,7 @@ fn parse_milliseconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Largest and mean difference to the twin that a right picture may have, of 255.
+/// Largest and mean difference to the CPU version that a right picture may have, of 255.
 const LARGEST: u8 = 2;
 const MEAN: f64 = 0.1;
 
@@ -60,7 +60,7 @@ pub fn run(options: &Options) -> Result<()> {
     let (largest, mean) = (found.agreement.largest, found.agreement.mean);
     anyhow::ensure!(
         largest <= LARGEST && mean <= MEAN,
-        "{} draws another picture than the CPU twin: up to {largest}/255 apart, {mean:.3}/255 in the mean; \
+        "{} draws another picture than the CPU version: difference up to {largest}/255, mean {mean:.3}/255; \
          update its driver, choose another device (ENTIRE_DEVICE), or render with --device cpu",
         found.device
     );
@@ -117,7 +117,7 @@ fn as_text(found: &Probe) -> String {
     line("device", format!("{} ({})", found.device, found.backend));
     if let Some(l) = &found.limits {
         let mib = |bytes: u64| bytes >> 20;
-        line("Vulkan", format!("{}{}", l.api_version, if l.is_software { ", a CPU in truth" } else { "" }));
+        line("Vulkan", format!("{}{}", l.api_version, if l.is_software { ", software" } else { "" }));
         line(
             "limits",
             format!(
@@ -144,10 +144,10 @@ fn as_text(found: &Probe) -> String {
     let a = &found.agreement;
     let counted = match &a.counts {
         Some(c) if *c == a.twin => "counts equal".to_owned(),
-        Some(c) => format!("{} samples, the twin {}", c.samples, a.twin.samples),
-        None => "does not count".to_owned(),
+        Some(c) => format!("{} samples, the CPU version {}", c.samples, a.twin.samples),
+        None => "samples not counted".to_owned(),
     };
-    line("against the CPU twin", format!("up to {}/255, mean {:.4}/255, {counted}", a.largest, a.mean));
+    line("against CPU version", format!("up to {}/255, mean {:.4}/255, {counted}", a.largest, a.mean));
     line("clock", format!("{} time", found.clock));
     line("frame by itself", format!("{:.3} ms", found.frame_seconds * 1e3));
     line("rays", format!("{:.2} M/s", found.rays_per_second * 1e-6));

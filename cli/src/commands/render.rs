@@ -17,9 +17,9 @@ use std::path::PathBuf;
 
 /// Render one frame and time it.
 ///
-/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a
-/// JSON object with the seconds of every repeat, the samples taken (null where the renderer does not count),
-/// device and step.
+/// Writes the picture over black as PNG (8-bit RGB) and prints its time: a line, or with --json a JSON object
+/// with the seconds of every repeat, the samples taken (null where the renderer does not count), device and
+/// step.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
@@ -40,7 +40,7 @@ pub struct Options {
     /// Ray step in reference steps (the smallest voxel spacing).
     #[arg(long, default_value_t = 1.0, value_name = "S", allow_hyphen_values = true)]
     pub step: f32,
-    /// How frames are rendered.
+    /// Rendering options.
     #[command(flatten)]
     pub render: RenderArgs,
     /// Edge of the blocks that are skipped, in cells: 4, 8 or 16.
@@ -94,7 +94,7 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<()> {
-    // Everything that can be wrong is checked before the volume is loaded.
+    // All options are checked before the volume is loaded.
     let camera = camera(options.camera, options.fov, options.parallel_scale)?;
     let frame = Frame {
         step: options.step,
@@ -120,11 +120,11 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let Rendered { image, mut counts, .. } = last.context("--repeats is 0; render at least once")?;
     if counts.is_none() {
-        // Once more, untimed, by a renderer that counts only when it is told to.
+        // Once more, untimed, if the renderer counts only on request.
         renderer.count_work(true);
         counts = renderer.render(&frame)?.counts;
     }
-    // What is seen over black, which premultiplied colors already are.
+    // Blends over black; premultiplied colors already are.
     write_whole(&options.out, &encode_png(&image)?).context("check --out")?;
 
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
@@ -187,7 +187,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The shortest decimal that is this number, as JSON's double: 0.35, not 0.3499999940395355.
+/// The shortest decimal of this number, as JSON's double: 0.35, not 0.3499999940395355.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }

@@ -1,4 +1,4 @@
-//! `entire schedule`: which node renders what, in which order, and when it will be done.
+//! `entire schedule`: assignment of tasks to nodes, in order, and the predicted end.
 
 use anyhow::{Result, bail};
 use entire_farm::list::lower_bound;
@@ -7,13 +7,13 @@ use entire_io::files::{write_json, write_whole};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Decide which node renders what, in which order, and say when it will be done.
+/// Assign tasks to nodes, in order, and predict the end.
 ///
 /// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either
-/// may be missing, not both), and where there are any `task` (a name), `volume` (which data it needs) and
-/// `load_s` (seconds to load that data). All are taken for wall seconds of a node of speed 1: predictions of a
-/// model of another clock, which `entire predict` names, are off by a factor. Writes the assignment or the order
-/// as CSV or JSON, by the file's ending.
+/// may be missing, not both), and optionally `task` (a name), `volume` (the data it needs) and `load_s`
+/// (seconds to load that data). All seconds are wall time on a node of speed 1: predictions of a model of
+/// another clock, which `entire predict` names, are off by a factor. Writes the assignment or the order as
+/// CSV or JSON, by the file's ending.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv
@@ -29,16 +29,16 @@ pub struct Options {
     /// Nodes by speed; a node of speed 2 takes half of a task's seconds.
     #[arg(long, value_delimiter = ',', value_name = "SPEED,…")]
     pub speeds: Vec<f64>,
-    /// The way in which tasks come to nodes.
+    /// Assignment method.
     #[arg(long, value_enum, default_value_t)]
     pub method: Method,
-    /// The times that decide.
+    /// Task times that the schedule uses.
     #[arg(long, value_enum, default_value_t)]
     pub by: By,
-    /// Seconds of a node that every dispatch from a queue costs.
+    /// Node seconds per dispatch from a queue.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub dispatch: f64,
-    /// Tasks that a node looks at for one on the volume that it holds (--method affinity).
+    /// Queue entries that a node searches for a task on its loaded volume (--method affinity).
     #[arg(long, default_value_t = 64, value_name = "TASKS")]
     pub window: usize,
     /// File for the assignment or order (.csv or .json).
@@ -66,7 +66,7 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     let (speeds, out) = (&farm.speeds, &options.out);
     let deciding = times(tasks, options.by)?;
     let plan = plan(options.method, &deciding, speeds)?;
-    // What is expected: predictions where there are any.
+    // Expected seconds: predictions where there are any.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, farm)?;
     let [low, middle, high] = eta(&plan, &expected, tasks, farm)?;
@@ -101,9 +101,8 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
         write_whole(out, &csv.into_inner()?)?;
     }
     println!(
-        "{} tasks on {} nodes: done after {:.3} s expected, {low:.3} to {high:.3} s in nine of ten cases \
-         (lower bound \
-         {bound:.3} s)",
+        "{} tasks on {} nodes: expected end after {:.3} s, 90 % interval {low:.3} to {high:.3} s (lower \
+         bound {bound:.3} s)",
         tasks.len(),
         speeds.len(),
         middle

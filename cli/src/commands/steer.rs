@@ -23,10 +23,11 @@ use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
 ///
-/// First some random frames of the volume are rendered at several steps, to measure what a coarser step saves; the
-/// predictor is not fitted to them. Then the path is played: every frame is drawn under every controller before
-/// the next one begins, in rotating order, beside a reference picture outside of the race. DIR gets
-/// frames.csv (every frame under every controller), summary.json and report.html.
+/// First some random frames of the volume are rendered at several steps, to measure the time saved by coarser
+/// steps; the predictor is not fitted to them. Then the path is played: every frame is drawn under every
+/// controller before the next one begins, in rotating order, and a reference picture is drawn as well,
+/// without being timed. DIR gets frames.csv (every frame under every controller), summary.json and
+/// report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
@@ -37,16 +38,16 @@ use std::path::{Path, PathBuf};
   entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 1 --table observed.csv \
   --out out/skull")]
 pub struct Options {
-    /// The volume file; several are the volumes of a series (see --hold).
+    /// The volume file; several files are a series of volumes (see --hold).
     #[arg(value_name = "VOLUME", required = true)]
     pub volumes: Vec<PathBuf>,
-    /// Frames that each volume of a series is shown for.
+    /// Frames per volume of a series.
     #[arg(long, value_name = "N")]
     pub hold: Option<u32>,
     /// The path file to play (JSON; the format is documented with the examples in examples/paths).
     #[arg(long, value_name = "FILE.json", conflicts_with = "generate", required_unless_present = "generate")]
     pub path: Option<PathBuf>,
-    /// Make a path that fits the volume instead.
+    /// Generate a path for the volume instead.
     #[arg(long, value_enum)]
     pub generate: Option<Generated>,
     /// Frames of a generated path.
@@ -55,24 +56,24 @@ pub struct Options {
     /// Write the generated path to a file as well.
     #[arg(long, value_name = "FILE.json", requires = "generate")]
     pub save_path: Option<PathBuf>,
-    /// Time that frames should not exceed: 33ms, 0.033s or 30fps.
+    /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub target: String,
     /// Other targets from a frame on, as FRAME:TIME, comma-separated.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:TIME,…")]
     pub retarget: Vec<String>,
-    /// Image scale from a frame on, as FRAME:SCALE, comma-separated: what a resized window does.
+    /// Image scale from a frame on, as FRAME:SCALE, comma-separated, as a resized window changes it.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
-    /// Pixels between rays along each image side, at most, that the hybrid may choose together with the step,
-    /// whichever shows less; smaller images are brought back to full size before pictures are compared. 1 leaves
-    /// the image alone.
+    /// Coarsest image of the hybrid, in pixels between rays along each side; it coarsens step or image,
+    /// whichever adds less error. Smaller images are enlarged to full size before pictures are compared. 1
+    /// keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
-    /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
+    /// Write every drawn frame into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// The controllers that play. Rules that act on image resolution draw smaller images at the reference step.
+    /// Controllers to compare. Rules that act on image resolution draw smaller images at the reference step.
     #[arg(
         long,
         value_enum,
@@ -84,14 +85,15 @@ pub struct Options {
         value_name = "NAME,…"
     )]
     pub controllers: Vec<ControllerKind>,
-    /// Random scenes of the volume that are rendered first, at six steps each, to measure what a coarser step saves.
+    /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
+    /// coarser steps.
     #[arg(long, alias = "calibrate", default_value_t = 16, value_name = "N")]
     pub scenes: usize,
     /// Renderings of each of their frames; the median counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub repeats: usize,
-    /// Steer by this model file; unless given, by the machine's model (`entire calibrate`), else by the one that ships,
-    /// corrected by every frame.
+    /// Model file; default: the machine's model (`entire calibrate`), else the shipped one, corrected by
+    /// every frame.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
     /// Folder for the results.
@@ -100,19 +102,18 @@ pub struct Options {
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// How frames are rendered.
+    /// Rendering options.
     #[command(flatten)]
     pub render: RenderArgs,
     /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// The clock of frame times; `auto` is the one that --model or else the machine's model (`entire calibrate`)
-    /// predicts, where there is one, else the device's. A
-    /// model of another clock is refused.
+    /// The clock of frame times; `auto`: the clock of --model or of the machine's model (`entire calibrate`),
+    /// else the device's. A model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
-    /// Finest and coarsest step that may be chosen, reference steps. Rules that act on image resolution have
-    /// ranges of their own.
+    /// Finest and coarsest allowed step, reference steps. Rules that act on image resolution have their own
+    /// ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub limits: (f32, f32),
     /// Enlarge the volume by this factor at load, trilinearly.
@@ -121,7 +122,7 @@ pub struct Options {
     /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Frames whose pictures go into the report, beside those of switches.
+    /// Frames whose pictures are added to the report, besides those of switches.
     #[arg(long, value_delimiter = ',', value_name = "FRAME,…")]
     pub pictures: Vec<usize>,
 }
@@ -146,7 +147,7 @@ pub fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target)?;
     let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };
     limits.check()?;
-    ensure!(!options.controllers.is_empty(), "--controllers names nobody");
+    ensure!(!options.controllers.is_empty(), "--controllers names no controller");
     for (i, kind) in options.controllers.iter().enumerate() {
         ensure!(!options.controllers[..i].contains(kind), "--controllers names {} twice", kind.name());
     }
@@ -229,7 +230,7 @@ pub fn run(options: &Options) -> Result<()> {
     let story = Story {
         title: "Steering a frame time".into(),
         lead: format!(
-            "{shown}, path {}: {} frames against {:.1} ms under {} controllers.",
+            "{shown}, path {}: {} frames, target {:.1} ms, {} controllers.",
             path.name,
             path.frames.len(),
             target * 1e3,
@@ -312,7 +313,7 @@ fn write_table(
     Ok(())
 }
 
-/// A volume for people: file, sizes, enlargement.
+/// Description of a volume: file, sizes, enlargement.
 pub fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
     let [x, y, z] = volume.dims();
     let enlarged =

@@ -51,8 +51,8 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// A table of compared pictures: what coarser ray steps and smaller images cost the renderer's pictures is fitted to
-    /// it and stands in the model file, for steering that may coarsen both.
+    /// Table of compared pictures: a law of picture error over ray step and image size is fitted to it and
+    /// stored in the model file, for steering that coarsens both.
     ///
     /// Columns: scene, step (finest ones), image_sample_distance (pixels), seconds, error (0 for equal pictures). Each
     /// scene is drawn at the same settings, full quality among them.
@@ -87,34 +87,34 @@ pub struct Options {
         conflicts_with = "fine_tune"
     )]
     pub inputs: Vec<String>,
-    /// Scene features, in order, where `--inputs` names that group; the standard ones unless given.
+    /// Scene features, in order, if `--inputs` names that group; default: the standard ones.
     #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
-    /// Take the Gaussian lobes of `transfer_function` by ascending center instead of as they are given: their
-    /// sum is the same in every order, and a network that sees one order need not learn so.
+    /// Sort the Gaussian lobes of `transfer_function` by center: their sum does not depend on the order, and
+    /// a sorted network need not learn that.
     #[arg(long)]
     pub sorted_lobes: bool,
-    /// Rays along each side of the probe behind scene features, 1 to 24; the standard 11 unless given. Fewer
-    /// rays take less time for every prediction.
+    /// Rays along each side of the probe behind scene features, 1 to 24; default: the standard 11. Fewer rays
+    /// make every prediction faster.
     #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
     pub probe_side: Option<usize>,
-    /// Take the mean of so many networks of other seeds, stored as one.
+    /// Mean of N networks with different seeds, stored as one network.
     #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
     pub ensemble: usize,
-    /// Quantity that the network gives.
+    /// Output quantity of the network.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper
+    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile, which gives an upper
     /// bound.
     #[arg(long, default_value = "mse", value_parser = check_loss)]
     pub loss: String,
-    /// Passes over the training frames at most.
+    /// Maximum number of passes over the training frames.
     #[arg(long, default_value_t = 200)]
     pub epochs: usize,
     /// Frames per step.
     #[arg(long, default_value_t = 256)]
     pub batch: usize,
-    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper) and
+    /// First learning rate; it falls by a half cosine. Default: 1e-4 with --preset (as in the paper) and
     /// --fine-tune, else 1e-3.
     #[arg(long)]
     pub learning_rate: Option<f64>,
@@ -124,14 +124,14 @@ pub struct Options {
     /// Seed of the split, the weights and the order of frames.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Start from this model: its layers, inputs, target and standardization stay, its weights learn on.
+    /// Start from this model: its layers, inputs, target and standardization stay, and training continues
+    /// from its weights.
     #[arg(long, value_name = "SAFETENSORS")]
     pub fine_tune: Option<PathBuf>,
-    /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
+    /// Model file with the VolumeNet that encodes volumes; it is also written into the new file.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
-    /// Frames of one member, or of one volume, stay together when all are split 80/10/10 into training,
-    /// validation and test.
+    /// Unit that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub split: GroupBy,
     /// Members or volumes (as --split says) for validation, instead of a random tenth.
@@ -146,8 +146,8 @@ pub struct Options {
     /// Members or volumes for testing, instead of a random tenth.
     #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
     pub test_groups: Vec<String>,
-    /// The clock whose seconds are learned. Unless given, that of the model that training starts from, else cpu
-    /// (processor time) where every frame has it.
+    /// Clock of the learned seconds. Default: that of the model that training starts from, else cpu
+    /// (processor time) if every frame has it.
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
     /// Only frames with this shading: none, local or scatter.
@@ -156,14 +156,13 @@ pub struct Options {
     /// Use only this many training frames, chosen by the seed.
     #[arg(long, value_name = "FRAMES")]
     pub limit: Option<usize>,
-    /// Format in which weights are stored.
+    /// Storage format of weights.
     #[arg(long, value_enum, default_value_t = DtypeChoice::F32)]
     pub dtype: DtypeChoice,
-    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
-    /// table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }
@@ -172,7 +171,7 @@ fn check_loss(text: &str) -> Result<String> {
     parse_loss(text).map(|_| text.to_owned())
 }
 
-/// Log-SD of a frame's median from which on the data themselves are the problem.
+/// Log-SD of a frame's median above which a note says that the data are noisy.
 const NOISY: f64 = 0.2;
 
 /// Runs the command.
@@ -220,7 +219,8 @@ pub fn run(options: &Options) -> Result<()> {
     ));
     if split.validation.is_empty() {
         note(&format!(
-            "fewer than three {}s, so every frame trains and nothing is held out; test on other data",
+            "fewer than three {}s, so all frames are used for training and none is held out; test on other \
+             data",
             split.by.name()
         ));
     }
@@ -241,7 +241,7 @@ pub fn run(options: &Options) -> Result<()> {
     bar.finish_and_clear();
     let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
 
-    // Metrics come from what the file holds, stored format and all.
+    // Metrics are those of the stored model, in its storage format.
     let model = trained.fitted.file.to_model()?;
     let mut results = Vec::new();
     let mut upper = UpperBound::default();
@@ -254,7 +254,7 @@ pub fn run(options: &Options) -> Result<()> {
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
-            // The bound comes from frames that the weights were not fitted to, where there are any.
+            // The bound comes from frames that the weights were not fitted to, if there are any.
             if upper.log_factor.is_nan() {
                 upper = bound::from_predictions(&predicted, &measured);
             }
@@ -266,8 +266,8 @@ pub fn run(options: &Options) -> Result<()> {
     let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
         note(&format!(
-            "repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more \
-             --repeats, or try --clock cpu",
+            "repeats of one frame differ by {:.0} %; collect on a quieter machine, with more --repeats, or \
+             try --clock cpu",
             100.0 * (n.log_sd.exp() - 1.0)
         ));
     }
@@ -311,8 +311,8 @@ pub fn run(options: &Options) -> Result<()> {
         trained.fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
     } else if pictures.is_some() {
         note(
-            "no manifest stands beside the frames, so the model does not say whose pictures --pictures \
-             compared; a session that names its renderer passes over what it states of them",
+            "the frames have no manifest, so the model does not name the renderer of --pictures; a session \
+             that names its renderer ignores the model's quality law",
         );
     }
     write_whole(&options.out, &trained.fitted.file.to_bytes()?)?;
@@ -348,19 +348,19 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// What compared pictures say.
+/// Fits the quality law to compared pictures.
 fn fitted_pictures(path: &Path) -> Result<FittedQuality> {
     fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string())
 }
 
-/// A predictor with the layout of its inputs.
+/// A predictor with its input layout.
 struct Trained {
     layout: Layout,
     fitted: FittedModel,
     clock: Clock,
 }
 
-/// The clock that is asked for, or that of the model that training starts from, or processor time.
+/// The requested clock, else that of the model that training starts from, else processor time.
 fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let base = match &options.fine_tune {
         Some(path) => {
@@ -538,9 +538,9 @@ fn card(
          check the \
          prediction's out-of-range score. {}",
         if split.test.is_empty() {
-            "Nothing was held out for testing, so the numbers above are those of frames it has seen."
+            "Nothing was held out for testing, so the numbers above are those of its training frames."
         } else {
-            "Test groups were never looked at in training."
+            "Test groups were not used in training."
         }
     );
     md

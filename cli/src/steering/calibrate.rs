@@ -1,4 +1,4 @@
-//! Random frames of a volume, each at several ray steps: what a coarser step saves.
+//! Random frames of a volume, each at several ray steps, to measure the time saved by coarser steps.
 
 use super::play::DrawSettings;
 use super::rivals::StepResponse;
@@ -22,20 +22,20 @@ pub const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
 pub struct Sample {
     /// The scene's number.
     pub scene: usize,
-    /// What the core knows of the frame.
+    /// Scene features of the frame.
     pub features: FrameFeatures,
     /// Step, size and modes.
     pub setting: Setting,
-    /// Where the eye stood.
+    /// Camera.
     pub camera: Arcball,
     /// The transfer function's lobes.
     pub lobes: Vec<GaussianLobe>,
-    /// Seconds by the clock that counts.
+    /// Seconds by the chosen clock.
     pub seconds: f64,
 }
 
 impl Sample {
-    /// What a predictor is told of it, with the volume's features where there are any.
+    /// A predictor's inputs for the sample, with the volume's features where there are any.
     pub fn predictor_inputs<'a>(&'a self, volume_features: Option<&'a [f32]>) -> Inputs<'a> {
         Inputs {
             features: &self.features,
@@ -59,10 +59,10 @@ impl Sample {
 }
 
 /// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median
-/// counts). Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the
-/// transfer functions are random, so that none of a path's is among them but by chance.
+/// counts). Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`;
+/// transfer functions are random, so they differ from those of a path.
 ///
-/// Answers `None` when `stop` said so.
+/// Returns `None` when `stop` returned true.
 ///
 /// # Errors
 /// When the renderer fails or has no clock of that name.
@@ -94,7 +94,7 @@ pub fn measure(
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
         features.measure(summary, &mut transfer, &frame)?;
-        // First-use work of the device, and of caches after the change of scene.
+        // First-use work of the device, and of caches after the change of scene, is not timed.
         for _ in 0..if scene == 0 { 2 } else { 1 } {
             renderer.render(&frame).with_context(place)?;
         }
@@ -131,7 +131,7 @@ pub fn response(samples: &[Sample]) -> Result<StepResponse> {
     StepResponse::from_samples(&response_pairs(samples))
 }
 
-/// The (step, time ratio) pairs behind [`response`], scene after scene.
+/// The (step, time ratio) pairs that [`response`] uses, scene after scene.
 pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
     samples
         .iter()
@@ -143,7 +143,7 @@ pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
         .collect()
 }
 
-/// How well predictions do on samples.
+/// Errors of predictions on samples.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Quality {
     /// Frames judged.
@@ -152,12 +152,12 @@ pub struct Quality {
     pub median_error: f64,
     /// 95th percentile of it (nearest rank).
     pub p95_error: f64,
-    /// Standard deviation of ln(measured / predicted) about 0, a tenth of the largest left out.
+    /// Standard deviation of ln(measured / predicted) about 0, without the largest tenth.
     pub log_sd: f64,
 }
 
 impl Quality {
-    /// From (predicted, measured) pairs; `None` when there are none that are finite and positive.
+    /// From (predicted, measured) pairs; `None` without finite positive ones.
     pub fn of(pairs: &[(f64, f64)]) -> Option<Self> {
         let mut logs: Vec<f64> =
             pairs.iter().map(|(p, m)| (m / p).ln().abs()).filter(|l| l.is_finite()).collect();
@@ -188,7 +188,7 @@ mod tests {
         let pairs: Vec<(f64, f64)> = (0..20).map(|i| (1.1, if i == 0 { 0.1 } else { 1.0 })).collect();
         let q = Quality::of(&pairs).unwrap();
         assert!((q.median_error - 0.1).abs() < 1e-12 && (q.p95_error - 0.1).abs() < 1e-9);
-        // The outlier is among the tenth that is left out.
+        // The outlier is in the excluded tenth.
         assert!((q.log_sd - 1.1f64.ln()).abs() < 1e-12);
         assert_eq!(Quality::of(&[]), None);
         assert_eq!(Quality::of(&[(f64::NAN, 1.0)]), None);

@@ -14,17 +14,18 @@ use entire_steer::predict::Predictor;
 pub enum ControllerKind {
     /// Always the same step.
     Fixed,
-    /// Mean of the three frames before, brought to the reference step by G.
+    /// Mean of the last three frames, converted to the reference step by G, the curve of frame time over
+    /// step.
     Olp,
-    /// The last frame, brought to the reference step by G.
+    /// The last frame, converted to the reference step by G.
     Last,
-    /// The larger of the two frames before, brought to the reference step by G.
+    /// The larger of the last two frames, converted to the reference step by G.
     LargerOfTwo,
     /// Proportional, integral and differential feedback on the step, gains 0.3, 0.05, 0.1.
     Pid,
-    /// The paper's: prediction at the reference step through G.
+    /// The paper's Algorithm 1: prediction at the reference step, converted to other steps by G.
     Algorithm1,
-    /// Ours: prediction for every step, corrected online, with a margin.
+    /// entire's: prediction for every step, corrected online, with a safety margin.
     Hybrid,
     /// VTK's rule for GPU ray casting, on the ray step.
     VtkGpu,
@@ -57,7 +58,7 @@ impl ControllerKind {
         }
     }
 
-    /// The name for people.
+    /// The title in charts and tables.
     pub const fn title(self) -> &'static str {
         match self {
             Self::Fixed => "fixed step",
@@ -75,8 +76,8 @@ impl ControllerKind {
         }
     }
 
-    /// What it acts on, in the range of the original: image sample distances up to 10 (VTK) and 20 (vtk.js),
-    /// half of every side (Unreal and Filament).
+    /// Quantity that the rule sets, in the range of the original: image sample distances up to 10 (VTK) and
+    /// 20 (vtk.js), half of every side (Unreal and Filament).
     pub const fn acts_on(self) -> ActsOn {
         match self {
             Self::VtkFixedPoint => ActsOn::ImageResolution { coarsest: 100.0 },
@@ -99,8 +100,8 @@ impl ControllerKind {
     }
 }
 
-/// A controller that has seen nothing. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is
-/// G; `prior` says how well the predictor is known on this machine.
+/// A new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior` says how
+/// well the predictor is known on this machine.
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,
@@ -123,7 +124,7 @@ pub fn controller(
     }
 }
 
-/// A contender: a controller (see [`controller`]) with a predictor of its own and nothing learned.
+/// A contender: a controller (see [`controller`]) with its own predictor, before any frame.
 pub fn contender(
     kind: ControllerKind,
     fixed_step: f32,

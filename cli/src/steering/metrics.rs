@@ -1,28 +1,29 @@
-//! How well a controller held its target.
+//! Measures of a controller's frame times against its target.
 
 use crate::pictures::BEST_PSNR;
 use serde::Serialize;
 
-/// Frames from a switch on (the switch's own frame first) over which the error at switches is taken.
+/// Number of frames from a switch on (the switch's own frame first) over which the error at switches is
+/// taken.
 pub const SWITCH_FRAMES: usize = 3;
 
-/// One frame under one controller, as the metrics see it.
+/// One frame under one controller, for the metrics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Played {
     /// Measured seconds.
     pub seconds: f64,
-    /// Seconds that it should not have exceeded.
+    /// Target of the frame, seconds.
     pub target: f64,
-    /// Ray step, reference steps; of a controller that acts on image resolution, pixels of the full image per
-    /// pixel drawn.
+    /// Ray step, reference steps; for a controller that acts on image resolution, pixels of the full image
+    /// per pixel drawn.
     pub step: f64,
-    /// The finest that was allowed of it.
+    /// Finest allowed value.
     pub finest: f64,
-    /// The coarsest that was allowed of it.
+    /// Coarsest allowed value.
     pub coarsest: f64,
-    /// Likeness to the picture at the reference step, decibels; `None` where no reference was drawn.
+    /// PSNR against the picture at the reference step, decibels; `None` where no reference was drawn.
     pub psnr: Option<f64>,
-    /// Whether something switched abruptly at this frame.
+    /// True if something switched abruptly at this frame.
     pub switched: bool,
 }
 
@@ -32,8 +33,8 @@ impl Played {
         (self.seconds - self.target) / self.target
     }
 
-    /// Whether the frame is where it should be: within a quarter of the target; or faster than that with the
-    /// finest step, or slower with the coarsest, where nothing more could be done.
+    /// True if the frame is on target: within a quarter of it, or faster with the finest step, or slower with
+    /// the coarsest.
     pub fn on_target(&self) -> bool {
         let (finest, coarsest) = (self.step <= self.finest * 1.001, self.step >= self.coarsest * 0.999);
         (self.error() <= 0.25 || coarsest) && (self.error() >= -0.25 || finest)
@@ -56,13 +57,14 @@ pub struct Metrics {
     /// The same over all other frames but the path's first [`SWITCH_FRAMES`].
     pub mean_error_in_calm: Option<f64>,
     /// Frames from each switch on until two in a row are on target (see [`Played::on_target`]); 0 when the
-    /// switch's own frame is the first of them. Up to the next switch or the end, where that never happens.
+    /// switch's own frame is the first of them. Where that never happens, frames to the next switch or the
+    /// end.
     pub recovery_frames: Vec<usize>,
     /// 95th percentile of the frame time (nearest rank).
     pub p95_seconds: f64,
     /// Slowest frame.
     pub worst_seconds: f64,
-    /// Mean likeness to the reference step's pictures, decibels, each at most [`BEST_PSNR`].
+    /// Mean PSNR against the reference step's pictures, decibels, each at most [`BEST_PSNR`].
     pub mean_psnr: Option<f64>,
     /// Mean of [`Played::step`].
     pub mean_step: f64,
@@ -139,7 +141,7 @@ mod tests {
 
     #[test]
     fn figures_of_a_scripted_series() {
-        // Ten frames at the target, but: one 12 % over, one 30 % over.
+        // Ten frames at the target, except one 12 % and one 30 % over.
         let mut frames = vec![frame(0.1); 10];
         frames[2].seconds = 0.112;
         frames[7].seconds = 0.13;
@@ -169,9 +171,9 @@ mod tests {
     #[test]
     fn recovery_counts_until_two_frames_in_a_row_are_on_target() {
         let mut frames = vec![frame(0.1); 16];
-        // A switch that is met at once.
+        // A switch whose first frame is on target.
         frames[3].switched = true;
-        // One that takes four frames: a lucky frame in between does not count.
+        // One that takes four frames: a single on-target frame in between does not count.
         frames[7].switched = true;
         for (i, t) in [(7, 0.3), (8, 0.11), (9, 0.2), (10, 0.04)] {
             frames[i].seconds = t;

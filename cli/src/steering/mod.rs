@@ -1,5 +1,4 @@
-//! Steering as commands play it: calibration, a path under several controllers, what came of it, and the
-//! report.
+//! Steering in commands: calibration scenes, a path under several controllers, its results, and the report.
 
 pub mod calibrate;
 pub mod contenders;

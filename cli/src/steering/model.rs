@@ -1,4 +1,4 @@
-//! A model that steers.
+//! Model of a steering predictor.
 
 use super::calibrate::{Quality, Sample};
 use anyhow::{Context, Result};
@@ -9,7 +9,7 @@ use entire_steer::predict::{GroupKind, Predictor, load};
 use serde::Serialize;
 use std::sync::Arc;
 
-/// A predictor that any number of contenders can be given.
+/// A model from which any number of contenders can get a predictor.
 #[derive(Clone, Debug)]
 pub struct SteeringModel {
     title: String,
@@ -18,8 +18,7 @@ pub struct SteeringModel {
 }
 
 impl SteeringModel {
-    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for
-    /// that.
+    /// From a fitted or read model. Its VolumeNet encodes `volume` at once if its inputs need that.
     ///
     /// # Errors
     /// When the model holds no predictor, or the volume cannot be encoded.
@@ -37,7 +36,7 @@ impl SteeringModel {
         Ok(Self { title, model: Arc::new(model), volume_features })
     }
 
-    /// A predictor of its own.
+    /// A new predictor.
     ///
     /// # Errors
     /// When the model holds none.
@@ -45,21 +44,21 @@ impl SteeringModel {
         Ok(load(&self.model)?)
     }
 
-    /// What it is, for people.
+    /// Name of the model in printed output.
     pub fn title(&self) -> &str {
         &self.title
     }
 
-    /// VolumeNet's output for the volume, where the model takes it.
+    /// VolumeNet's output for the volume, if the model uses it.
     pub fn volume_features(&self) -> Option<&[f32]> {
         self.volume_features.as_deref()
     }
 
-    /// Its errors on samples that it was not fitted to. Models that do not know the step are judged at the
-    /// reference step.
+    /// Its errors on samples that it was not fitted to. Models without the ray step as input are evaluated at
+    /// the reference step.
     ///
     /// # Errors
-    /// When there are none, or the model needs an input that they do not have.
+    /// When there are no samples, or the model needs an input that they lack.
     pub fn quality<'a>(&self, samples: impl IntoIterator<Item = &'a Sample>) -> Result<Quality> {
         let mut predictor = self.predictor()?;
         let every_step = predictor.knows_step();
@@ -74,12 +73,12 @@ impl SteeringModel {
     }
 }
 
-/// The predictor of a race, for people.
+/// The predictor of a comparison, for output.
 #[derive(Clone, Debug, Serialize)]
 pub struct Steers {
-    /// What it is.
+    /// Name of the predictor.
     pub title: String,
-    /// Its errors on the random frames of the volume, none of which it was fitted to.
+    /// Its errors on the random frames of the volume, which it was not fitted to.
     pub on_this_volume: Quality,
 }
 
@@ -88,8 +87,8 @@ impl Steers {
     pub fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         format!(
-            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this volume, none of \
-             which it was fitted to",
+            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this \
+             volume, which it was not fitted to",
             self.title,
             100.0 * median_error,
             100.0 * p95_error

@@ -14,13 +14,13 @@ use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
 
-/// The quantity that a controller changes. Its decision's `step` is the ray step, or an image's share of the work.
+/// Quantity that a controller sets. Its decision's `step` is the ray step, or an image's share of the work.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ActsOn {
     /// The ray step.
     RayStep,
-    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, for each side
-    /// 1/√s of them.
+    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, each side
+    /// divided by √s.
     ImageResolution {
         /// Largest s by the rule's published constants; the smallest is 1.
         coarsest: f32,
@@ -36,7 +36,7 @@ impl ActsOn {
         }
     }
 
-    /// What may be chosen, where the ray step has these limits.
+    /// Limits of the quantity, where the ray step has these limits.
     pub const fn limits(self, of_step: StepLimits) -> StepLimits {
         match self {
             Self::RayStep => of_step,
@@ -44,7 +44,7 @@ impl ActsOn {
         }
     }
 
-    /// Ray step and image sample distance (pixels between rays along each side) of what was chosen.
+    /// Ray step and image sample distance (pixels between rays along each side) of a decision.
     pub fn drawn(self, chosen: f32) -> (f32, f32) {
         match self {
             Self::RayStep => (chosen, 1.0),
@@ -53,25 +53,25 @@ impl ActsOn {
     }
 }
 
-/// How frames are drawn.
+/// Settings of drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrawSettings {
     /// Image width, pixels.
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which rays stop.
     pub termination: f32,
-    /// The clock that counts.
+    /// The clock of frame times.
     pub clock: Clock,
 }
 
 impl DrawSettings {
-    /// What the options say.
+    /// Settings from the options.
     pub fn new((width, height): (u32, u32), render: &RenderArgs, clock: Clock) -> Self {
         Self {
             width,
@@ -97,7 +97,7 @@ impl DrawSettings {
         .checked()?)
     }
 
-    /// Seconds of a measurement by the clock that counts.
+    /// Seconds of a measurement by the chosen clock.
     ///
     /// # Errors
     /// When the renderer has no such clock.
@@ -108,15 +108,15 @@ impl DrawSettings {
     }
 }
 
-/// A controller in the race, with its predictor and everything it has learned.
+/// A controller in the comparison, with its predictor and its learned state.
 pub struct Contender {
     /// Its name for tables.
     pub name: String,
     /// Its render loop.
     pub session: Session,
-    /// Whether it may choose the image sample distance beside the step, where the task allows any.
+    /// True if it may choose the image sample distance as well as the step, where the task allows any.
     pub chooses_image_sample_distance: bool,
-    /// What its decisions are about.
+    /// Quantity that its decisions set.
     pub acts_on: ActsOn,
 }
 
@@ -125,60 +125,61 @@ pub struct Contender {
 pub struct Record {
     /// Ray step, reference steps.
     pub step: f32,
-    /// Pixels between rays along each side; 1 where that is not for the controller to choose.
+    /// Pixels between rays along each side; 1 where the controller does not choose it.
     pub image_sample_distance: f32,
     /// Predicted seconds; NaN from controllers that predict nothing.
     pub predicted: f32,
     /// Upper bound, seconds; NaN where there is none.
     pub upper: f32,
-    /// 0 inside the predictor's range, beyond 1 not to be trusted; NaN where unknown.
+    /// Out-of-range score: 0 inside the predictor's training range, beyond 1 not to be trusted; NaN where
+    /// unknown.
     pub out_of_range: f32,
-    /// Why this step.
+    /// Reason for this step.
     pub reason: Reason,
     /// All clocks.
     pub measured: Timing,
-    /// Seconds by the clock that counts.
+    /// Seconds by the chosen clock.
     pub seconds: f64,
-    /// Likeness to the reference picture, decibels.
+    /// PSNR against the reference picture, decibels.
     pub psnr: f64,
-    /// The picture, at frames that were asked for.
+    /// The picture, at the selected frames.
     pub image: Option<Image>,
 }
 
 /// The reference rendering of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
-    /// Seconds at the reference step by the clock that counts.
+    /// Seconds at the reference step by the chosen clock.
     pub seconds: f64,
-    /// The picture, at frames that were asked for.
+    /// The picture, at the selected frames.
     pub image: Option<Image>,
 }
 
-/// A path as it was played.
+/// Results of a played path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Playback {
     /// The controllers' names.
     pub names: Vec<String>,
-    /// What each acts on.
+    /// Quantity that each controller sets.
     pub acts_on: Vec<ActsOn>,
     /// Per controller and frame.
     pub records: Vec<Vec<Record>>,
     /// Per frame.
     pub references: Vec<Reference>,
-    /// Frames where something switched: the path, the volume or the image size.
+    /// Frames at which something switched: the path, the volume or the image size.
     pub switches: Vec<usize>,
-    /// Seconds that each frame should not exceed.
+    /// Target of each frame, seconds.
     pub targets: Vec<f64>,
     /// Full size of each frame, pixels.
     pub sizes: Vec<(u32, u32)>,
-    /// Which volume each frame shows.
+    /// Volume of each frame.
     pub volumes: Vec<usize>,
-    /// The steps that were allowed.
+    /// The allowed steps.
     pub limits: StepLimits,
 }
 
 impl Playback {
-    /// What the metrics see of a controller's frames.
+    /// A controller's frames, as the metrics need them.
     pub fn played(&self, controller: usize) -> Vec<Played> {
         let acts_on = self.acts_on[controller];
         let limits = acts_on.limits(self.limits);
@@ -207,7 +208,7 @@ impl Playback {
     }
 }
 
-/// A volume that is shown.
+/// A volume of the path.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
     /// Its voxels.
@@ -216,27 +217,27 @@ pub struct Shown<'a> {
     pub summary: &'a VolumeSummary,
 }
 
-/// What of a path is played against.
+/// A path, with the target and limits that it is played with.
 #[derive(Clone, Copy, Debug)]
 pub struct Task<'a> {
     /// The volume, or those of a series in order.
     pub volumes: &'a [Shown<'a>],
-    /// Frames that each volume of a series is shown for; 0 where there is one.
+    /// Frames per volume of a series; 0 for a single volume.
     pub hold: u32,
-    /// VolumeNet's output for the volume, where a model takes one.
+    /// VolumeNet's output for the volume, if a model uses it.
     pub volume_features: Option<&'a [f32]>,
     /// The path.
     pub path: &'a FlightPath,
-    /// Seconds that frames should not exceed.
+    /// Target, seconds.
     pub target: f64,
     /// Other targets from a frame on, ascending.
     pub retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
     pub scales: &'a [(u32, f32)],
-    /// Pixels between rays along each side, at most, where a contender chooses them beside the step; 1 leaves
-    /// the image alone.
+    /// Largest image sample distance (pixels between rays along each side) of contenders that choose it; 1
+    /// keeps the full image.
     pub max_image_sample_distance: f32,
-    /// Steps that may be chosen.
+    /// Allowed steps.
     pub limits: StepLimits,
     /// Frames whose pictures are kept.
     pub keep: &'a [usize],
@@ -249,16 +250,16 @@ impl Task<'_> {
     }
 }
 
-/// What coarser steps and smaller images cost the raycaster's pictures where the model states nothing: as `entire
-/// calibrate` finds it of the volumes in data/, unshaded.
+/// Quality law of the raycaster's pictures, for models that state none: as `entire calibrate` fits it to the
+/// volumes in data/, unshaded.
 pub const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
-/// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race;
-/// then the frame is drawn under every contender, each with its own step, so that the machine's noise hits
-/// all alike; who comes first moves on from frame to frame. Changes of the transfer function are not timed.
+/// Plays a path under all contenders. Per frame, the reference picture is drawn first, untimed; then the
+/// frame is drawn under every contender with its own step, so that the machine's noise affects all alike; the
+/// starting contender rotates every frame. Changes of the transfer function are not timed.
 ///
-/// Answers `None` when `stop` said so.
+/// Returns `None` when `stop` returned true.
 ///
 /// # Errors
 /// When the renderer or a prediction fails; names the frame.
@@ -326,7 +327,7 @@ pub fn play(
         let camera = task.path.camera(index).with_context(place)?;
         let (width, height) = playback.sizes[index];
         let frame = DrawSettings { width, height, ..*draw }.frame(camera).with_context(place)?;
-        // First-use work of the device and uploads are nobody's fault.
+        // First-use work of the device and uploads are not charged to any contender.
         for _ in 0..if index == 0 { 2 } else { usize::from(swapped) } {
             renderer.render(&frame).with_context(place)?;
         }
@@ -391,7 +392,7 @@ mod tests {
     use entire_steer::features::SummaryOptions;
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
-    /// Knows the script's law, but for a bias.
+    /// A predictor that knows the script's law up to a bias.
     struct Insider {
         bias: f64,
     }
@@ -452,7 +453,7 @@ mod tests {
         let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
         let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
         let law = ScriptedRenderer::default();
-        // G of the law at a middling weight: what sampling several scenes would give.
+        // G of the law at a medium weight, as sampling of several scenes would give.
         let at = |step: f64| law.fixed + 1e4 * 0.1 * law.per_sample * 100.0 / step;
         let samples: Vec<(f32, f32)> =
             [1.0, 2.0, 4.0, 8.0, 16.0].map(|s| (s as f32, (at(s) / at(1.0)) as f32)).to_vec();
@@ -501,10 +502,10 @@ mod tests {
         let metrics = playback.metrics();
         let at_switches: Vec<f64> = metrics.iter().map(|m| m.mean_error_at_switches.unwrap()).collect();
         let [_, olp, pid, algorithm1, hybrid] = at_switches[..] else { panic!() };
-        // One G for all scenes costs Algorithm 1 some of its lead.
+        // A single G for all scenes costs Algorithm 1 some of its advantage.
         assert!(algorithm1 < 0.7 * olp.min(pid), "{at_switches:?}");
         assert!(hybrid < 0.3 * olp.min(pid), "{at_switches:?}");
-        // Ours learns the bias away; Algorithm 1 keeps it.
+        // The hybrid learns the bias; Algorithm 1 keeps it.
         assert!(metrics[4].mean_error_in_calm.unwrap() < metrics[3].mean_error_in_calm.unwrap());
         let worst = |m: &Metrics| m.recovery_frames.iter().copied().max().unwrap();
         assert!(worst(&metrics[4]) == 0 && worst(&metrics[1]) > 0 && worst(&metrics[2]) > 0);
@@ -520,7 +521,7 @@ mod tests {
                 assert!(r.seconds > 0.0 && r.step >= 1.0 && r.step <= 16.0);
             }
         }
-        // The fixed controller draws what the reference is.
+        // The fixed controller draws the reference picture.
         assert!(playback.records[0].iter().all(|r| r.psnr == f64::INFINITY && r.step == 1.0));
         let again = play_scripted(0.0, 1.0, None).unwrap();
         for (a, b) in playback.records.iter().flatten().zip(again.records.iter().flatten()) {
@@ -533,7 +534,7 @@ mod tests {
         let plain = play_scripted(0.02, 1.1, None).unwrap();
         let sized = play_scripted_with(&KINDS, 0.02, 1.1, None, 2.0).unwrap();
         let hybrid = 4;
-        // Nobody else chooses a size, nor does anybody who may not.
+        // Only contenders that may choose the image size change it.
         assert!(plain.records.iter().flatten().all(|r| r.image_sample_distance == 1.0));
         for (k, records) in sized.records.iter().enumerate() {
             for r in records {
@@ -546,8 +547,8 @@ mod tests {
         }
         let smaller = sized.records[hybrid].iter().filter(|r| r.image_sample_distance > 1.0).count();
         assert!(smaller > 0, "no smaller picture");
-        // By the quality model the choice among both is never worse than the step alone, and the target is
-        // met as well.
+        // By the quality law the choice of both is never worse than the step alone, and the target is met as
+        // well.
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..]
                 .iter()
@@ -560,7 +561,7 @@ mod tests {
             p.records[hybrid].iter().filter(late).count()
         };
         assert!(missed(&sized) <= missed(&plain) + 1, "{} {}", missed(&sized), missed(&plain));
-        // Pictures come back at full size.
+        // Kept pictures have full size.
         let kept = sized.records[hybrid][20].image.as_ref().unwrap();
         assert_eq!((kept.width, kept.height), (100, 100));
     }
@@ -577,13 +578,13 @@ mod tests {
             assert_eq!((kept.width, kept.height), (100, 100));
         }
         assert!(gpu.iter().all(|r| r.image_sample_distance == 1.0) && gpu.iter().any(|r| r.step > 1.0));
-        // VTK's first frame: a twenty-fifth of the pixels, and a frame that costs so little.
+        // VTK's first frame: a twenty-fifth of the pixels, and a cheap frame.
         let law = ScriptedRenderer::default();
         let work = |r: &Record| r.seconds - law.fixed;
         let whole = playback.references[0].seconds - law.fixed;
         assert_eq!(fixed_point[0].image_sample_distance, 5.0);
         assert!((work(&fixed_point[0]) / whole * 25.0 - 1.0).abs() < 1e-3);
-        // What is allowed, and what was chosen, is of image resolution.
+        // Limits and decisions are of image resolution.
         let played = playback.played(0);
         assert_eq!((played[0].step, played[0].finest, played[0].coarsest), (25.0, 1.0, 100.0));
         assert!(playback.metrics()[0].mean_step > 1.1);

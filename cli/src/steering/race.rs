@@ -1,4 +1,4 @@
-//! A whole race: measure what a coarser step saves, choose a target, play a path under every controller.
+//! A whole comparison: random scenes at several steps, a target, and a path under every controller.
 
 use super::calibrate::{Sample, measure, response};
 use super::contenders::{ControllerKind, contender};
@@ -22,35 +22,35 @@ use entire_steer::predict::AnalyticModel;
 use entire_vk_raycaster::Renderer;
 use std::path::PathBuf;
 
-/// What is raced.
+/// Settings of a comparison of controllers.
 #[derive(Clone, Debug)]
 pub struct Race<'a> {
     /// The volume.
     pub volume: &'a VolumeView<'a>,
-    /// The volumes that follow it in a series; calibration renders the first alone.
+    /// The further volumes of a series; calibration renders the first only.
     pub series: &'a [VolumeView<'a>],
-    /// Frames that each volume of a series is shown for; 0 where there is one.
+    /// Frames per volume of a series; 0 for a single volume.
     pub hold: u32,
     /// Other targets from a frame on, ascending.
     pub retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
     pub scales: &'a [(u32, f32)],
-    /// Pixels between rays along each side, at most, that the hybrid may choose beside the step; 1 leaves the image
-    /// alone.
+    /// Largest image sample distance (pixels between rays along each side) of the hybrid; 1 keeps the full
+    /// image.
     pub max_image_sample_distance: f32,
-    /// The name under which random scenes are drawn.
+    /// The name that seeds random scenes.
     pub seed_name: &'a str,
     /// Seed of the random scenes.
     pub seed: u64,
-    /// How frames are drawn.
+    /// Settings of drawing.
     pub draw: DrawSettings,
-    /// Random scenes of the volume, and how often each is rendered at each step.
+    /// Number of random scenes, and of their renderings at each step.
     pub scenes: (usize, usize),
-    /// Steps that may be chosen.
+    /// Allowed steps.
     pub limits: StepLimits,
     /// Who races.
     pub controllers: &'a [ControllerKind],
-    /// Seconds that frames should not exceed; `None` to choose by [`sane_target`].
+    /// Target, seconds; `None` to choose it by [`sane_target`].
     pub target: Option<f64>,
     /// The predictor, for controllers that use one.
     pub model: &'a SteeringModel,
@@ -58,8 +58,8 @@ pub struct Race<'a> {
     pub prior: Prior,
 }
 
-/// Chooses the predictor: the model that was given, else the machine's, else the one that ships, whose scale every frame
-/// corrects, else unit costs of a software renderer. The second value is what a controller may take as known of it.
+/// Chooses the predictor: the given model, else the machine's, else the shipped one, whose scale every frame
+/// corrects, else unit costs of a software renderer. The second value is the prior for controllers.
 ///
 /// # Errors
 /// When a model cannot be read, or holds no predictor.
@@ -95,20 +95,19 @@ pub fn steering_model(
     Ok((model, prior))
 }
 
-/// The machine's model for what is drawn, by what it is called, and the clock that counts: with
-/// [`Clock::Auto`] the one that the machine's model predicts. A model of another clock than the one that was
-/// asked for takes no part, which is said.
+/// The machine's model for a shading mode, with its name, and the clock of frame times: with [`Clock::Auto`]
+/// the clock of the machine's model. A model of another clock than the requested one is ignored, with a note.
 ///
 /// # Errors
-/// When the machine's model is there and no model.
+/// When the file of the machine's model holds no model.
 pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(String, ModelFile)>, Clock)> {
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
     let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
         entire_io::files::note(&format!(
-            "{} predicts {} seconds and the clock is {}: it takes no part (`entire calibrate --shade {} --clock \
-             {}` makes one that does)",
+            "{} is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
+             --shade {} --clock {}` makes a model of that clock)",
             path.display(),
-            stated.map_or("no stated clock's", Clock::name),
+            stated.map_or("unspecified", Clock::name),
             asked.name(),
             shading,
             asked.name()
@@ -118,11 +117,11 @@ pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(Stri
     Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
 }
 
-/// The model in `models/` that was selected for a shading mode, with its file; `None` where the working folder is
-/// not the project's.
+/// The model in `models/` that was selected for a shading mode, with its file; `None` if the working folder
+/// is not the project's.
 ///
 /// # Errors
-/// When it is there and no model.
+/// When the file holds no model.
 pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     let set = match shading {
         Shading::None => "unshaded",
@@ -136,11 +135,11 @@ pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     Ok(Some((path, file)))
 }
 
-/// All models in `models/` that were selected for a shading mode, those of other makes of machine after the first
-/// (`unshaded-xeon-selected.safetensors`); none where the working folder is not the project's.
+/// All models in `models/` that were selected for a shading mode, those of other makes of machine after the
+/// first (`unshaded-xeon-selected.safetensors`); none if the working folder is not the project's.
 ///
 /// # Errors
-/// When one is there and no model.
+/// When a file holds no model.
 pub fn shipped_files(shading: Shading) -> Result<Vec<(PathBuf, ModelFile)>> {
     let Some(first) = shipped_file(shading)? else { return Ok(Vec::new()) };
     let name = first.0.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -172,18 +171,18 @@ pub struct Prepared {
     pub response: StepResponse,
     /// The predictor and its errors.
     pub predictor: Steers,
-    /// Seconds that frames should not exceed.
+    /// Target, seconds.
     pub target: f64,
     /// Median seconds of the random scenes at the reference step.
     pub full_quality: f64,
-    /// How that was chosen; empty where it was given.
+    /// Origin of the target; empty where it was given.
     pub target_reason: String,
     /// The fixed controller's step.
     pub fixed_step: f32,
 }
 
 impl Prepared {
-    /// G, and what it was made from.
+    /// G, and its samples.
     pub fn response_curve(&self) -> ResponseCurve {
         ResponseCurve::new(&self.samples, &self.response)
     }
@@ -196,8 +195,8 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     times
 }
 
-/// A target under which the step matters: this share of the median of the random scenes' times at the
-/// reference step. Most scenes must then be drawn coarser, few of them at the coarsest step.
+/// Share of the median time of random scenes at the reference step that is the default target. Most scenes
+/// must then be drawn coarser, few of them at the coarsest step.
 pub const TARGET_SHARE: f64 = 0.5;
 
 /// [`TARGET_SHARE`] of the median time at the reference step, rounded to a tenth of a millisecond where it is
@@ -207,16 +206,16 @@ pub fn sane_target(samples: &[Sample]) -> Option<f64> {
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
-/// Distribution of random scenes: drawn as collections are, with one to three lobes, so that volumes that
-/// are nearly empty under the transfer function are among them.
+/// Distribution of random scenes: as in collections, with one to three lobes, so that it includes nearly
+/// empty volumes.
 pub fn calibration_scenes() -> SceneDistribution {
     SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
 }
 
-/// Renders random scenes of the volume at several steps: what a coarser step saves (G), how well the predictor does,
-/// and from both target and fixed step. Nothing is fitted to them.
+/// Renders random scenes of the volume at several steps, for G, the predictor's errors, target and fixed
+/// step. Nothing is fitted to them.
 ///
-/// Answers `None` when `stop` said so.
+/// Returns `None` when `stop` returned true.
 ///
 /// # Errors
 /// When the renderer fails or there are too few scenes.
@@ -271,7 +270,7 @@ pub fn prepare(
 
 /// Plays the path.
 ///
-/// Answers `None` when `stop` said so.
+/// Returns `None` when `stop` returned true.
 ///
 /// # Errors
 /// When the renderer or a prediction fails.

@@ -1,4 +1,4 @@
-//! What is written of a playback: tables, CSV, JSON, and the page.
+//! Output of a playback: tables, CSV, JSON, and the page.
 
 use super::calibrate::{Sample, response_pairs};
 use super::contenders::ControllerKind;
@@ -14,7 +14,7 @@ use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// G as (step ratio, time ratio): what was sampled, scene after scene, and the curve's points.
+/// G as (step ratio, time ratio): the samples, scene after scene, and the curve's points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResponseCurve {
     /// Sampled.
@@ -24,7 +24,7 @@ pub struct ResponseCurve {
 }
 
 impl ResponseCurve {
-    /// A curve and the samples that it was made from.
+    /// A curve and its samples.
     pub fn new(samples: &[Sample], response: &StepResponse) -> Self {
         Self { samples: response_pairs(samples), points: response.points().collect() }
     }
@@ -45,18 +45,18 @@ impl ResponseCurve {
     }
 }
 
-/// Everything that a report tells beside the playback.
+/// Contents of a report besides the playback.
 #[derive(Clone, Debug)]
 pub struct Story {
     /// The page's title.
     pub title: String,
     /// The sentence below it.
     pub lead: String,
-    /// How the target was chosen.
+    /// Origin of the target.
     pub target: String,
-    /// The volume, for people.
+    /// Description of the volume.
     pub volume: String,
-    /// The path, for people.
+    /// Description of the path.
     pub path: String,
     /// The predictor and its errors.
     pub predictor: Steers,
@@ -64,7 +64,7 @@ pub struct Story {
     pub response: ResponseCurve,
     /// Further remarks, a paragraph each.
     pub remarks: Vec<String>,
-    /// Where the numbers come from.
+    /// Provenance of the numbers.
     pub provenance: Provenance,
 }
 
@@ -72,7 +72,7 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
-/// Names the setting that a controller acted on.
+/// Name of the setting that a controller chooses.
 fn acts_on(playback: &Playback, controller: usize) -> &'static str {
     let smaller = playback.records[controller].iter().any(|r| r.image_sample_distance > 1.0);
     match playback.acts_on[controller] {
@@ -81,7 +81,7 @@ fn acts_on(playback: &Playback, controller: usize) -> &'static str {
     }
 }
 
-/// One color per controller throughout, whichever of them play.
+/// Color of a controller, the same in all charts.
 pub fn color(name: &str) -> usize {
     match name {
         "fixed" => 5,
@@ -152,7 +152,7 @@ pub fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     table
 }
 
-/// What a picture was drawn with, for people.
+/// A picture's step and image size, as text.
 fn setting(r: &Record) -> String {
     match r.image_sample_distance {
         1.0 => format!("step {:.2}", r.step),
@@ -160,7 +160,7 @@ fn setting(r: &Record) -> String {
     }
 }
 
-/// What the table's columns mean.
+/// Legend of the table's columns.
 pub fn table_caption() -> String {
     format!(
         "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the \
@@ -168,9 +168,9 @@ pub fn table_caption() -> String {
          abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in \
          bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at \
          the end of what is allowed), mean over the switches; 0 means the switch's own frame was. PSNR \
-         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB. \
-         Step: mean ray step; of what acts on image resolution, mean pixels of the full image per pixel drawn, \
-         at the reference step. Smaller images are brought back to full size before pictures are compared."
+         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB. Step: mean \
+         ray step; of rules that act on image resolution, mean pixels of the full image per pixel drawn, at \
+         the reference step. Smaller images are brought back to full size before pictures are compared."
     )
 }
 
@@ -251,8 +251,8 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
     })
 }
 
-/// Frame times as multiples of the target around the switches: per controller, the mean of |t − target| /
-/// target at each distance from a switch.
+/// Errors around the switches: per controller, the mean of |t − target| / target at each distance from a
+/// switch.
 fn around_switches(playback: &Playback, controller: usize, before: usize, after: usize) -> Vec<(f64, f64)> {
     let played = playback.played(controller);
     (0..=before + after)
@@ -308,7 +308,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         .series(Series::new("target", Mark::Steps(numbered_targets(playback))).color(10))
         .series(
             Series::new(
-                "reference step (not raced)",
+                "reference step (not timed)",
                 Mark::Band(
                     playback
                         .references
@@ -325,9 +325,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     });
     page.chart(
         &chart,
-        "Measured time of every frame under every controller. The shaded area reaches from the target to \
-         what the frame costs at the reference step: what there is to save. All controllers draw the same \
-         frame before the next one begins, in rotating order.",
+        "Measured time of every frame under every controller. The shaded area reaches from the target to the \
+         frame's time at the reference step. All controllers draw the same frame before the next one begins, \
+         in rotating order.",
     );
 
     if !playback.switches.is_empty() {
@@ -341,8 +341,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
         page.chart(
             &chart,
-            "Mean over the switches. What reacts sees a switch one frame late; what predicts plans its first \
-             frame already.",
+            "Mean over the switches. Reactive controllers notice a switch one frame late; predicting ones \
+             plan its first frame.",
         );
     }
 
@@ -351,8 +351,11 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
         Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].step)))
     });
-    page.chart(&chart, "The step that each controller chose: coarser is faster and less exact. What acts on image resolution \
-         keeps the reference step.");
+    page.chart(
+        &chart,
+        "The step that each controller chose: coarser is faster and less exact. Rules that \
+         act on image resolution keep the reference step.",
+    );
 
     if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
         let chart = Chart::new(
@@ -376,7 +379,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
         Mark::Line(numbered(c, &|i| playback.records[c][i].psnr.min(60.0)))
     });
-    page.chart(&chart, "Likeness to the picture at the reference step; over 60 dB drawn as 60.");
+    page.chart(&chart, "Similarity to the picture at the reference step; over 60 dB drawn as 60.");
 
     page.heading("Predictions");
     page.paragraph(&format!("{}.", story.predictor.sentence()));
@@ -397,16 +400,16 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         }
         page.chart(
             &chart,
-            "What was predicted for each frame before it was drawn, over what it took. Algorithm 1 takes the \
-             prediction as it is; the hybrid corrects it by what it observed, and aims below the target \
-             where its upper bound would not fit.",
+            "Predicted time of each frame over its measured time. Algorithm 1 takes the prediction as it is; \
+             the hybrid corrects it by what it observed, and aims below the target where its upper bound \
+             would not fit.",
         );
     }
     if !story.response.points.is_empty() {
         page.chart(
             &story.response.chart(),
-            "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is \
-             what that costs them; the hybrid predicts each scene's own curve.",
+            "Algorithm 1 and OLP use this one curve for all scenes. The scatter of the scenes about it is \
+             their error; the hybrid predicts each scene's own curve.",
         );
     }
 

@@ -1,6 +1,6 @@
-//! Image scales and volumes along a path: which frame shows which volume, at which scale.
+//! Image scales and volumes along a path.
 
-/// Which volume of a series a frame shows: each for `hold` frames in turn, the first alone where `hold` is 0.
+/// Volume of a series at a frame: each for `hold` frames in turn, only the first if `hold` is 0.
 pub fn volume_at(hold: u32, volumes: usize, frame: usize) -> usize {
     if hold == 0 { 0 } else { (frame / hold as usize) % volumes.max(1) }
 }

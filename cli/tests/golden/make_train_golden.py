@@ -47,7 +47,7 @@ def main():
     }
     for step in range(STEPS):
         inputs = torch.randn(ROWS, WIDTHS[0])
-        # Small and large targets in turn, so that clipping is at work in some steps only.
+        # Small and large targets in turn, so that only some steps are clipped.
         targets = torch.sin(inputs.sum(1)) * (0.2 if step % 2 == 0 else 4.0)
         rate = optimizer.param_groups[0]["lr"]
         optimizer.zero_grad()

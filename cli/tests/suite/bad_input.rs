@@ -1,5 +1,5 @@
-//! Bad input: every command answers with status 1 and one line that says why and what to do, or with the
-//! defined result where the input is merely extreme.
+//! Bad input: every command answers with status 1 and one line with cause and remedy, or with the defined
+//! result for input that is merely extreme.
 
 use crate::support::*;
 
@@ -36,7 +36,7 @@ fn missing_and_truncated_files() {
                     refuses(at, &["predict", "--model", name, "--inputs", "rows.csv"], &[name])
                 }
                 "volume.safetensors" => refuses(at, &["encode", "--model", name, "ball.nrrd"], &[name]),
-                // A table may lose whole rows, or digits, without anyone knowing.
+                // A table may lose whole rows, or digits, without notice.
                 _ if keep == 0 => {
                     refuses(
                         at,
@@ -139,7 +139,7 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
         all.extend(parts);
         refuses(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"], &all);
     }
-    // A group that this version does not know is the caller's to supply: here, as columns of the table.
+    // Values of an unknown group come from the caller: here, from columns of the table.
     let unknown = meta("entire.inputs", r#"[{"name":"camera","size":3},{"name":"mystery","size":2}]"#);
     std::fs::write(at.join("m.safetensors"), safetensors(&unknown, &prednet())).unwrap();
     let printed = succeeds(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"]);
@@ -150,7 +150,7 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
     std::fs::write(at.join("m.safetensors"), safetensors(&log, &poke("prednet.1.bias", 100.0))).unwrap();
     let predict = ["predict", "--model", "m.safetensors", "--inputs", "rows.csv"];
     refuses(at, &predict, &["rows.csv: row 1: the model answers inf seconds", "check their units"]);
-    // Times below a microsecond, and below zero, are the shortest there is.
+    // Times below a microsecond, and below zero, become the shortest time.
     for (metadata, bias) in [(&log, -100.0), (&meta("entire.target", "seconds"), -1e6)] {
         std::fs::write(at.join("m.safetensors"), safetensors(metadata, &poke("prednet.1.bias", bias)))
             .unwrap();
@@ -262,10 +262,10 @@ fn extreme_transfer_functions_cameras_and_sizes_render() {
             let more = ["--shade", shade, "--skip", skip];
             // Fully transparent: black.
             assert!(pixels(at, "ball.nrrd", "0,0,2", "0.5,0.1,0", "16x16", &more).iter().all(|&v| v == 0));
-            // Fully opaque: the box is seen, its front alone.
+            // Fully opaque: only the front of the box is seen.
             let opaque = pixels(at, "ball.nrrd", "0,0,2", "0.5,1e9,1", "16x16", &more);
             assert!(opaque[(8 * 16 + 8) * 3..][..3].iter().any(|&v| v > 10), "{shade} {skip}");
-            // The camera inside the volume, and at its center but for a hair.
+            // The camera inside the volume, and almost at its center.
             assert!(pixels(at, "ball.nrrd", "0,0,0.3", TF, "16x16", &more).iter().any(|&v| v > 10));
             assert!(pixels(at, "ball.nrrd", "0,0,1e-6", TF, "16x16", &more).iter().any(|&v| v > 10));
             // One pixel.
@@ -314,7 +314,7 @@ fn volumes_with_broken_constant_or_thin_voxels_have_an_answer() {
     let encode = |name: &str| number(succeeds(at, &["encode", "--model", "volume.safetensors", name]));
     assert_eq!(encode("dirty.nrrd"), encode("clean.nrrd"));
 
-    // Nothing finite at all, and all the same: the low end everywhere.
+    // Without any finite value: the low end everywhere.
     put("nan.nrrd", &float_nrrd([4, 4, 4], (0..64).map(|_| f32::NAN)));
     put("same.nrrd", &float_nrrd([4, 4, 4], (0..64).map(|_| 7.0)));
     assert_eq!(encode("nan.nrrd"), encode("same.nrrd"));

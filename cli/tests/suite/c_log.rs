@@ -1,4 +1,4 @@
-//! The timing table that a C program writes (`examples/c/04_fine_tune_log.c`) is one that this crate reads.
+//! This crate reads the timing table that a C program writes (`examples/c/04_fine_tune_log.c`).
 //!
 //! Run by `make test-ffi`, which runs the example and names its table in `ENTIRE_C_LOG`.
 

@@ -1,4 +1,4 @@
-//! `entire calibrate` on the CPU twin: a model of the machine where the other commands find it.
+//! `entire calibrate` on the CPU version: a model of the machine where the other commands find it.
 
 use crate::support::*;
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
@@ -54,7 +54,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     for part in ["to expect", "median error", "RMSE/SD", "clock cpu", "3 volumes"] {
         assert!(said.contains(part), "{part}: {said}");
     }
-    // Images of at most 64 pixels tell nothing of pictures.
+    // Images of at most 64 pixels are too small for comparing pictures.
     assert!(said.contains("too few were compared"), "{said}");
     let path = at.join("home/entire/machine-none.safetensors");
     let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
@@ -76,7 +76,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
         assert!(!text.contains(&format!("\"{}", at.display())), "a path of this machine: {text}");
     }
 
-    // What was measured is a table; the model is judged on it by its own clock, and by no other.
+    // The measured frames are a table; the model is evaluated on it by its own clock, and by no other.
     let judged = run(at, &["evaluate", "--model", path.to_str().unwrap(), "--data", "frames.csv", "--quiet"]);
     assert!(judged.status.success(), "{}", stderr(&judged));
     let arguments =
@@ -84,21 +84,21 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let refused = run(at, &arguments);
     assert!(!refused.status.success() && stderr(&refused).contains("predicts cpu seconds"), "{refused:?}");
 
-    // The same frames as a log of some renderer: fitted to without rendering.
+    // The same frames as a renderer's log: fitted without rendering.
     let fitted =
         run(at, &["calibrate", "--data", "frames.csv", "--out", "logged.safetensors", "--threads", "1"]);
     assert!(fitted.status.success() && stdout(&fitted).contains("to expect"), "{}", stderr(&fitted));
     let logged = Model::from_bytes(&std::fs::read(at.join("logged.safetensors")).unwrap()).unwrap();
-    // The clock that a user waits for: the twin has no time stamps.
+    // Wall time, since the CPU version has no time stamps.
     assert!(load(&logged).is_ok() && logged.metadata()["entire.clock"] == "wall");
 
-    // Started from for another clock, which is said.
+    // With another clock than the prior's, which a note says.
     let prior = ["--clock", "wall", "--prior", path.to_str().unwrap(), "--out", "wall.safetensors"];
     let wall = run(at, &[&["calibrate", "--data", "frames.csv", "--threads", "1"][..], &prior].concat());
     assert!(wall.status.success(), "{}", stderr(&wall));
     assert!(stderr(&wall).contains("predicts cpu seconds; the new model predicts wall seconds"), "{wall:?}");
 
-    // `predict` takes it by itself, and says whose seconds it gives.
+    // `predict` finds it by itself, and names the clock of its seconds.
     let columns: usize = model.inputs().iter().map(|g| g.size).sum();
     std::fs::write(at.join("rows.csv"), vec!["1.5"; columns].join(",") + "\n").unwrap();
     let predicted = run(at, &["predict", "--inputs", "rows.csv"]);
@@ -106,7 +106,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     assert!(stderr(&predicted).contains("predicts cpu seconds"), "{predicted:?}");
     assert!(stdout(&predicted).trim().parse::<f64>().unwrap() > 0.0);
 
-    // Its table knows its volumes: none that was written anew is taken for one that was measured.
+    // The table has checksums of its volumes: changed files are refused.
     let volume = std::fs::read_dir(at.join("data")).unwrap().next().unwrap().unwrap().path();
     let mut bytes = std::fs::read(&volume).unwrap();
     *bytes.last_mut().unwrap() ^= 1;
@@ -116,7 +116,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
         &["calibrate", "--data", "frames.csv", "--out", "stale.safetensors", "--threads", "1"],
     ] {
         let stale = run(at, arguments);
-        assert!(!stale.status.success() && stderr(&stale).contains("was written anew"), "{stale:?}");
+        assert!(!stale.status.success() && stderr(&stale).contains("changed after the frames"), "{stale:?}");
     }
 }
 
@@ -127,7 +127,7 @@ fn a_model_states_what_coarser_pictures_cost() {
     volumes(at);
     for error in ["rmse", "ssim"] {
         let out = format!("{error}.safetensors");
-        // Few frames leave the time to the pictures.
+        // With few frames, most of the time is left for pictures.
         let arguments = ["calibrate", "a.nrrd", "b.nrrd", "c.nrrd", "--device", "cpu", "--seconds", "60"];
         let more = ["--frames", "12", "--min-size", "96", "--max-size", "128", "--quiet", "--threads", "1"];
         let last = ["--picture-error", error, "--out", &out];
@@ -145,9 +145,9 @@ fn a_model_states_what_coarser_pictures_cost() {
         assert_eq!((&pictures["error"], &pictures["settings"]), (&error.into(), &20.into()));
         let of = |name: &str| pictures[name].as_f64();
         let (chosen, least) = (of("over_best").unwrap(), of("step_least_time").unwrap());
-        // A coarse picture may come out better than the law says.
+        // A coarse picture may be better than the law predicts.
         assert!(chosen > 0.95 && least > 0.0 && least < 1.0, "{pictures}");
-        // The step alone is judged unless it never reaches the longest time that counts.
+        // The step alone is compared unless it never reaches the longest time in the comparison.
         match of("step_over_best") {
             Some(alone) => assert!(chosen <= alone + 1e-9, "{pictures}"),
             None => assert!(least > 0.7, "{pictures}"),
@@ -183,7 +183,7 @@ fn what_cannot_be_calibrated_is_said() {
     volumes(at);
     refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
     refuses_after_output(at, &["calibrate", "gone.nrrd", "--out", "m.safetensors"], &["gone.nrrd"]);
-    // The CPU twin has no time stamps.
+    // The CPU version has no time stamps.
     let mut arguments = vec!["calibrate", "a.nrrd", "--clock", "device", "--out", "m.safetensors"];
     arguments.extend(QUICK);
     arguments.push("1");
@@ -191,7 +191,7 @@ fn what_cannot_be_calibrated_is_said() {
     assert!(!at.join("m.safetensors").exists());
 }
 
-/// As [`refuses`], where something may have been printed before.
+/// As [`refuses`], when output may have been printed before.
 fn refuses_after_output(folder: &Path, arguments: &[&str], parts: &[&str]) {
     let output = entire(folder, arguments);
     assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", stderr(&output));

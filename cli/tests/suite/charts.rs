@@ -1,4 +1,4 @@
-//! The example's charts: whole XML, every kind of mark, and a page that fetches nothing.
+//! The example's charts: well-formed XML, every kind of mark, and a page without external resources.
 
 #[allow(dead_code, unreachable_pub, reason = "an example, with a main of its own")]
 #[path = "../../examples/charts.rs"]

@@ -1,4 +1,4 @@
-//! `entire collect` as a process: interruption, resumption and what it refuses.
+//! `entire collect` as a process: interruption, resumption and refused input.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -88,12 +88,12 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     let settings = ["--frames", "40", "--min-size", "96", "--max-size", "160"];
     let output = collect(&volume, &whole, &settings).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
-    // Two of the first frame, one of each other.
+    // Two warm-ups of the first frame, one of each other.
     assert!(String::from_utf8_lossy(&output.stdout).contains("41 warm-up renderings were discarded"));
 
     let child = collect(&volume, &cut, &settings).spawn().unwrap();
     let begin = Instant::now();
-    // Several frames in, so that there is something to keep and something to lose.
+    // After several frames, so that an interruption leaves some.
     while std::fs::read_to_string(&cut).map_or(0, |t| t.lines().count()) < 7 {
         assert!(begin.elapsed() < Duration::from_secs(120), "no frame was written");
         std::thread::sleep(Duration::from_millis(2));
@@ -103,7 +103,7 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     let output = child.wait_with_output().unwrap();
     let kept = frames(&cut);
     if output.status.success() {
-        // The last frame was done before the signal came; nothing was left to interrupt.
+        // The last frame was finished before the signal came, so there was no interruption.
         assert_eq!(kept, frames(&whole));
         return;
     }
@@ -114,7 +114,7 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     assert!(kept.len() >= 7 && kept.len() < 81);
     assert_eq!(kept, frames(&whole)[..kept.len()]);
 
-    // Without --resume the table is not touched; under other settings it is not gone on with.
+    // Without --resume the table is unchanged; under other settings it is not continued.
     let output = collect(&volume, &cut, &settings).output().unwrap();
     assert!(output.status.code() == Some(1) && stderr(&output).contains("resume it"));
     let output =
@@ -216,12 +216,12 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     let output = collect(&volume, &out, &resume).output().unwrap();
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{said}");
-    for part in ["v.nrrd was written anew", "content", "another --out"] {
+    for part in ["v.nrrd changed", "content", "another --out"] {
         assert!(said.contains(part), "{said}");
     }
     assert_eq!(frames(&out), whole[..5]);
 
-    // What reads the volumes again refuses them too.
+    // Commands that read the volumes again refuse them too.
     let program = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
         command.current_dir(dir.path()).args(arguments).output().unwrap()
@@ -233,10 +233,10 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
         let output = program(arguments);
         let said = stderr(&output);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
-        assert!(said.contains("v.nrrd was written anew since the frames of t.csv"), "{arguments:?}: {said}");
+        assert!(said.contains("v.nrrd changed after the frames of t.csv"), "{arguments:?}: {said}");
     }
 
-    // Put back, also as a file that was written later, it is the same.
+    // The restored file is the same, although it was written later.
     std::fs::write(&volume, &bytes).unwrap();
     let output = program(&["features", "--quiet", "--data", "t.csv"]);
     assert!(output.status.success(), "{}", stderr(&output));
@@ -245,7 +245,7 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     assert!(output.status.success(), "{}", stderr(&output));
     assert_eq!(frames(&out), whole);
 
-    // A table that does not say what its volumes were is gone on with, and that is said.
+    // A table without checksums of its volumes is continued, with a note.
     let manifest = dir.path().join("t.manifest.json");
     let mut kept: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();

@@ -1,4 +1,5 @@
-//! `entire farm` as processes: databases are rendered whole, whatever is killed, and what fails is set aside.
+//! `entire farm` as processes: databases are rendered completely, whatever is killed, and failing tasks are
+//! quarantined.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -32,7 +33,7 @@ fn images(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         for file in std::fs::read_dir(part.unwrap().path()).unwrap() {
             let path = file.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            // What a killed writer left in part is not an image.
+            // A partial file of a killed writer is not an image.
             if name.ends_with(".png") {
                 let bytes = std::fs::read(&path).unwrap();
                 out.insert(path.strip_prefix(folder).unwrap().to_owned(), bytes);
@@ -92,7 +93,7 @@ fn a_database_is_rendered_and_its_table_names_every_image() {
     );
     let (one, other) = (dir.path().join("one.png"), dir.path().join("db.cdb").join(&row["FILE"]));
     assert_eq!(std::fs::read(one).unwrap(), std::fs::read(other).unwrap());
-    // What is done is neither begun anew nor done twice.
+    // Finished tasks are neither restarted nor done twice.
     refuses(dir.path(), &["farm", "job.toml", "--quiet"], &["--resume"]);
     let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--quiet"]);
     assert!(said.contains("40 of 40 images, 0 of them"), "{said}");
@@ -106,7 +107,7 @@ fn a_database_is_rendered_and_its_table_names_every_image() {
     let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--verify", "--quiet"]);
     assert!(said.contains("40 of 40 images, 1 of them"), "{said}");
     assert_eq!(images(dir.path()), whole);
-    // A job that has grown renders what is new.
+    // A larger job renders only its new tasks.
     let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
     std::fs::write(dir.path().join("job.toml"), text.replace("[1.0, 2.0]", "[1.0, 2.0, 4.0]")).unwrap();
     let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--preview", "--quiet"]);
@@ -158,7 +159,7 @@ fn drivers_and_workers_are_killed_and_nothing_is_lost() {
             arguments.push("--resume");
         }
     }
-    // Ctrl-C: what is at hand is finished, and the way on is told.
+    // Ctrl-C: current tasks are finished, and the message names the command that continues.
     let mut driver = start(dir.path(), &arguments);
     std::thread::sleep(Duration::from_millis(60));
     kill(driver.id(), "-INT");
@@ -200,7 +201,7 @@ fn render_picture(folder: &Path) {
 
 #[test]
 fn programs_get_names_as_they_are_and_failures_are_set_aside() {
-    // The program copies its image from a real one; it fails for one view, and says why.
+    // The program copies its image from another file; for one view it fails, with a message.
     let script = "#!/bin/sh\n[ -f \"$1\" ] || { echo \"no volume $1\"; exit 3; }\n\
                   [ \"$2\" = 36 ] && { echo \"this view is broken\"; exit 4; }\ncp picture.png \"$3\"\n";
     let renderer = "[renderer]\nkind = \"command\"\n\
@@ -218,7 +219,7 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     assert!(logs.iter().all(|l| l.contains("this view is broken")), "{logs:?}");
     // Three attempts each.
     assert_eq!(journal(dir.path()).matches("\"failed\"").count(), 8);
-    // Mended, they are rendered; the others are not rendered again.
+    // After the repair, failed tasks are rendered; the others are not rendered again.
     std::fs::write(dir.path().join("draw.sh"), script.replace("= 36", "= 999")).unwrap();
     let said = succeeds(
         dir.path(),
@@ -229,8 +230,8 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
 
 #[test]
 fn a_program_that_stays_is_asked_line_by_line_and_started_again() {
-    // It answers three tasks and ends: every fourth task is lost with it and asked of a new one, which is no
-    // failed attempt.
+    // The program answers three tasks and ends: every fourth task is lost with it and goes to a new one,
+    // which is no failed attempt.
     let script = "n=0\nwhile read -r line; do\n\
                   n=$((n + 1)); [ $n -gt 3 ] && exit 1\n\
                   id=$(printf %s \"$line\" | sed 's/.*\"task\":\"\\([0-9a-f]*\\)\".*/\\1/')\n\
@@ -260,7 +261,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     let list = std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap();
     assert_eq!(list.lines().count(), 41);
     succeeds(dir.path(), &["schedule", "tasks.csv", "--nodes", "4", "--out", "a.csv"]);
-    // The list tells what tasks take.
+    // The list has the times of tasks.
     let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
     std::fs::write(dir.path().join("told.toml"), text + "\n[predict]\nlist = \"tasks.csv\"\n").unwrap();
     let said = succeeds(dir.path(), &["farm", "told.toml", "--dry-run"]);
@@ -278,7 +279,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     );
 }
 
-/// Writes a volume of 8³ voxels of one level, but for one voxel of 0 and one of 255.
+/// Writes a volume of 8³ voxels of one value, except one voxel of 0 and one of 255.
 fn write_level(path: &Path, level: u8) {
     let head = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: raw\n\n";
     let mut bytes = head.as_bytes().to_vec();
@@ -306,7 +307,7 @@ fn write_job(folder: &Path, text: &str) {
     std::fs::write(folder.join("job.toml"), text).unwrap();
 }
 
-/// What a database shows: the parameters of every row, and the bytes of its picture.
+/// Contents of a database: the parameters of every row, and the bytes of its picture.
 fn shown(folder: &Path, database: &str) -> Vec<(String, Vec<u8>)> {
     let mut reader = csv::Reader::from_path(folder.join(database).join("data.csv")).unwrap();
     let rows = reader.deserialize().map(|r| r.unwrap()).map(|row: BTreeMap<String, String>| {
@@ -317,8 +318,7 @@ fn shown(folder: &Path, database: &str) -> Vec<(String, Vec<u8>)> {
     rows.collect()
 }
 
-/// Goes on with the database and compares it with one that is rendered afresh; gives what was said on both
-/// outputs.
+/// Continues the database and compares it with one that is rendered from scratch; returns both outputs.
 fn resumed_is_fresh(folder: &Path, case: &str) -> (String, String) {
     let output = entire(folder, &["farm", "job.toml", "--slots", "1", "--resume"]);
     assert_eq!(output.status.code(), Some(0), "{case}: {}", stderr(&output));
@@ -343,28 +343,28 @@ fn a_resumed_database_shows_what_its_files_are_now() {
     assert!(said.contains("4 of 4 images"), "{said}");
     let first = shown(dir.path(), "db.cdb");
     assert_ne!(first[0].1, first[2].1);
-    // The same bytes written anew are the same.
+    // A file that is rewritten with the same bytes is the same.
     write_level(&at("step20.nrrd"), 160);
     assert_eq!(resumed("touched", "4 of 4 images, 0 of them"), "");
     write_level(&at("step20.nrrd"), 240);
     let notes = resumed("content", "4 of 4 images, 2 of them");
     assert!(
-        notes.contains("step20.nrrd") && notes.contains("2 pictures") && notes.contains("anew"),
+        notes.contains("step20.nrrd") && notes.contains("2 pictures") && notes.contains("again"),
         "{notes}"
     );
     assert_eq!(notes.lines().count(), 1, "{notes}");
     assert_eq!(resumed("said once", "4 of 4 images, 0 of them"), "");
-    // A step between two, and one before: those that were there keep their pictures, at their new times.
+    // A new step between two, and one before: existing pictures are kept, at their new times.
     write_level(&at("step15.nrrd"), 100);
     write_level(&at("step9.nrrd"), 30);
     resumed("addition", "8 of 8 images, 4 of them");
     std::fs::remove_file(at("step10.nrrd")).unwrap();
     let notes = resumed("deletion", "6 of 6 images, 0 of them");
     assert!(notes.contains("2 pictures") && notes.contains("no task"), "{notes}");
-    // It comes back, and its pictures with it.
+    // A returning file has its pictures again.
     write_level(&at("step10.nrrd"), 60);
     resumed("the same again", "8 of 8 images, 0 of them");
-    // Another content under the name, while others come and go.
+    // Another content under the same name, while others come and go.
     write_level(&at("step10.nrrd"), 61);
     std::fs::remove_file(at("step9.nrrd")).unwrap();
     write_level(&at("step12.nrrd"), 30);
@@ -393,9 +393,9 @@ fn a_resumed_database_follows_the_settings() {
         ("device = ", "termination = 0.5\ndevice = ", 4),
         ("device = ", "shade = \"local\"\ndevice = ", 4),
         ("name = \"db\"", "name = \"db\"\nfov_y_deg = 40.0", 4),
-        // Names of volumes are no part of what the raycaster draws.
+        // Names of volumes do not change the raycaster's pictures.
         ("name = \"run\"", "name = \"other\"", 0),
-        // Nor is where they stand.
+        // Nor do their folders.
         ("files = [\"step*.nrrd\"]", "files = [\"step20.nrrd\", \"step10.nrrd\"]", 0),
         ("series = true\nname = \"run\"", "series = false", 0),
     ] {
@@ -404,7 +404,7 @@ fn a_resumed_database_follows_the_settings() {
         write_job(dir.path(), &text);
         let (said, _) = resumed_is_fresh(dir.path(), to);
         assert!(said.contains(&format!("images, {now} of them")), "{to}: {said}");
-        // What was there comes back without being rendered.
+        // Earlier pictures come back without rendering.
         write_job(dir.path(), &job);
         let (said, _) = resumed_is_fresh(dir.path(), from);
         assert!(said.contains("4 of 4 images, 0 of them"), "{from}: {said}");
@@ -461,7 +461,7 @@ fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
     std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"; echo more >> \"$1\"\n").unwrap();
     let output = entire(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
     assert!(stderr(&output).contains("4 tasks were given up"), "{}", stderr(&output));
-    assert!(journal(dir.path()).contains("was written anew while the farm was at work"));
+    assert!(journal(dir.path()).contains("changed while the farm was running"));
     assert!(table(dir.path()).is_empty());
     std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"\n").unwrap();
     let (said, _) = resumed_is_fresh(dir.path(), "mended");
@@ -495,7 +495,7 @@ fn a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew() {
     std::fs::write(dir.path().join("db.cdb/.farm/journal.jsonl"), old.join("\n") + "\n").unwrap();
     let (said, notes) = resumed_is_fresh(dir.path(), "old");
     assert!(said.contains("4 of 4 images, 4 of them"), "{said}");
-    assert!(notes.contains("4 pictures") && notes.contains("rendered anew"), "{notes}");
+    assert!(notes.contains("4 pictures") && notes.contains("rendered again"), "{notes}");
 }
 
 #[test]

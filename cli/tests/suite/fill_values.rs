@@ -1,4 +1,4 @@
-//! Values that stand for voxels without data, and bytes that fill a small part of their range.
+//! Fill values, and bytes that use a small part of their range.
 
 use crate::support::{entire, float_nrrd, picture, render, stderr, succeeds};
 use entire_io::volume::{Fill, Range, Reading, Volume, VolumeData};
@@ -31,7 +31,7 @@ fn fill_values_do_not_decide_the_range() {
             note.contains("1920 of 7680 voxels (25.0 %)") && note.contains("--fill none"),
             "{name}: {note}"
         );
-        // Nothing is left of it, so that no interpolated sample lies beyond the range either.
+        // Filled voxels are replaced, so that no interpolated sample lies beyond the range either.
         assert_eq!(ends(volume.data().scalars().iter()), (0.000_101_613_06, 1.0), "{name}");
         let kept = open(&path, Fill::None);
         let range = kept.view().range();
@@ -49,7 +49,8 @@ fn fill_values_do_not_decide_the_range() {
     assert!(nan.notes()[0].contains("1920 of 7680 voxels are NaN or infinite"), "{:?}", nan.notes());
 }
 
-/// A volume is drawn alike with a fill value and with the low end in its place, whichever side the value is on.
+/// A volume with a fill value is drawn like one with the low end in its place, whether the value is a minimum
+/// or a maximum.
 #[test]
 fn fill_values_are_drawn_as_the_low_end() {
     let folder = tempfile::tempdir().unwrap();
@@ -68,7 +69,8 @@ fn fill_values_are_drawn_as_the_low_end() {
     assert!(pictures[0] == pictures[1] && pictures[0] == pictures[2], "fill values show");
 }
 
-/// Bytes of 3 to 17 are black under a transfer function over 0 to 255, which is said, and visible with their range.
+/// Bytes of 3 to 17 are black under a transfer function over 0 to 255, with a note, and visible with their
+/// range.
 #[test]
 fn bytes_of_a_narrow_range_are_said_and_can_be_spanned() {
     let folder = tempfile::tempdir().unwrap();
@@ -92,7 +94,8 @@ fn bytes_of_a_narrow_range_are_said_and_can_be_spanned() {
     assert_eq!((volume.view().range(), volume.data()), ((3.0, 17.0), &VolumeData::U8(bytes)));
 }
 
-/// A table keeps how its volumes were read; the features of its frames are those of the same volume.
+/// A table stores the options by which its volumes were read; the features of its frames are those of the
+/// same volume.
 #[test]
 fn tables_keep_how_volumes_are_read() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,6 @@
-//! Every file of fixtures/volumes and fixtures/reports against the values that independent readers found:
-//! fixtures/right-values.csv, which `lab/scripts/readers/differential.py --write` makes with pynrrd, SimpleITK, nibabel
-//! and VTK.
+//! Every file of fixtures/volumes and fixtures/reports against the values of independent readers:
+//! fixtures/right-values.csv, which `lab/scripts/readers/differential.py --write` makes with pynrrd,
+//! SimpleITK, nibabel and VTK.
 
 use entire_io::volume::{Fill, Reading, Volume, VolumeData};
 use std::collections::{BTreeMap, BTreeSet};
@@ -58,7 +58,7 @@ fn table() -> BTreeMap<String, Row> {
     rows
 }
 
-/// The type in memory, and the voxels' bytes, little-endian, each NaN as the one without a payload.
+/// The type in memory, and the voxels' bytes, little-endian, with every NaN in one form.
 fn stored(data: &VolumeData) -> (&'static str, Vec<u8>) {
     let plain = |v: &f32| if v.is_nan() { f32::from_bits(0x7fc0_0000) } else { *v };
     match data {
@@ -71,7 +71,7 @@ fn stored(data: &VolumeData) -> (&'static str, Vec<u8>) {
 
 /// The difference between a file as it is read and its row, if there is one.
 fn difference(name: &str, row: &Row) -> Option<String> {
-    // Every value as the file has it: of fill values other tests tell.
+    // Every stored value; other tests cover fill values.
     let stored_values = Reading { fill: Fill::None, ..Reading::default() };
     let volume = match Volume::open_as(fixtures().join(name), &stored_values, None) {
         Ok(volume) => volume,
@@ -120,7 +120,7 @@ fn every_fixture_is_read_as_independent_readers_read_it() {
         .filter_map(|(name, row)| difference(name, row).map(|told| format!("{name}: {told}")))
         .collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    // No table of refusals, nor one that the command's own readers wrote.
+    // The table must not consist of refusals, nor of values by the command's own readers.
     let own = |row: &Row| ["none", "ours"].contains(&row.readers.as_str());
     let independent = table.values().filter(|row| !own(row) && row.refusal.is_empty()).count();
     assert!(independent >= 180, "{independent} files have values of independent readers");

@@ -1,6 +1,6 @@
-//! What shipped models predict over every committed table, and over a hundred thousand random inputs, ordinary
-//! and hostile: never zero, negative or no number at the predictor, and of the networks' own outputs no more
-//! than are known.
+//! Predictions of shipped models over every committed table, and over a hundred thousand random inputs,
+//! ordinary and hostile: never zero, negative or NaN at the predictor, and no more such outputs of the
+//! networks than are known.
 
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Executor, Normalization, PredNet};
@@ -39,9 +39,10 @@ fn invalid(seconds: f64) -> bool {
     !(seconds.is_finite() && seconds > 0.0)
 }
 
-/// Outputs of shipped networks that were no positive time and had to be brought to the shortest one, of all
-/// tables' frames and of the random inputs (to the next thousand, since processors round otherwise). Of frames
-/// only networks that learned seconds, not their logarithm, have some. Any more is a fault.
+/// Limits of the number of outputs of shipped networks that were no positive time and had to be raised to the
+/// shortest one, among frames of all tables and among random inputs (rounded up to the next thousand, since
+/// processors round differently). Among frames only networks of seconds, not of their logarithm, have some.
+/// Any more is a bug.
 const KNOWN: [(&str, usize, usize); 5] = [
     ("local-distilled", 57, 63_000),
     ("local-selected", 0, 6_000),
@@ -54,7 +55,7 @@ fn known(model: &str) -> (usize, usize) {
     KNOWN.iter().find(|k| k.0 == model).map_or((0, 0), |k| (k.1, k.2))
 }
 
-/// Whether a network's output was zero, negative, or shorter than any frame.
+/// True if a network's output was zero, negative, or shorter than any frame.
 fn brought_up(seconds: f64) -> bool {
     seconds <= f64::from(*PREDICTED_SECONDS.start())
 }
@@ -78,7 +79,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
         let mut judged = false;
         for ((name, model), count) in models.iter().zip(&mut of_tables) {
             let layout = Layout::of_model(model).unwrap();
-            // Some tables do not keep what some models take.
+            // Some tables lack the features of some models.
             let Ok(rows) = layout.rows(&table, &refs, &pool, &ProgressBar::hidden()) else { continue };
             let predicted = predict_rows(model, &rows, layout.width()).unwrap();
             assert!(!predicted.iter().any(|s| invalid(*s)), "{name} on {}", path.display());
@@ -106,7 +107,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
             Some(norm) => (norm, f32::NEG_INFINITY),
             None => (&counts, 0.0),
         };
-        // Ordinary inputs, inputs far outside, and inputs as no scene has them.
+        // Ordinary inputs, inputs far outside, and inputs that no scene has.
         for (reach, rows) in [(3.0, RANDOM / 2), (30.0, RANDOM / 4), (1e6, RANDOM / 4)] {
             let inputs: Vec<f32> = (0..rows)
                 .flat_map(|_| norm.mean.iter().zip(&norm.std))
@@ -168,7 +169,7 @@ fn hostile_models_predict_positive_seconds_or_are_refused() {
         let last = parts.layers.last_mut().unwrap();
         last.weight.iter_mut().chain(&mut last.bias).for_each(|w| *w *= factor);
         let mut hostile = file.clone();
-        // Some of these cannot be stored: the file refuses them, which is as good.
+        // Some of these cannot be stored: the file refuses them, which is right as well.
         let Ok(hostile) = hostile.set_prednet(&parts, model.inputs()).and_then(|f| f.to_model()) else {
             continue;
         };

@@ -1,4 +1,4 @@
-//! The encoders in `models/` give what PyTorch gives for the same files, the predictors what their cards say.
+//! The encoders in `models/` give the same features as PyTorch, the predictors the errors on their cards.
 
 use entire_core::model::{Key, Model};
 use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
@@ -70,7 +70,7 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
     let start = format!("| {split} |");
     let row = card.lines().find(|l| l.starts_with(&start)).unwrap();
     let cells: Vec<&str> = row.split('|').map(str::trim).collect();
-    // An interval may stand behind each.
+    // An interval may follow each.
     [4, 5].map(|i| cells[i].split(' ').next().unwrap().parse().unwrap())
 }
 
@@ -78,7 +78,7 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
 fn shipped_predictors_reach_the_figures_on_their_cards() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    // The paper's network is there for comparison; distilled, it is no worse than this.
+    // Limit of the error of the paper's distilled network, which ships for comparison.
     for (set, table, kind, judged, worst) in [
         ("unshaded", "none", "selected", "none-members", 0.08),
         ("local", "local", "selected", "local-members", 0.08),
@@ -126,7 +126,7 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
         let out = rows.chunks_exact(layout.width()).filter(|r| predictor.out_of_range(r) > 0.0).count();
         out as f64 / frames.len() as f64
     };
-    // Members never seen of codes that it knows are familiar.
+    // Unseen members of known codes are within the training range.
     for known in ["castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05"] {
         let share = share_out("local-members.csv.gz", known);
         assert!(share < 0.2, "{known}: {share}");

@@ -1,4 +1,4 @@
-//! `entire steer` and `entire demo` as processes: what they write, print and refuse.
+//! `entire steer` and `entire demo` as processes: their files, output and refused input.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -80,7 +80,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     let log = dir.path().join("log.csv");
     let (volume, out_text, log_text) =
         (volume.to_str().unwrap(), out.to_str().unwrap(), log.to_str().unwrap());
-    // Shorter than any frame takes on any machine: the smallest pictures are called for.
+    // Shorter than any frame on any machine, so that the smallest pictures are chosen.
     let output = entire(&[
         "steer",
         volume,
@@ -120,7 +120,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
         chosen.len() > 1 && chosen.iter().all(|s| (1.0..=2.0).contains(&s.parse::<f32>().unwrap())),
         "{chosen:?}"
     );
-    // The log holds the sizes that were drawn.
+    // The log holds the drawn sizes.
     let table = std::fs::read_to_string(&log).unwrap();
     let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
     let width = columns.iter().position(|c| c.starts_with("width")).unwrap();
@@ -131,7 +131,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
 
-/// The machine's model is made of the volumes in data/, and none of the one that is played.
+/// The machine's model is made from the volumes in data/, without the played one.
 #[test]
 fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     let (dir, volume, out) = setting();
@@ -139,7 +139,7 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     for name in ["a.nrrd", "b.nrrd", "c.nrrd"] {
         ball::write(&dir.path().join("data").join(name));
     }
-    // A copy of the volume itself counts as another; a link to it does not.
+    // A copy of the volume counts as another one; a link to it does not.
     std::os::unix::fs::symlink(&volume, dir.path().join("data/same.nrrd")).unwrap();
     let (volume, out_text) = (volume.to_str().unwrap(), out.to_str().unwrap());
     let small = ["--frames", "16", "--scenes", "4", "--seconds", "12", "--size", "40x40", "--device", "cpu"];

@@ -101,14 +101,15 @@ proptest! {
         let scale = norm.max(1e-3);
         let mut beyond = 0;
         for (at, g) in trainer.gradient().iter().enumerate() {
-            // SELU, Huber and pinball have kinks: where one lies within the longer step, the shorter one misses it.
+            // SELU, Huber and pinball have kinks: a kink within the longer step may be outside the shorter
+            // one.
             let differs = |h: f64| {
                 let slope = (loss_of(&shifted(at, h)) - loss_of(&shifted(at, -h))) / (2.0 * h);
                 (slope - g).abs() > FINITE_DIFFERENCE_TOLERANCE * scale
             };
             beyond += usize::from(differs(1e-6) && differs(1e-7));
         }
-        // One that lies within both may be left.
+        // One kink within both may remain.
         prop_assert!(beyond <= 1 + trainer.gradient().len() / 50, "{beyond} of {}", trainer.gradient().len());
     }
 }
@@ -311,7 +312,7 @@ fn early_stopping_keeps_the_best_weights() {
     assert_eq!(trained.history.len(), trained.best_epoch + 20);
     let lowest = trained.history.iter().map(|h| h.validation_loss).fold(f64::INFINITY, f64::min);
     assert_eq!(trained.best_loss, lowest);
-    // The kept weights really have that loss.
+    // The stored weights have that loss.
     let s = &trained.standardization;
     let again = trained.predict(&pool(1), &vx).unwrap();
     let loss =

@@ -139,7 +139,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     let provenance: serde_json::Value = serde_json::from_str(&m.metadata()[Key::Provenance.name()]).unwrap();
     assert_eq!(provenance["split"]["test"], serde_json::json!(["blobs/m04"]));
     assert_eq!(provenance["data"][0]["frames"], 480);
-    // The first repeat of every frame is as much quicker than the second: a trend, no noise.
+    // The first repeat of every frame is faster than the second by a constant factor: a trend, no noise.
     let floor = |name: &str| provenance["noise_floor"][name].as_f64().unwrap();
     assert!(floor("log_sd") < 1e-6, "{provenance}");
     assert!((floor("warm_up") - (0.99f64 / 1.01).ln()).abs() < 1e-4, "{provenance}");
@@ -157,7 +157,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         assert!(card.contains(heading), "{heading}\n{card}");
     }
 
-    // Evaluated on what it never saw: the same numbers.
+    // Evaluated on held-out frames: the same numbers.
     let folder = data.path("evaluation");
     let shown =
         works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--unseen", "--out", &folder]);
@@ -204,7 +204,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         "--preset",
     );
 
-    // Everything seen: nothing to compare.
+    // All groups were in training: no frame is left.
     works(&[
         "train",
         "--quiet",
@@ -271,7 +271,7 @@ fn the_paper_configuration_writes_encoder_and_network_into_one_file() {
     let widths: Vec<usize> = m.prednet().unwrap().layers.iter().map(|l| l.outputs).collect();
     assert_eq!(widths, [32, 32, 16, 1]);
     assert_eq!(m.prednet().unwrap().layers[0].dtype, Dtype::F16);
-    // The header names every tensor; those that training does not know stay.
+    // The header names every tensor; those unknown to training stay.
     let kept = std::fs::read(&out).unwrap();
     let header = 8 + u64::from_le_bytes(kept[..8].try_into().unwrap()) as usize;
     let header: serde_json::Value = serde_json::from_slice(&kept[8..header]).unwrap();
@@ -300,7 +300,7 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     assert_eq!(m.scene_features().len(), net.layers[0].inputs);
     let shown = works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--by", "volume"]);
     assert!(shown.contains("blobs/m02/t0001.nrrd"), "{shown}");
-    assert!(shown.contains("the truth, by the repeats of a frame"), "{shown}");
+    assert!(shown.contains("noise floor, from repeats of a frame"), "{shown}");
 }
 
 #[test]
@@ -332,7 +332,7 @@ fn compared_pictures_put_their_law_into_the_model() {
         assert!((own / wanted - 1.0).abs() < 0.02, "{found:?}");
     }
 
-    // What holds for a renderer must name it.
+    // A quality law that is bound to a renderer must name it.
     let told = entire(&arguments);
     assert!(String::from_utf8_lossy(&told.stderr).contains("no manifest stands beside the frames"));
 
@@ -366,7 +366,7 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
     assert!(without["latency"].is_null());
     assert_eq!(with["metrics"], without["metrics"]);
 
-    // Where a folder is named that the volumes' names start from, they are found; a quiet run notes nothing.
+    // Volumes are found below a given folder; a quiet run prints no note.
     let elsewhere = tempfile::tempdir().unwrap();
     std::fs::rename(&moved, elsewhere.path().join("blobs")).unwrap();
     let root = elsewhere.path().to_str().unwrap();
@@ -380,7 +380,7 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
     }
     works(&["features", "--quiet", "--data", data.csv(), "--root", root]);
 
-    // A row more, and the features are of another table.
+    // With one more row, the features belong to another table.
     let mut text = std::fs::read_to_string(&data.csv).unwrap();
     text.push_str(text.lines().last().unwrap().replace(",1,blobs", ",2,blobs").as_str());
     text.push('\n');
@@ -426,7 +426,7 @@ fn what_cannot_be_done_is_said() {
     );
     fails(&["evaluate", "--model", data.csv(), "--data", data.csv()], 1, "safetensors");
 
-    // A manifest of another format, and a volume that is gone.
+    // A manifest of another format, and a missing volume.
     let manifest = Manifest {
         format: MANIFEST_FORMAT.replace('1', "9"),
         created: String::new(),

@@ -1,4 +1,4 @@
-//! A model of one renderer is taken to another with a few frames.
+//! A model of one renderer is calibrated to another with a few frames.
 
 use entire_cli::calibrate::calibrate_to_frames;
 use entire_io::dataset::{Clock, Table, Timed};
@@ -52,7 +52,7 @@ fn what_converting_stored_values_costs_is_told_from_the_volume() {
         Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
     };
     let converting = error(&context);
-    // The same frames, if the raycaster had drawn them.
+    // The same frames, as if the raycaster had drawn them.
     let mut as_ours = tables.clone();
     for t in &mut as_ours {
         t.manifest.as_mut().unwrap().renderer = "vulkan".into();

@@ -1,4 +1,4 @@
-//! Every reader against files that other people's libraries wrote (see fixtures/make_volumes.py).
+//! Every reader on files of other libraries (see fixtures/make_volumes.py).
 
 use entire_io::volume::{Reading, Volume, VolumeData};
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes")
 }
 
-/// What a voxel of that stored type becomes, by the table in the module's documentation.
+/// Value of a voxel of that stored type, by the table in the module's documentation.
 fn expected(kind: &str) -> VolumeData {
     let whole = |bits: u32, signed: bool| {
         let spread = (1u128 << bits) / 385;
@@ -36,7 +36,7 @@ fn files_of_other_writers_come_back_voxel_for_voxel() {
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
         let (stem, ending) = name.split_once('.').unwrap();
         let words: Vec<&str> = stem.split('_').collect();
-        // Voxels of detached headers, and files with a test of their own.
+        // Voxels of detached headers, and files with their own test.
         if words.len() != 4 || ending == "zraw" || (ending.starts_with("raw") && words[0] != "raw") {
             continue;
         }
@@ -62,7 +62,7 @@ fn files_of_other_writers_come_back_voxel_for_voxel() {
     ] {
         assert!(read.get(ending).is_some_and(|n| *n >= at_least), "{ending}: {read:?}");
     }
-    // Each type in each byte order, where a byte order makes a difference.
+    // Each type in each byte order, if byte order matters.
     for ending in ["nrrd", "mha", "nii", "vti", "raw"] {
         for kind in ["uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"] {
             for endian in ["little", "big"] {
@@ -137,7 +137,7 @@ fn formats_are_found_by_their_first_bytes_where_the_ending_says_nothing() {
     assert!(message.contains("accepted are .nrrd, .nhdr, .mhd"), "{message}");
 }
 
-/// Opens bytes under a name of their own; the message of the error.
+/// Opens bytes under a file name; returns the error's message.
 fn refused(name: &str, bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -163,7 +163,7 @@ fn several_components_and_missing_files_are_refused() {
     assert!(message.contains("is a folder"), "{message}");
 }
 
-/// Opens in a thread of its own, so that a reader that waits for ever fails the test.
+/// Opens in a separate thread, so that a reader that waits for ever fails the test.
 #[cfg(unix)]
 fn refused_at_once(path: &Path) -> String {
     let (send, receive) = std::sync::mpsc::channel();
@@ -232,7 +232,7 @@ fn truncated_files_say_what_is_missing() {
         "pynrrd_gzip_int16_little.nrrd",
     ] {
         let whole = std::fs::read(fixtures().join(name)).unwrap();
-        // A cut that certainly takes voxels with it, and one within the header; no cut may panic or succeed.
+        // A cut that surely removes voxels, and one within the header; no cut may panic or succeed.
         for keep in [whole.len() * 3 / 5, whole.len() / 2, 100, 10, 0] {
             let message = refused(name, &whole[..keep]);
             assert!(message.len() > name.len() + 20, "{name} cut to {keep}: {message}");
@@ -340,14 +340,14 @@ fn lying_headers_do_not_allocate() {
     check("a_1x1x2_uint8.raw", b"1234", "need 2 bytes, the data has 4");
 }
 
-/// Small files after public reports of what other readers had trouble with; the right values are those of pynrrd,
-/// SimpleITK, nibabel and VTK.
+/// Small files after public bug reports of other readers; the right values are those of pynrrd, SimpleITK,
+/// nibabel and VTK.
 fn reported(name: &str) -> Volume {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports").join(name);
     Volume::open(path).unwrap_or_else(|error| panic!("{error:#}"))
 }
 
-/// The voxels that most of them hold: 12 x 10 x 8.
+/// The voxels of most of them: 12 x 10 x 8.
 fn right() -> Vec<i16> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports/bom/v.raw");
     let bytes = std::fs::read(path).unwrap();
@@ -390,7 +390,7 @@ fn the_active_scalars_are_read_and_arrays_of_vtk_itself_never() {
     refused_report("vti-rgb-active.vti", "with one component: \"d\"");
 }
 
-/// An image of 1 x 1 x 2 cells with the arrays of both sections as they are given.
+/// An image of 1 x 1 x 2 cells with the given arrays of both sections.
 fn vti_of(points: &str, cells: &str) -> String {
     format!(
         "<VTKFile type=\"ImageData\"><ImageData WholeExtent=\"0 1 0 1 0 2\"><Piece><PointData {points}\
@@ -420,13 +420,13 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     let message = format!("{:#}", open_array(&path, "b").unwrap_err());
     assert!(message.contains("\"b\" is not in the file; it has \"a\", \"vtkGhostType\", \"c\""), "{message}");
 
-    // Of the cells, where no scalars of the points are active.
+    // Those of the cells, if the points have no active scalars.
     write(vti_of(&format!(">{}", points("a")), &format!("Scalars=\"c\">{}", array("c", "5 6"))));
     assert!(cells(&Volume::open(&path).unwrap()));
     let vectors = "Scalars=\"v\"><DataArray type=\"UInt8\" Name=\"v\" NumberOfComponents=\"3\"></DataArray>";
     write(vti_of(vectors, &format!("Scalars=\"c\">{}", array("c", "5 6"))));
     assert!(cells(&Volume::open(&path).unwrap()));
-    // A name that begins like those of VTK counts where it is active, and ids never do.
+    // A name that begins like VTK's own is read if it is active, and ids never are.
     write(vti_of(&format!("Scalars=\"vtkDensity\">{}{}", points("a"), points("vtkDensity")), ">"));
     assert!(!Volume::open(&path).unwrap().notes().iter().any(|n| n.contains("is read")));
     write(vti_of(&format!("GlobalIds=\"i\">{}", points("i")), &format!(">{}", array("c", "5 6"))));
@@ -466,7 +466,7 @@ fn pieces_and_compressors_of_vtk_are_read() {
         let volume = read(&pieces).unwrap();
         assert_eq!((volume.dims(), volume.data()), ([3, 2, 1], &VolumeData::I16((0..6).collect())));
     }
-    // One piece, too, is placed in the whole.
+    // A single piece, too, is placed in the whole extent.
     let alone = [left.clone()];
     assert!(read(&alone).unwrap_err().contains("hold 4 of the 6 voxels of WholeExtent"));
     let larger = [piece("4 7 0 1 -1 -1", "9 0 1 2 9 3 4 5")];
@@ -495,7 +495,7 @@ fn byte_order_marks_are_no_part_of_the_text() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports/bom");
     entire_farm::job::Job::open(&folder.join("job.toml")).unwrap();
     entire_io::path::PathFile::open(&folder.join("path.json")).unwrap().resolve().unwrap();
-    // Where the ending says nothing, too.
+    // The same if the ending does not determine the format.
     let other = tempfile::tempdir().unwrap();
     for name in ["a0.mhd", "a.nhdr", "../vti-bom-Appended.vti"] {
         std::fs::copy(folder.join("v.raw"), other.path().join("v.raw")).unwrap();
@@ -512,7 +512,7 @@ fn byte_order_marks_are_no_part_of_the_text() {
 fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
     assert_right("skip-minus-one.nhdr");
     assert_right("skip-minus-five.nhdr");
-    // Not compressed, and with a claim that the data cannot meet.
+    // Not compressed, with a size that the data cannot have.
     let header = |skip: i64| {
         format!(
             "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1 1 3\nencoding: raw\nbyte skip: {skip}\n\n1234567"
@@ -524,7 +524,7 @@ fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
         std::fs::write(&path, header(skip)).unwrap();
         let volume = Volume::open(&path).unwrap();
         assert_eq!(volume.data(), &VolumeData::U8(right.to_vec()));
-        assert!(!volume.notes().iter().any(|n| n.contains("behind")), "{:?}", volume.notes());
+        assert!(!volume.notes().iter().any(|n| n.contains("bytes after")), "{:?}", volume.notes());
     }
     check("a.nrrd", header(-6).as_bytes(), "last 3 bytes before 5 others, there are 7");
     check("a.nrrd", header(i64::MIN).as_bytes(), "there are 7");
@@ -590,7 +590,7 @@ fn voxels_in_several_files_are_read_in_their_order() {
         assert_eq!((volume.dims(), volume.spacing()), ([12, 10, 8], [1.0, 1.0, 2.0]), "{name}");
         assert_eq!((volume.data(), volume.notes().len()), (&VolumeData::U8(right.clone()), 0), "{name}");
     }
-    // With what stands before the voxels of each, and a file that is too short.
+    // With the data before the voxels of each, and a file that is too short.
     let other = tempfile::tempdir().unwrap();
     for (name, bytes) in [("a2.raw", "xx12"), ("a1.raw", "xx34"), ("a0.raw", "xx56")] {
         std::fs::write(other.path().join(name), bytes).unwrap();
@@ -615,7 +615,7 @@ fn voxels_in_several_files_are_read_in_their_order() {
 fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
     for name in ["behind-newline.nrrd", "behind-newline.mha", "behind-pad.nrrd", "behind-pad.mha"] {
         let volume = assert_right(name);
-        let behind = if name.contains("pad") { "64 bytes behind" } else { "1 bytes behind" };
+        let behind = if name.contains("pad") { "64 bytes after" } else { "1 bytes after" };
         assert!(volume.notes()[0].contains(behind), "{name}: {:?}", volume.notes());
     }
     for name in ["behind-second.nrrd", "behind-second.mha"] {
@@ -641,7 +641,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
         let path = folder.path().join(name);
         std::fs::write(&path, right).unwrap();
         let volume = Volume::open(&path).unwrap();
-        assert!(volume.notes()[0].contains("bytes behind the"), "{name}: {:?}", volume.notes());
+        assert!(volume.notes()[0].contains("bytes after the"), "{name}: {:?}", volume.notes());
         check(name, &behind, "check sizes and type in the header");
     }
 }

@@ -54,7 +54,7 @@ pub(crate) fn refuses_in(folder: &Path, environment: &[(&str, &str)], arguments:
 /// A tensor for [`safetensors`].
 pub(crate) type Tensor<'a> = (&'a str, Vec<usize>, Vec<f32>);
 
-/// A safetensors file, whether it makes sense or not.
+/// A safetensors file, valid or not.
 pub(crate) fn safetensors(metadata: &[(&str, &str)], tensors: &[Tensor<'_>]) -> Vec<u8> {
     let mut header = serde_json::Map::new();
     let pairs: serde_json::Map<String, serde_json::Value> =
@@ -125,7 +125,7 @@ pub(crate) fn float_nrrd(dims: [usize; 3], values: impl Iterator<Item = f32>) ->
     file
 }
 
-/// A folder with the files that most tests use; it goes away with the test.
+/// A folder with the files that most tests use; it is removed after the test.
 pub(crate) fn workshop() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let put = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).unwrap();
@@ -162,7 +162,7 @@ pub(crate) fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
     (info.width, info.height, rgb)
 }
 
-/// `render` of a volume with the CPU twin, further arguments behind; gives the arguments.
+/// `render` of a volume with the CPU version, and further arguments; returns the arguments.
 pub(crate) fn render<'a>(
     volume: &'a str,
     camera: &'a str,

@@ -1,14 +1,14 @@
-//! Compares the book's pages of options with the commands, and reads the examples of helps.
+//! Compares the book's pages of options with the commands, and reads the examples of help texts.
 
 use clap::Command;
 use entire_cli::reference;
 use std::path::Path;
 
-/// Checks that a page of the book is as the commands say; `UPDATE_REFERENCE=1` (`make reference`) writes it.
+/// Checks that a page of the book matches the commands; `UPDATE_REFERENCE=1` (`make reference`) writes it.
 pub(crate) fn check_page(name: &str, program: Command, intro: &str) {
     let book = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/src");
     if !book.is_dir() {
-        // A published package stands alone; the repository's tests have checked the page.
+        // A published package has no repository around it, whose tests have checked the page.
         return;
     }
     let made = reference::page(program, intro);
@@ -22,7 +22,7 @@ pub(crate) fn check_page(name: &str, program: Command, intro: &str) {
     assert_eq!(kept.len(), made.len(), "docs/src/{name} is out of date; run `make reference`");
 }
 
-/// Checks that every command has examples at the end of its help, and that it takes them.
+/// Checks that every command has examples at the end of its help, and accepts them.
 pub(crate) fn check_examples(program: impl Fn() -> Command) {
     for (name, example) in reference::examples(program()) {
         let example = example.unwrap_or_else(|| panic!("{name} --help has no examples"));
@@ -33,7 +33,7 @@ pub(crate) fn check_examples(program: impl Fn() -> Command) {
     }
 }
 
-/// The words of a command line whose quotes hold no quotes.
+/// The words of a command line without nested quotes.
 fn words(line: &str) -> Vec<String> {
     let mut words = Vec::new();
     for (i, part) in line.split('\'').enumerate() {

@@ -1,4 +1,4 @@
-//! What a person or a script asks for.
+//! Commands of a person or a script.
 
 use super::{App, Waiting};
 use crate::camera::Axis;
@@ -20,7 +20,7 @@ use winit::dpi::PhysicalSize;
 use winit::event_loop::ActiveEventLoop;
 
 impl App {
-    /// Does what the interface asked for. What goes wrong with a file is said, not passed on.
+    /// Carries out the interface's commands. Errors of files are shown, not returned.
     pub(super) fn obey(&mut self, command: Command) -> Result<()> {
         match command {
             Command::Open(path) => self.load(path)?,
@@ -42,7 +42,7 @@ impl App {
             Command::Forget => {
                 self.state.steer.forget();
                 self.state.changed.settings = true;
-                self.state.say("every controller starts anew");
+                self.state.say("all controllers are reset");
             }
             Command::Screenshot { file, size } => {
                 if self.scene.is_some() && self.screenshot.is_none() {
@@ -111,7 +111,7 @@ impl App {
 
     fn crop(&mut self, crop: Option<Crop>) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
-        // All of the volume is no part.
+        // A crop to the whole volume is none.
         let all = scene.facts.dims.map(|n| [0, n - 1]);
         self.start(Job {
             path: scene.path.clone(),
@@ -138,7 +138,7 @@ impl App {
         })
     }
 
-    /// Plays what is due before the next frame; false once the window is to close.
+    /// Plays events that are due before the next frame; false once the window must close.
     ///
     /// # Errors
     /// For an event that cannot be carried out.

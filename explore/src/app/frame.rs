@@ -1,4 +1,4 @@
-//! One frame: layout, plan, ray casting, showing, and what it took.
+//! One frame: layout, plan, ray casting, presentation, and its time.
 
 use super::{App, FULL, Pictures, STEERED, Waiting};
 use crate::loading::{Loaded, warm};
@@ -15,7 +15,7 @@ use entire_vk_raycaster::{Picture, Region, Renderer};
 use std::time::{Duration, Instant};
 use winit::event_loop::ActiveEventLoop;
 
-/// The full-quality cost is predicted anew every this many frames.
+/// Interval in frames between predictions of the full-quality time.
 const FULL_EVERY: u64 = 4;
 
 /// A cast frame.
@@ -28,7 +28,7 @@ struct Drawn {
 }
 
 impl App {
-    /// Lays out the interface, draws the volume where something changed, and shows both.
+    /// Lays out the interface, draws the volume if something changed, and presents both.
     pub(super) fn frame(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
         let begin = Instant::now();
         let event_at = self.event_at.take();
@@ -90,7 +90,7 @@ impl App {
         Ok(())
     }
 
-    /// Takes over a volume that has come.
+    /// Takes over a loaded volume.
     fn take_loaded(&mut self) -> Result<()> {
         let Some(result) = self.loading.as_ref().and_then(crate::loading::Loading::poll) else {
             return Ok(());
@@ -173,7 +173,7 @@ impl App {
         Ok(true)
     }
 
-    /// Plans and casts a frame, where anything changed.
+    /// Plans and casts a frame, if anything changed.
     fn draw_volume(&mut self, begin: Instant) -> Result<Option<Drawn>> {
         if self.scene.is_none() || self.state.viewport.contains(&0) {
             self.state.changed = Changed::default();
@@ -226,7 +226,7 @@ impl App {
         Ok(Some(Drawn { planned, cast, before, switched: changed.abrupt() }))
     }
 
-    /// Remembers and logs a drawn frame.
+    /// Stores and logs a drawn frame.
     fn note(
         &mut self,
         drawn: &Drawn,
@@ -280,13 +280,13 @@ fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
     presenter.as_ref().is_some_and(crate::present::Presenter::waits_for_display)
 }
 
-/// Points the interface's pictures at their textures, and the steered one at the part that is in use. Where a
-/// frame was `cast` the refined picture is out of date; where that is whole (`refined`) it hides the steered one.
-/// Hidden meshes are dropped: an empty one is drawn still, and what it is drawn with must have been drawn before.
+/// Assigns textures to the interface's pictures, and the used part to the steered one. After a `cast` the
+/// refined picture is outdated; a complete one (`refined`) hides the steered one. Hidden meshes are dropped:
+/// an empty mesh is still drawn, and its texture must have been drawn before.
 fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);
-        // What lies beyond the part in use must not be blended in.
+        // Pixels beyond the part in use must not be blended in.
         if pictures.used == pictures.size { 1.0 } else { (used - 0.5) / all }
     });
     primitives.retain(|primitive| {

@@ -1,4 +1,4 @@
-//! What is done between frames: refinement at rest, screenshots, counts, the next volume of a series.
+//! Work between frames: refinement at rest, screenshots, counts, the next volume of a series.
 
 use super::{App, FULL, STEERED, Waiting};
 use crate::loading::Job;
@@ -12,18 +12,18 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use winit::event_loop::ControlFlow;
 
-/// How long nothing must change before the picture is refined.
+/// Time without changes after which the picture is refined.
 const REST: Duration = Duration::from_millis(150);
 
-/// How often the window shows how far a wait is.
+/// Interval between updates of a progress display.
 const SHOW_EVERY: Duration = Duration::from_millis(250);
 
-/// The share of the target that a slice is planned with: the rest is for what a slice finds dearer than the
-/// one before.
+/// The share of the target for which a slice is planned: the rest is for slices that cost more than the one
+/// before.
 const SLICE_SHARE: f64 = 0.75;
 
 impl App {
-    /// Works for one slice at most; answers when to be called again.
+    /// Works for at most one slice; returns the time of the next call.
     pub(super) fn idle(&mut self) -> Result<ControlFlow> {
         if self.is_scripted() || self.state.changed.any() || !self.state.commands.is_empty() {
             self.redraw();
@@ -95,7 +95,7 @@ impl App {
         .checked()?)
     }
 
-    /// Seconds that a frame is expected to take; NaN where nothing is known.
+    /// Expected seconds of a frame; NaN without a prediction.
     fn expected(&mut self, frame: &Frame) -> f64 {
         self.state.steer.predict(frame).map_or(f64::NAN, |(seconds, _)| seconds)
     }
@@ -138,7 +138,7 @@ impl App {
         Ok(())
     }
 
-    /// Draws the view at full quality in one go and logs how long that takes.
+    /// Draws the view at full quality at once and logs its time.
     pub(super) fn full_frame_at_once(&mut self) -> Result<()> {
         let Some(size) = self.pictures.as_ref().map(|p| p.size) else { return Ok(()) };
         let frame = self.full_frame(size)?;
@@ -186,7 +186,7 @@ impl App {
         Ok(())
     }
 
-    /// Asks for the next volume of a series that is played.
+    /// Requests the next volume of a playing series.
     fn play_series(&mut self) -> Result<()> {
         let due = self.swapped.elapsed() >= Duration::from_secs_f32(self.state.hold);
         if self.state.playing && self.state.series.len() > 1 && due && self.loading.is_none() {

@@ -1,4 +1,4 @@
-//! Shows the interface, and in it the raycaster's pictures: surface, swapchain and one submission a frame.
+//! Presents the interface with the raycaster's pictures: surface, swapchain and one submission per frame.
 //!
 //! Everything runs on the raycaster's own device and queue, so that a picture goes from the compute shader to
 //! the window without leaving the device.
@@ -19,13 +19,13 @@ use std::time::Instant;
 use swapchain::Swapchain;
 use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
 
-/// Pictures that can be shown at a time.
+/// Maximum number of registered pictures.
 const MOST_PICTURES: u32 = 16;
 
-/// How long the device may take for the interface, nanoseconds.
+/// Time limit of the device for the interface, nanoseconds.
 const LONGEST_WAIT: u64 = 60_000_000_000;
 
-/// The instance extensions that windows of a display need.
+/// The instance extensions for windows of a display.
 ///
 /// # Errors
 /// When Vulkan has no surface for this kind of display.
@@ -37,21 +37,20 @@ pub(crate) fn surface_extensions(display: &impl HasDisplayHandle) -> Result<Vec<
     Ok(names.iter().map(|n| unsafe { CStr::from_ptr(*n) }.to_owned()).collect())
 }
 
-/// What a frame's showing took.
+/// Times of presenting a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Presented {
-    /// Whether it was shown; not where the window had just changed its size.
+    /// True if it was shown; false where the window had just changed its size.
     pub(crate) shown: bool,
-    /// Seconds that were spent waiting for the display to take a picture.
+    /// Seconds of waiting for the display to take a picture.
     pub(crate) display: f64,
-    /// Seconds that the device took to draw the interface.
+    /// Seconds of drawing the interface on the device.
     pub(crate) device: f64,
-    /// Processor seconds of this thread in which the picture was handed to the display. Software drivers copy
-    /// it there pixel by pixel, whatever it shows.
+    /// Processor seconds of this thread for presentation. Software drivers copy the picture pixel by pixel.
     pub(crate) handing: f64,
 }
 
-/// The window's side of the device.
+/// Presentation resources of the window.
 pub(crate) struct Presenter {
     egui: Option<Renderer<DefaultAllocator>>,
     swapchain: Option<Swapchain>,
@@ -69,8 +68,8 @@ pub(crate) struct Presenter {
 }
 
 impl Presenter {
-    /// A surface on a window that outlives the presenter, and everything to show the interface with but for
-    /// the swapchain, which the first frame makes.
+    /// A surface on a window that outlives the presenter, and all resources for the interface except the
+    /// swapchain, which the first frame makes.
     ///
     /// # Errors
     /// When the device cannot present on this window.
@@ -153,7 +152,7 @@ impl Presenter {
         Ok(this)
     }
 
-    /// Makes a picture known to the interface.
+    /// Registers a picture with the interface.
     ///
     /// # Errors
     /// When there are too many.
@@ -172,7 +171,7 @@ impl Presenter {
         Ok(id)
     }
 
-    /// Forgets a picture. No frame that shows it may be running, which none is between calls.
+    /// Removes a picture. No frame that shows it may be running; none is between calls.
     pub(crate) fn remove_picture(&mut self, id: TextureId) {
         if let Some(egui) = &mut self.egui {
             egui.remove_user_texture(id);
@@ -184,7 +183,7 @@ impl Presenter {
         }
     }
 
-    /// Makes a swapchain of a size, unless there is one. False where the window has no room for pictures.
+    /// Makes a swapchain of a size, unless there is one. False if the window has no area.
     ///
     /// # Errors
     /// When the device fails.
@@ -216,7 +215,7 @@ impl Presenter {
         Ok(true)
     }
 
-    /// Whether showing a picture waits for the display's next refresh.
+    /// True if presenting waits for the display's next refresh.
     pub(crate) fn waits_for_display(&self) -> bool {
         self.swapchain.as_ref().is_some_and(|s| s.waits)
     }
@@ -226,7 +225,7 @@ impl Presenter {
         self.device.max_image_side() as usize
     }
 
-    /// Draws the interface and shows it. Returns once the device is done.
+    /// Draws the interface and presents it. Returns once the device has finished.
     ///
     /// # Errors
     /// When the device fails; a surface that changed meanwhile is no error (see [`Presented::shown`]).
@@ -265,7 +264,7 @@ impl Presenter {
         Ok(presented)
     }
 
-    /// Records, submits, presents and waits; gives [`Presented::handing`].
+    /// Records, submits, presents and waits; returns [`Presented::handing`].
     fn draw(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<f64> {
         let (Some(egui), Some(swapchain)) = (&mut self.egui, &mut self.swapchain) else {
             return Ok(0.0);
@@ -318,7 +317,7 @@ impl Presenter {
     }
 }
 
-/// What went wrong while drawing the interface.
+/// The error in drawing the interface.
 fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
     match e {
         RendererError::Vulkan(result) => device.error("drawing the interface", *result).into(),

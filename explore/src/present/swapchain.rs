@@ -1,10 +1,10 @@
-//! The pictures that the display takes in turn.
+//! The swapchain.
 
 use anyhow::Result;
 use ash::vk;
 use entire_vk_raycaster::SharedDevice;
 
-/// What is made for one picture of the display.
+/// Resources of one picture of the display.
 struct Frame {
     view: vk::ImageView,
     framebuffer: vk::Framebuffer,
@@ -19,19 +19,19 @@ pub(super) struct Swapchain {
     pub(super) render_pass: vk::RenderPass,
     frames: Vec<Frame>,
     pub(super) extent: vk::Extent2D,
-    /// The size that was asked for, which the surface may have bounded.
+    /// The requested size, which the surface may have limited.
     pub(super) asked: [u32; 2],
     pub(super) format: vk::SurfaceFormatKHR,
-    /// Whether pictures wait for the display's refresh.
+    /// True if pictures wait for the display's refresh.
     pub(super) waits: bool,
-    /// Whether the surface has changed since.
+    /// True if the surface has changed since.
     pub(super) stale: bool,
     device: SharedDevice,
 }
 
 impl Swapchain {
-    /// A swapchain in the place of an old one; `None` where the surface takes no picture (a minimized
-    /// window). Nothing may be running.
+    /// A swapchain in place of an old one; `None` if the surface takes no picture (a minimized window).
+    /// Nothing may be running.
     pub(super) fn new(
         device: &SharedDevice,
         surface_functions: &ash::khr::surface::Instance,
@@ -122,7 +122,7 @@ impl Swapchain {
         let subpasses = [vk::SubpassDescription::default()
             .pipeline_bind_point(vk::PipelineBindPoint::GRAPHICS)
             .color_attachments(&color)];
-        // The picture is the surface's until the stage at which the acquisition is waited for.
+        // The picture belongs to the surface until the stage at which the acquisition is waited for.
         let dependencies = [vk::SubpassDependency {
             src_subpass: vk::SUBPASS_EXTERNAL,
             dst_subpass: 0,
@@ -181,7 +181,7 @@ impl Swapchain {
         Ok(Some(this))
     }
 
-    /// Whether what is written is taken for linear and encoded.
+    /// True if the display takes written values as linear and encodes them.
     pub(super) fn is_srgb(&self) -> bool {
         matches!(self.format.format, vk::Format::B8G8R8A8_SRGB | vk::Format::R8G8B8A8_SRGB)
     }
@@ -194,7 +194,7 @@ impl Swapchain {
         self.frames[index as usize].drawn
     }
 
-    /// The next picture to draw into; `None` where the surface has changed.
+    /// The next picture to draw into; `None` if the surface has changed.
     pub(super) fn acquire(&mut self, acquired: vk::Semaphore, longest: u64) -> Result<Option<u32>> {
         // SAFETY: the semaphore is unsignaled: the frame that waited for it is done.
         let found =
@@ -212,7 +212,7 @@ impl Swapchain {
         }
     }
 
-    /// Hands a drawn picture to the display.
+    /// Presents a drawn picture.
     pub(super) fn present(&mut self, index: u32) -> Result<()> {
         let (waits, chains, indices) = ([self.drawn(index)], [self.handle], [index]);
         let info =
@@ -228,7 +228,7 @@ impl Swapchain {
     }
 }
 
-/// Eight bits, encoded by the device where it can: the pictures are sampled decoded.
+/// Eight bits, encoded by the device if it can: the pictures are sampled decoded.
 fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     let wanted = [
         vk::Format::B8G8R8A8_SRGB,
@@ -242,7 +242,7 @@ fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     wanted.into_iter().find_map(at).or(formats.first()).copied().unwrap_or_default()
 }
 
-/// One that does not wait for the display where there is such: what a frame takes is its own work then.
+/// A mode that does not wait for the display if there is one, so that a frame's time is its own work.
 fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
     [vk::PresentModeKHR::MAILBOX, vk::PresentModeKHR::IMMEDIATE]
         .into_iter()
@@ -254,7 +254,7 @@ impl Drop for Swapchain {
     fn drop(&mut self) {
         let d = self.device.device();
         // SAFETY: the queue is nobody else's meanwhile; a failure means a lost device, which runs nothing.
-        // What was made from the device is destroyed once, and null handles are ignored.
+        // Each object of the device is destroyed once, and null handles are ignored.
         unsafe {
             let _ = self.device.with_queue(|queue| d.queue_wait_idle(queue));
             for frame in &self.frames {

@@ -7,10 +7,10 @@ use egui::{
 };
 use entire_core::GaussianLobe;
 
-/// Points within which the mouse takes hold of a handle.
+/// Distance in points at which the mouse catches a handle.
 const REACH: f32 = 9.0;
 
-/// Most points or lobes that the editor makes.
+/// Maximum number of points or lobes in the editor.
 const MOST: usize = 64;
 
 pub(super) fn show(ui: &mut Ui, state: &mut State) {
@@ -67,7 +67,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
     });
 }
 
-/// Where values lie on the screen.
+/// Mapping of values to the screen.
 #[derive(Clone, Copy)]
 struct Axes {
     rect: Rect,
@@ -146,7 +146,7 @@ fn handles(state: &State, axes: Axes) -> Vec<(Handle, Pos2)> {
     }
 }
 
-/// What the mouse does to the curve.
+/// Edits the curve by the mouse.
 fn edit(ui: &Ui, state: &mut State, response: &egui::Response, axes: Axes, handles: &[(Handle, Pos2)]) {
     let near = |at: Pos2| {
         handles
@@ -238,7 +238,7 @@ fn move_handle(opacity: &mut Opacity, handle: Handle, [s, y]: [f32; 2]) {
     }
 }
 
-/// The colors as they are.
+/// The bar of colors.
 fn colors(ui: &mut Ui, state: &State) {
     let (response, painter) = ui.allocate_painter(Vec2::new(ui.available_width(), 12.0), Sense::hover());
     let rect = response.rect.shrink2(Vec2::new(4.0, 1.0));

@@ -25,7 +25,7 @@ pub(crate) fn show(ui: &mut Ui, state: &mut State) {
     CentralPanel::default().frame(Frame::NONE).show(ui, |ui| view::show(ui, state));
 }
 
-/// The bar at the top: what is shown, what is under way, what was said last.
+/// The bar at the top: current volume, running work, last message.
 fn bar(ui: &mut Ui, state: &mut State) {
     use crate::state::Command;
     ui.horizontal(|ui| {
@@ -80,7 +80,7 @@ fn bar(ui: &mut Ui, state: &mut State) {
     });
 }
 
-/// Keys that hold everywhere but in text that is typed.
+/// Keys that work everywhere except in text input.
 fn keys(ui: &Ui, state: &mut State) {
     use crate::camera::Axis;
     use crate::state::Command;
@@ -90,7 +90,7 @@ fn keys(ui: &Ui, state: &mut State) {
     }
     let pressed = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
     let with_command = |key| ui.input_mut(|i| i.consume_key(Modifiers::COMMAND, key));
-    // A slow frame may bring several presses.
+    // A slow frame may contain several presses.
     let times = |modifiers, key| ui.input_mut(|i| i.count_and_consume_key(modifiers, key));
     for _ in 0..times(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z) + times(Modifiers::COMMAND, Key::Y) {
         state.changed.transfer |= state.edited.redo();
@@ -105,7 +105,7 @@ fn keys(ui: &Ui, state: &mut State) {
         let file = state.texts.screenshot.trim().into();
         state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
     }
-    // As modelers have it: 1, 2, 3 from the front, the right and the top, from the other side with Ctrl.
+    // As in modeling programs: 1, 2, 3 from the front, the right and the top, from the other side with Ctrl.
     let axes = [Key::Num1, Key::Num2, Key::Num3].into_iter().cycle().zip(Axis::ALL);
     for (i, (key, axis)) in axes.enumerate() {
         if if i < 3 { pressed(key) } else { with_command(key) } {

@@ -55,12 +55,12 @@ fn steering(ui: &mut Ui, state: &mut State) {
     }
     ui.weak(&state.predictor);
     ui.horizontal(|ui| {
-        if ui.button("Forget").on_hover_text("Every controller starts anew").clicked() {
+        if ui.button("Forget").on_hover_text("Resets all controllers").clicked() {
             state.commands.push(Command::Forget);
         }
         let copy = ui.button("Calibrate …").on_hover_text(
-            "Copies the command that makes a model of this machine by the wall clock, which times the window's \
-             frames, and opens the volume again: the window finds that model by itself",
+            "Copies a command that makes a model of this machine by wall time, the clock of the window, and \
+             opens the volume again with that model",
         );
         if copy.clicked() && !state.calibration.is_empty() {
             ui.ctx().copy_text(state.calibration.clone());
@@ -88,10 +88,9 @@ fn modes(ui: &mut Ui, state: &mut State) {
     ui.horizontal(|ui| {
         ui.checkbox(&mut state.show_box, "box");
         ui.checkbox(&mut state.show_axes, "axes");
-        ui.checkbox(&mut state.show_probe, "probe")
-            .on_hover_text("The rays that the prediction is made from");
+        ui.checkbox(&mut state.show_probe, "probe").on_hover_text("Probe rays of the prediction");
         let map = ui.checkbox(&mut state.show_work, "work");
-        if map.on_hover_text("Where the samples of this view go, counted by the raycaster").changed()
+        if map.on_hover_text("Samples per ray of this view, counted by the raycaster").changed()
             && state.show_work
         {
             state.commands.push(Command::MapWork);
@@ -168,7 +167,7 @@ fn part(ui: &mut Ui, state: &mut State) {
     }
     ui.horizontal(|ui| {
         let draft = state.crop_draft;
-        if ui.button("Crop").on_hover_text("Renderer and predictor both get the part alone").clicked() {
+        if ui.button("Crop").on_hover_text("Renderer and predictor see only this part").clicked() {
             state.commands.push(Command::Crop(Some(draft)));
         }
         if ui.add_enabled(state.crop.is_some(), egui::Button::new("Whole")).clicked() {
@@ -201,7 +200,7 @@ fn files(ui: &mut Ui, state: &mut State) {
         if ui.button("as the view").clicked() {
             state.screenshot_size = state.viewport;
         }
-        if ui.button("Screenshot").on_hover_text("At full quality, whatever steering does").clicked() {
+        if ui.button("Screenshot").on_hover_text("Always at full quality").clicked() {
             let file = state.texts.screenshot.trim().into();
             state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
         }

@@ -1,4 +1,4 @@
-//! The view: the picture, what is drawn over it, and the mouse on it.
+//! The view: the picture, its overlays, and the mouse on it.
 
 use crate::scene::Facts;
 use crate::state::{Shown, State};
@@ -6,10 +6,10 @@ use crate::work_map::CELLS;
 use egui::{Align2, Color32, FontId, Key, Painter, PointerButton, Pos2, Rect, Sense, Stroke, Ui, Vec2, pos2};
 use glam::Vec3;
 
-/// Degrees per point that the mouse goes.
+/// Degrees per point of mouse movement.
 const TURN: f32 = 0.35;
 
-/// Bounding-sphere radii per second that a flight goes.
+/// Speed of flight, bounding-sphere radii per second.
 const SPEED: f32 = 0.7;
 
 /// The edges of a box, by the numbers of its corners.
@@ -19,7 +19,7 @@ const EDGES: [[usize; 2]; 12] =
 pub(super) fn show(ui: &mut Ui, state: &mut State) {
     let pixels = ui.pixels_per_point();
     let all = ui.available_rect_before_wrap();
-    // Whole pixels, so that a ray's pixel is a pixel of the window.
+    // Whole pixels, so that one ray is one pixel of the window.
     let whole = |v: f32| (v * pixels).round() / pixels;
     let rect = Rect::from_min_max(
         pos2(whole(all.min.x), whole(all.min.y)),
@@ -61,7 +61,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
 
 fn picture(painter: &Painter, rect: Rect, shown: &Shown) {
     let unit = Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0));
-    // Which of the two is drawn in the end is known once it is known whether a frame is cast.
+    // The choice between the two pictures is made when it is known that a frame is cast.
     painter.image(shown.steered, rect, unit, Color32::WHITE);
     let Some((full, [width, height], covered)) = shown.full else { return };
     for region in covered.into_iter().flatten() {
@@ -103,7 +103,7 @@ fn mouse(ui: &Ui, state: &mut State, response: &egui::Response, rect: Rect) {
     }
 }
 
-/// Walks with W, A, S, D, Q, E while one of them is held.
+/// Flies with W, A, S, D, Q, E while one of them is held.
 fn fly(ui: &Ui, state: &mut State) {
     if !state.fly || ui.ctx().egui_wants_keyboard_input() {
         return;
@@ -160,7 +160,7 @@ fn probe(painter: &Painter, facts: &Facts, state: &State, place: &impl Fn(Vec3) 
     for corner in corners(facts, state) {
         match place(corner) {
             Some(at) => around.extend_with(at),
-            // The eye is within: the rectangle is the image.
+            // The eye is inside: the rectangle is the whole image.
             None => around = rect,
         }
     }
@@ -201,7 +201,7 @@ fn work(painter: &Painter, state: &State, rect: Rect) {
     painter.text(at, Align2::LEFT_BOTTOM, text, FontId::proportional(12.0), Color32::WHITE);
 }
 
-/// The line below the picture: how fine it is, and how long full quality will take.
+/// The line below the picture: its resolution, and the expected time to full quality.
 fn caption(painter: &Painter, state: &State, rect: Rect) {
     let text = match (&state.rest, state.steer.history.back()) {
         (Some(rest), _) if rest.took.is_some() => {

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 
-# What libraries print must not get between the events.
+# Output of libraries must not get between the events.
 events = os.fdopen(os.dup(1), "w", buffering=1)
 os.dup2(2, 1)
 
@@ -31,7 +31,7 @@ except ImportError as error:
 
 
 class Seen(Exception):
-    """Leaves a wait that would block: its first callback has the states."""
+    """Ends a blocking wait: its first callback has the states."""
 
 
 def states(client, ids):

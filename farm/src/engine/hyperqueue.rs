@@ -13,21 +13,21 @@ use std::time::{Duration, Instant};
 
 /// The script that talks to HyperQueue.
 const SCRIPT: &str = include_str!("hyperqueue.py");
-/// Seconds of a worker that a bundle costs before any was measured: a process, a device.
+/// Initial estimate of the worker seconds per bundle: a process, a device.
 const OVERHEAD: f64 = 0.05;
-/// How long the server and its workers may take to start.
+/// Time limit for the start of the server and its workers.
 const START: Duration = Duration::from_secs(60);
 
-/// How to use HyperQueue.
+/// Options of HyperQueue.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The Python that has the package.
+    /// The Python with the package.
     pub python: String,
-    /// One-processor workers to start; with a server, the workers that it is taken to have.
+    /// Number of one-processor workers to start; with a server, the assumed number of its workers.
     pub workers: usize,
-    /// The folder of a running server; one is started where it is not given.
+    /// The folder of a running server; default: a new one is started.
     pub server_dir: Option<String>,
-    /// Processors that each bundle asks for.
+    /// Processors of each bundle.
     pub cpus: u32,
     /// Time limit of the workers, seconds.
     pub worker_limit: Option<f64>,
@@ -42,7 +42,7 @@ pub struct HyperQueue {
     input: Option<ChildStdin>,
     lines: Receiver<String>,
     spool: Spool,
-    /// Bundles under way, and whether their end was written to the spool.
+    /// Running bundles, and true if their end was written to the spool.
     open: std::collections::BTreeMap<u64, bool>,
     priority: i32,
 }
@@ -66,7 +66,7 @@ impl HyperQueue {
     /// Starts the script, and through it a server with workers.
     ///
     /// # Errors
-    /// Says how to install HyperQueue where it is missing.
+    /// Names the way to install HyperQueue if it is missing.
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
         let config = json!({
             "workers": options.workers, "server_dir": options.server_dir, "cpus": options.cpus,
@@ -141,7 +141,7 @@ impl Engine for HyperQueue {
     }
 
     fn limit(&self) -> Option<f64> {
-        // A request as long as a worker's limit never runs: the worker has lived a little already.
+        // A request as long as a worker's limit never runs, since the worker is older than the request.
         self.options.worker_limit.map(|l| 0.98 * l - 1.0)
     }
 
@@ -155,7 +155,7 @@ impl Engine for HyperQueue {
             let number = bundle.sent.bundle;
             self.places.write_order(bundle, self.run)?;
             self.priority -= 1;
-            // Without a limit on the workers' side a request binds nothing.
+            // Without a limit of the workers a request has no effect.
             let request = self.limit().map(|limit| bundle.upper_s.min(limit).max(0.0));
             all.push(json!({
                 "bundle": number,
@@ -169,14 +169,14 @@ impl Engine for HyperQueue {
         }
         let line = json!({ "submit": all }).to_string() + "\n";
         if let Some(input) = &mut self.input {
-            // Where the script has ended, the next poll says so.
+            // If the script has ended, the next poll reports it.
             let _ = input.write_all(line.as_bytes()).and_then(|()| input.flush());
         }
         Ok(())
     }
 
     fn cancel(&mut self) -> Result<()> {
-        // The Python side cannot cancel: bundles find a mark and end at once.
+        // The Python package cannot cancel: bundles find a marker file and end at once.
         self.open.keys().for_each(|b| self.places.cancel(*b));
         Ok(())
     }
@@ -198,7 +198,7 @@ impl Engine for HyperQueue {
                 }
             }
         }
-        // Events first, then the spool: what was over by then is in it.
+        // Events first, then the spool, which has all answers written before.
         for (bundle, line) in self.spool.poll()? {
             if matches!(line, Line::End { .. }) {
                 self.open.remove(&bundle);
@@ -208,7 +208,7 @@ impl Engine for HyperQueue {
         for line in said {
             match serde_json::from_str(&line) {
                 Ok(Said::Over(bundle)) if self.open.remove(&bundle).is_some() => {
-                    out.push(Event::Lost(bundle, "its worker ended without a word".into()));
+                    out.push(Event::Lost(bundle, "its worker ended without an answer".into()));
                 }
                 Ok(Said::Failed { failed, why }) if self.open.remove(&failed).is_some() => {
                     let log = self.places.state.join("logs").join(format!("bundle-{failed}.log"));

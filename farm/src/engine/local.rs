@@ -1,4 +1,5 @@
-//! Workers as processes of this machine. Each stays, keeps its volume, and gets bundles through a pipe.
+//! Workers as processes of this machine. Each is persistent, keeps its volume, and gets bundles through a
+//! pipe.
 
 use super::{Bundle, Engine, Event, Places};
 use crate::record::{BundleOrder, Line};
@@ -10,9 +11,9 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-/// Seconds of a slot that a bundle costs before any was measured: a pipe, a flush.
+/// Initial estimate of the slot seconds per bundle: a pipe, a flush.
 const OVERHEAD: f64 = 0.005;
-/// Workers that may end one after the other without having answered.
+/// Maximum number of workers that end one after another without an answer.
 const STILLBORN: u32 = 3;
 
 /// The engine.
@@ -29,7 +30,7 @@ pub struct Local {
 struct Worker {
     child: Child,
     input: Option<ChildStdin>,
-    /// Which process of this slot it is: lines of the one before are told apart.
+    /// Number of this slot's process, to distinguish its lines from those of the one before.
     generation: u64,
     bundle: Option<u64>,
     at: Option<String>,
@@ -37,7 +38,7 @@ struct Worker {
 }
 
 impl Local {
-    /// Starts so many workers.
+    /// Starts this many workers.
     ///
     /// # Errors
     /// When a process cannot be started.
@@ -67,13 +68,13 @@ impl Local {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(log);
-        // Several workers share the processors, whatever renders.
+        // Several workers share the processors with any renderer.
         for name in ["RAYON_NUM_THREADS", "LP_NUM_THREADS", "OMP_NUM_THREADS"] {
             if std::env::var_os(name).is_none() {
                 command.env(name, &threads);
             }
         }
-        // A group of its own: Ctrl-C is for the driver, which lets workers finish what they are at.
+        // A separate process group: Ctrl-C goes to the driver only, which lets workers finish their tasks.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command
@@ -175,7 +176,7 @@ impl Engine for Local {
             worker.bundle = Some(bundle.sent.bundle);
             worker.since = Instant::now();
             if let Some(input) = &mut worker.input {
-                // Where it has ended, the reader says so and the bundle counts as lost.
+                // If it has ended, the reader reports it and the bundle counts as lost.
                 let _ = input.write_all(&line).and_then(|()| input.flush());
             }
         }
@@ -218,7 +219,7 @@ impl Engine for Local {
 
 impl Drop for Local {
     fn drop(&mut self) {
-        // Workers end by themselves when their input is closed; those that hang in a task are ended.
+        // Workers end when their input is closed; hanging ones are ended.
         for worker in &mut self.workers {
             worker.input = None;
         }

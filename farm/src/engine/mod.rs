@@ -1,4 +1,5 @@
-//! What runs bundles: processes of this machine, HyperQueue, Slurm. Engines are found, never bundled.
+//! Engines that run bundles: processes of this machine, HyperQueue, Slurm. Engines are installed by the user,
+//! never bundled.
 
 mod hyperqueue;
 mod local;
@@ -14,27 +15,27 @@ use anyhow::Result;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// A bundle on its way to an engine.
+/// A bundle for an engine.
 #[derive(Clone, Debug)]
 pub struct Bundle {
-    /// What the planner says of it.
+    /// The planner's record of the bundle.
     pub sent: Sent,
-    /// Its tasks for the worker.
+    /// The orders of its tasks.
     pub orders: Vec<Order>,
-    /// Seconds that it stays below in all but one of a hundred cases: its time request.
+    /// Its time request: 99 % upper bound on its seconds.
     pub upper_s: f64,
 }
 
-/// What an engine has to say.
+/// Events of an engine.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// A worker's line about a bundle.
     Line(u64, Line),
-    /// A bundle will not be finished by whoever had it.
+    /// A bundle was lost with its worker.
     Lost(u64, String),
     /// A slot has a new worker, which holds no volume.
     Fresh(usize),
-    /// The engine itself is gone: everything that it had is lost.
+    /// The engine itself has ended: all its bundles are lost.
     Down(String),
 }
 
@@ -43,18 +44,18 @@ pub enum Event {
 pub trait Engine {
     /// Its name.
     fn name(&self) -> &'static str;
-    /// Bundles that run at once.
+    /// Number of bundles that run at once.
     fn slots(&self) -> usize;
-    /// Whether a bundle is for a certain slot, whose worker stays and keeps its volume.
+    /// True if a bundle belongs to a certain slot, whose worker stays and keeps its volume.
     fn bound(&self) -> bool;
-    /// Seconds that a bundle costs a slot, before any was measured.
+    /// Initial estimate of a bundle's overhead on its slot, seconds.
     fn overhead(&self) -> f64;
-    /// Longest time request that the engine will run, seconds.
+    /// Longest time request of the engine, seconds.
     fn limit(&self) -> Option<f64> {
         None
     }
-    /// Bundles that wait inside the engine, so that no slot waits for the driver. The rest stays with the
-    /// planner, which binds late.
+    /// Number of bundles that wait inside the engine, so that no slot waits for the driver. The rest waits in
+    /// the planner, which binds late.
     fn waiting(&self) -> usize {
         0
     }
@@ -63,8 +64,8 @@ pub trait Engine {
     /// # Errors
     /// When the engine refuses them.
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()>;
-    /// Puts bundles that were sent and have not begun into another order, the most urgent first. False where
-    /// the engine cannot: its queue is kept short instead.
+    /// Changes the order of waiting bundles, the most urgent first. False if the engine cannot: its queue is
+    /// then kept short instead.
     ///
     /// # Errors
     /// When the engine refuses.
@@ -72,28 +73,28 @@ pub trait Engine {
         let _ = bundles;
         Ok(false)
     }
-    /// Takes back what has not begun; what has begun ends after the task at hand.
+    /// Cancels waiting bundles; running ones end after their current task.
     ///
     /// # Errors
     /// When the engine refuses.
     fn cancel(&mut self) -> Result<()>;
-    /// What happened, waiting for it at most so long.
+    /// Events so far; waits at most `wait` for one.
     ///
     /// # Errors
     /// When the engine cannot be asked.
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>>;
-    /// What each slot does, for people; empty where that is not known.
+    /// Activity of each slot, for display; empty where it is unknown.
     fn nodes(&self) -> Vec<String> {
         Vec::new()
     }
 }
 
-/// Where things are, for engines.
+/// Folders and programs, for engines.
 #[derive(Clone, Debug)]
 pub struct Places {
     /// The state folder of the database.
     pub state: PathBuf,
-    /// The program with the worker in it.
+    /// The program that contains the worker.
     pub program: PathBuf,
 }
 
@@ -124,7 +125,7 @@ impl Places {
         entire_io::files::write_whole(&path, &serde_json::to_vec(&order)?)
     }
 
-    /// Removes what a bundle that is over has left.
+    /// Removes the files of a finished bundle.
     pub fn clear(&self, bundle: u64) {
         for (folder, end) in [("orders", ".json"), ("spool", ".jsonl"), ("cancel", "")] {
             let _ = std::fs::remove_file(self.state.join(folder).join(format!("{bundle}{end}")));
@@ -132,7 +133,7 @@ impl Places {
         let _ = std::fs::remove_file(self.state.join("logs").join(format!("bundle-{bundle}.log")));
     }
 
-    /// Tells the worker of a bundle to end after the task at hand.
+    /// Tells the worker of a bundle to end after its current task.
     pub fn cancel(&self, bundle: u64) {
         let _ = std::fs::write(self.state.join("cancel").join(bundle.to_string()), b"");
     }

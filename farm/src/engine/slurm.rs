@@ -11,21 +11,21 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Seconds of a node that a bundle costs before any was measured.
+/// Initial estimate of the node seconds per bundle.
 const OVERHEAD: f64 = 0.6;
-/// How often the queue is looked at; the spool is looked at at every poll.
+/// Interval between looks at the queue; the spool is read at every poll.
 const LOOK: Duration = Duration::from_millis(500);
-/// Seconds that a time request leaves the worker to start and to end.
+/// Seconds of a time request for start and end of the worker.
 const GRACE: f64 = 15.0;
 
-/// How to use Slurm.
+/// Options of Slurm.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Bundles that run at once; the nodes that sinfo lists where it is not given.
+    /// Number of bundles that run at once; default: the nodes that sinfo lists.
     pub nodes: Option<usize>,
-    /// More options of sbatch.
+    /// Additional options of sbatch.
     pub sbatch: Vec<String>,
-    /// Longest time request, seconds; the partition's where it is not given.
+    /// Longest time request, seconds; default: the partition's.
     pub limit: Option<f64>,
 }
 
@@ -38,7 +38,7 @@ pub struct Slurm {
     slots: usize,
     limit: Option<f64>,
     spool: Spool,
-    /// Job and state of each bundle under way.
+    /// Job and state of each running bundle.
     open: BTreeMap<u64, Job>,
     looked: Option<Instant>,
 }
@@ -48,7 +48,7 @@ struct Job {
     id: u64,
     state: String,
     nodes: String,
-    /// Looks at the queue that did not find it among the living.
+    /// Number of looks at the queue without the job.
     gone: u32,
 }
 
@@ -68,7 +68,7 @@ struct Queued {
     name: String,
 }
 
-/// Runs a command of Slurm and gives what it prints.
+/// Runs a command of Slurm and returns its output.
 fn ask(program: &str, arguments: &[String], input: Option<&str>) -> Result<String> {
     let mut child = Command::new(program)
         .args(arguments)
@@ -102,16 +102,16 @@ fn parse_limit(text: &str) -> Option<f64> {
     Some(86400.0 * days + seconds)
 }
 
-/// A time request as sbatch reads it; Slurm counts whole minutes.
+/// A time request in sbatch's format; Slurm counts whole minutes.
 fn request(seconds: f64) -> String {
     (((seconds + GRACE) / 60.0).ceil().max(1.0) as u64).to_string()
 }
 
 impl Slurm {
-    /// Looks for Slurm, and takes back what a run before has left in its queue.
+    /// Checks that Slurm answers, and cancels queued jobs of an earlier run.
     ///
     /// # Errors
-    /// Says what to install or start where Slurm does not answer.
+    /// Names the packages to install or the daemon to start if Slurm does not answer.
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
         let hint = "Slurm does not answer; check that slurmctld runs and SLURM_CONF names its file";
         let listed = ask("sinfo", &words(&["-h", "-N", "-o", "%N"]), None).context(hint)?;
@@ -122,7 +122,7 @@ impl Slurm {
         ensure!(slots > 0, "sinfo lists no node; say how many bundles may run at once with --nodes");
         let limits = ask("sinfo", &words(&["-h", "-o", "%l"]), None)?;
         let longest = limits.lines().map(|l| parse_limit(l.trim()));
-        // One partition without a limit is enough: bundles may go there.
+        // One partition without a limit is enough: bundles may run there.
         let limit = longest.collect::<Option<Vec<f64>>>().map(|l| l.into_iter().fold(0.0, f64::max));
         let limit = options.limit.or(limit.filter(|l| *l > 0.0)).map(|l| l - GRACE);
         ensure!(
@@ -139,7 +139,7 @@ impl Slurm {
         Ok(new)
     }
 
-    /// Takes back jobs of this database and waits until they are gone.
+    /// Cancels jobs of this database and waits until they are gone.
     fn clear_queue(&self) -> Result<()> {
         let clock = Instant::now();
         while self.queue()?.iter().any(|j| alive(&state_of(j))) {
@@ -158,7 +158,7 @@ impl Slurm {
         Ok(queue.jobs.into_iter().filter(|j| j.name == self.name).collect())
     }
 
-    /// Bundles whose jobs are no more, and how they ended.
+    /// Bundles whose jobs have left the queue, and the way they ended.
     fn look(&mut self) -> Result<Vec<(u64, String)>> {
         let queue: BTreeMap<u64, (String, String)> = self
             .queue()?
@@ -174,7 +174,7 @@ impl Slurm {
                     job.gone = 0;
                 }
                 found => {
-                    // Its last lines may still be on their way through the file system.
+                    // Its last lines may be delayed by the file system.
                     job.gone += 1;
                     if job.gone >= 3 {
                         let state = found.map_or("GONE", |f| f.0.as_str());
@@ -257,10 +257,10 @@ impl Engine for Slurm {
     }
 
     fn reprioritize(&mut self, bundles: &[u64]) -> Result<bool> {
-        // Anyone may be nicer to others; only administrators may set a priority.
+        // Users may only lower their priority (raise nice); only administrators may set one.
         for (place, bundle) in bundles.iter().enumerate() {
             if let Some(job) = self.open.get(bundle).filter(|j| j.state == "PENDING") {
-                // A job that has begun meanwhile needs no priority.
+                // A running job needs no priority.
                 let _ = ask(
                     "scontrol",
                     &words(&["update", &format!("JobId={}", job.id), &format!("Nice={}", 10 * place)]),
@@ -284,7 +284,7 @@ impl Engine for Slurm {
             lost = self.look()?;
             self.looked = Some(Instant::now());
         }
-        // The spool after the queue: a bundle that is gone keeps what it wrote.
+        // The spool after the queue: a finished bundle keeps its answers.
         let mut out = Vec::new();
         for (bundle, line) in self.spool.poll()? {
             if matches!(line, Line::End { .. }) {

@@ -6,17 +6,17 @@ use anyhow::{Result, bail};
 /// A task that needs a volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AffinityTask {
-    /// Which volume it needs.
+    /// Its volume.
     pub volume: usize,
-    /// Its time on a node of speed 1, the volume being there.
+    /// Its seconds on a node of speed 1, without loading.
     pub seconds: f64,
-    /// Time to load its volume on a node that holds another, whatever the node's speed.
+    /// Seconds to load its volume on a node with another one, whatever the node's speed.
     pub load: f64,
 }
 
-/// Plays a queue in which a node keeps the last volume it loaded and looks for work on it among the next
-/// `window` tasks of the order; where there is none it takes the first. A window of 1 is
-/// [`super::simulate_queue`] with loading times.
+/// Simulates a queue in which a node keeps its last volume and searches the next `window` tasks of the order
+/// for one on it; otherwise it takes the first. A window of 1 is [`super::simulate_queue`] with loading
+/// times.
 ///
 /// # Errors
 /// For unusable times or speeds, a window of 0, or an order that is not

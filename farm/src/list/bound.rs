@@ -1,4 +1,4 @@
-//! What no schedule can beat.
+//! Lower bounds on the end of any schedule.
 
 use anyhow::Result;
 use entire_steer::schedule::{assign_longest_first, longest_first};
@@ -9,7 +9,7 @@ use entire_steer::schedule::{assign_longest_first, longest_first};
 /// # Errors
 /// As [`assign_longest_first`].
 pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
-    // What makes no sense is refused here.
+    // Checks the speeds.
     assign_longest_first(&[], speeds)?;
     let order = longest_first(times)?;
     let mut fastest = speeds.to_vec();

@@ -1,14 +1,14 @@
-//! Improving an assignment by moves and exchanges.
+//! Improvement of an assignment by moves and exchanges.
 
 use anyhow::Result;
 use entire_steer::schedule::Assignment;
 
-/// Rounds per node, at most.
+/// Maximum number of rounds per node.
 const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the longest load.
 const LEAST_GAIN: f64 = 1.0e-6;
 
-/// What a round does: tasks of the node that is done last, and of another.
+/// Change of one round: tasks of the node that finishes last, and of another.
 struct Change {
     give: usize,
     to: usize,
@@ -16,23 +16,23 @@ struct Change {
     longest: f64,
 }
 
-/// Lets the node that is done last give a task to another node, or exchange one with it, whichever leaves
-/// the shorter longest load of the two, until nothing of that kind helps (or 40 rounds per node are
-/// over). The makespan for `times` never grows; each round takes O(tasks · log tasks).
+/// Moves a task of the node that ends last to another node, or exchanges one with it, whichever leaves the
+/// shorter longest load of the two, until neither helps (or 40 rounds per node are over). The makespan for
+/// `times` never grows; each round takes O(tasks · log tasks).
 ///
-/// Longest processing time first leaves loads that differ by about a short task; where tasks per node are
-/// few that is several percent, which exchanges take away. What errors of predicted times add stays.
+/// Loads after longest processing time first differ by about a short task: with few tasks per node that is
+/// several percent, which exchanges remove. Errors of predicted times are not reduced.
 ///
 /// # Errors
 /// As [`Assignment::makespan`].
 pub fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64]) -> Result<()> {
-    // What makes no sense is refused here.
+    // Checks times and speeds.
     assignment.makespan(times, speeds)?;
     let mut loads = vec![0.0; speeds.len()];
     for (&node, &time) in assignment.node_of.iter().zip(times) {
         loads[node] += time / speeds[node];
     }
-    // Per node, its tasks in ascending time.
+    // Each node's tasks in ascending time.
     let mut held: Vec<Vec<usize>> = vec![Vec::new(); speeds.len()];
     for (task, &node) in assignment.node_of.iter().enumerate() {
         held[node].push(task);
@@ -61,7 +61,7 @@ pub fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64]) -> R
     Ok(())
 }
 
-/// The change that leaves the shortest longest load of node `last` and another.
+/// The change with the shortest longest load of node `last` and another.
 fn best_change(
     last: usize,
     times: &[f64],
@@ -72,7 +72,7 @@ fn best_change(
     let mut best: Option<Change> = None;
     for &give in &held[last] {
         for to in (0..loads.len()).filter(|&n| n != last) {
-            // The time that would have to come back for both to end together.
+            // The time to give back so that both end together.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
             let even = times[give] - (loads[last] - loads[to]) / (own + other);
             let above = held[to].partition_point(|&t| times[t] < even);

@@ -1,4 +1,4 @@
-//! Task lists, and which node does what in which order.
+//! Task lists, and their assignment to nodes.
 
 mod affinity;
 mod bound;
@@ -21,31 +21,31 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What tasks are done on.
+/// The nodes of a farm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Farm {
     /// Speed of each node; a node of speed 2 takes half of a task's seconds.
     pub speeds: Vec<f64>,
-    /// Seconds of a node that every dispatch from a queue costs.
+    /// Node seconds per dispatch from a queue.
     pub dispatch: f64,
-    /// Tasks that a node looks at for one on the volume that it holds.
+    /// Queue entries that a node searches for a task on its loaded volume.
     pub window: usize,
 }
 
-/// How tasks come to nodes.
+/// Assignment method of tasks to nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
     /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged
     /// between nodes as long as that helps.
     #[default]
     Static,
-    /// Fixed beforehand: longest first alone.
+    /// Fixed beforehand: longest first, without exchanges.
     Longest,
-    /// A queue, longest first: whichever node is free takes the next.
+    /// A queue, longest first: a free node takes the next task.
     Queue,
     /// A queue in the order of the list.
     Arrival,
-    /// A queue, longest first, in which a node prefers tasks on the volume that it holds.
+    /// A queue, longest first, in which a node prefers tasks on its loaded volume.
     Affinity,
 }
 
@@ -62,7 +62,7 @@ impl Method {
     }
 }
 
-/// Which times decide.
+/// Task times that a schedule uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum By {
     /// `predicted_s`.
@@ -70,21 +70,21 @@ pub enum By {
     Predicted,
     /// `measured_s`.
     Measured,
-    /// All tasks alike.
+    /// All tasks take equally long.
     Uniform,
 }
 
-/// A task as its list has it.
+/// A task of a list.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Task {
-    /// Its name; its number where it has none.
+    /// Its name; default: its number.
     pub task: String,
     /// Predicted seconds on a node of speed 1.
     pub predicted_s: Option<f64>,
     /// Measured seconds on a node of speed 1.
     pub measured_s: Option<f64>,
-    /// Which data it needs.
+    /// The data that it needs.
     pub volume: String,
     /// Seconds to load that data.
     pub load_s: f64,
@@ -94,7 +94,7 @@ pub struct Task {
 /// commas); UTF-8, or UTF-16 with a byte order mark.
 ///
 /// # Errors
-/// Names the file, the task and what is wrong.
+/// Names the file, the task and the error.
 pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
     let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
     let json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
@@ -104,7 +104,7 @@ pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
 /// Reads a task list's bytes, JSON or CSV.
 ///
 /// # Errors
-/// Names the task and what is wrong.
+/// Names the task and the error.
 pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
     let text = decode_text(bytes)?;
     let mut tasks: Vec<Task> = if json { serde_json::from_str(&text)? } else { parse_csv(&text)? };
@@ -133,7 +133,7 @@ pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
-/// Reads CSV as programs write it, or spreadsheets: with semicolons or tabs where commas stand in numbers.
+/// Reads CSV of programs or spreadsheets: with semicolons or tabs if numbers have decimal commas.
 fn parse_csv(text: &str) -> Result<Vec<Task>> {
     let first = text.lines().next().unwrap_or("");
     let delimiter = [b',', b';', b'\t'].into_iter().find(|&d| first.as_bytes().contains(&d)).unwrap_or(b',');
@@ -160,7 +160,7 @@ fn parse_csv(text: &str) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
-/// The seconds of tasks that decide.
+/// The task times that a schedule uses.
 ///
 /// # Errors
 /// Names the task that lacks them.
@@ -187,7 +187,7 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
         .collect()
 }
 
-/// What a plan makes of true times: every task's node, start and end.
+/// Plays a plan with true times: every task's node, start and end.
 ///
 /// # Errors
 /// When times or speeds are not finite and positive.
@@ -224,18 +224,18 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
     }
 }
 
-/// What is decided before anything runs.
+/// A schedule before the run.
 #[derive(Clone, Debug)]
 pub enum Plan {
-    /// Every task's node, and the order.
+    /// Node of every task, and the order.
     Assigned(Assignment, Vec<usize>),
     /// An order from which a free node takes the next task.
     Queued(Vec<usize>),
-    /// An order from which a free node takes a task on the volume that it holds, where one is near the front.
+    /// An order from which a free node takes a task on its loaded volume, if one is near the front.
     Near(Vec<usize>),
 }
 
-/// Plans tasks whose seconds are expected to be `deciding`.
+/// Schedules tasks by the expected seconds `deciding`.
 ///
 /// # Errors
 /// When times or speeds are not finite and positive.
@@ -254,9 +254,8 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
     })
 }
 
-/// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn
-/// from the tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with
-/// standard deviation 0.15.
+/// Expected end, and its 90 % interval. Errors are drawn from the tasks' own ln(measured / predicted) if they
+/// have both times, else from a normal distribution with standard deviation 0.15.
 ///
 /// # Errors
 /// As [`play`].

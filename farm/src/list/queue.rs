@@ -1,9 +1,9 @@
-//! A dynamic queue: whichever node is free takes the next task.
+//! A dynamic queue: a free node takes the next task.
 
 use anyhow::{Result, bail, ensure};
 use entire_steer::schedule::longest_first;
 
-/// When and where a task ran.
+/// Time span and node of a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     /// The task.
@@ -16,19 +16,18 @@ pub struct Span {
     pub end: f64,
 }
 
-/// What a queue did.
+/// Result of a queue.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timeline {
     /// Every task in the order of dispatch.
     pub spans: Vec<Span>,
-    /// When the last task ended.
+    /// End of the last task.
     pub makespan: f64,
 }
 
-/// Plays a queue: tasks leave it in `order`, each to the node that is free first (of several, the fastest).
-/// `times` are the true ones; the order is all that prediction decides. Arrival order is `0..n`,
-/// predicted-longest-first comes from [`longest_first`]. Every dispatch costs `dispatch` seconds of
-/// the node.
+/// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
+/// `times` are the true ones; prediction only determines the order. Arrival order is `0..n`,
+/// predicted-longest-first comes from [`longest_first`]. Every dispatch costs `dispatch` seconds of the node.
 ///
 /// # Errors
 /// For unusable times, speeds or dispatch cost, or an order that is not
@@ -58,7 +57,7 @@ pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     if let Some((node, speed)) = speeds.iter().enumerate().find(|(_, s)| !(s.is_finite() && **s > 0.0)) {
         bail!("the speed of node {node} is {speed}; it must be finite and positive");
     }
-    // The order itself is not asked for, what it says of a time that cannot be one is.
+    // Only the check of the times is needed here, not the order.
     longest_first(times)?;
     Ok(())
 }

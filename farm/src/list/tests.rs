@@ -1,4 +1,4 @@
-//! Task lists, and what the simulated queues promise.
+//! Task lists, and properties of the simulated queues.
 
 use super::*;
 use proptest::prelude::*;
@@ -117,7 +117,7 @@ fn exchanges_repair_grahams_worst_case() {
     assert_eq!(lower_bound(&times, &ones(2)).unwrap(), 6.0);
     exchange(&mut a, &times, &ones(2)).unwrap();
     assert_eq!(a.makespan(&times, &ones(2)).unwrap(), 6.0);
-    // All on one node of three: moves alone bring it down.
+    // All on one node of three: moves alone balance it.
     let mut a = Assignment { node_of: vec![1; 9], nodes: 3 };
     exchange(&mut a, &[1.0; 9], &ones(3)).unwrap();
     assert_eq!([0, 1, 2].map(|n| a.node_of.iter().filter(|&&of| of == n).count()), [3, 3, 3]);

@@ -1,4 +1,4 @@
-//! A model of the host's own renderer, fitted to frames that a session planned and heard of.
+//! Fits a model of the host's own renderer to frames that a session planned and observed.
 
 use super::entire_session;
 use super::options::hybrid_options;
@@ -12,15 +12,16 @@ use entire_core::nn::Executor;
 use entire_steer::calibrate::{HeldOut, Picture};
 use std::mem::size_of;
 
-/// What a calibration left out in turn to find what error to expect: one of the `ENTIRE_HELD_OUT_*` numbers.
+/// Part of the frames that a calibration held out in turn to estimate its error: one of the
+/// `ENTIRE_HELD_OUT_*` numbers.
 pub type entire_held_out = u32;
-/// Nothing, there were too few frames: the error is that of frames that the model was fitted to.
+/// Nothing, since there were too few frames: the error is that of the training frames.
 pub const ENTIRE_HELD_OUT_NOTHING: entire_held_out = 0;
-/// Volumes: the error to expect on other volumes.
+/// Volumes: the error is that on other volumes.
 pub const ENTIRE_HELD_OUT_VOLUMES: entire_held_out = 1;
-/// Transfer functions: the error to expect on the same volumes under other transfer functions.
+/// Transfer functions: the error is that on the same volumes under other transfer functions.
 pub const ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS: entire_held_out = 2;
-/// Stretches of time: the error to expect on other views of what was shown.
+/// Stretches of time: the error is that on other views of the same data.
 pub const ENTIRE_HELD_OUT_STRETCHES: entire_held_out = 3;
 
 const _: () = assert!(
@@ -30,7 +31,7 @@ const _: () = assert!(
         && HeldOut::Stretches as u32 == ENTIRE_HELD_OUT_STRETCHES
 );
 
-/// What is known of a model that entire_session_calibrate made. Set struct_size before the call.
+/// Report on a model that entire_session_calibrate made. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_calibration_report {
@@ -38,16 +39,16 @@ pub struct entire_calibration_report {
     pub struct_size: usize,
     /// Frames that the model was fitted to.
     pub frames: usize,
-    /// Median of |predicted / measured - 1| over frames that were left out.
+    /// Median of |predicted / measured - 1| over held-out frames.
     pub median_error: f64,
     /// Root of their mean squared error over the standard deviation of their times.
     pub rmse_over_sd: f64,
     /// Upper bound over prediction: nineteen of twenty frames take no longer.
     pub upper_factor: f64,
-    /// What was left out: one of ENTIRE_HELD_OUT_*.
+    /// Held-out parts: one of ENTIRE_HELD_OUT_*.
     pub held_out: entire_held_out,
-    /// Scenes of entire_session_record_picture that the model's quality was fitted to; 0 where they were too few,
-    /// and the model states nothing of pictures.
+    /// Number of scenes of entire_session_record_picture in the fit of the model's quality law; 0 if there
+    /// were too few, and then the model has no quality law.
     pub scenes: u32,
 }
 
@@ -77,17 +78,17 @@ no_padding!(entire_calibration_report {
     scenes
 });
 
-/// From now on keeps frames that are planned and observed, `frame_count` of them (8 to 65536; later ones take
-/// the place of earlier ones, so that those kept are a fair sample), for entire_session_calibrate. What was
-/// kept before is forgotten. Planning and observing go on without allocating.
+/// Starts to record frames that are planned and observed, for entire_session_calibrate. It keeps a uniform
+/// random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
+/// observing still do not allocate.
 ///
 /// `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
-/// a learned factor with the session's probe, as models/ holds them. NULL starts from the unit
-/// costs of a software renderer. Observations that are unusual or cancelled do not count, nor does the first
-/// frame of all, nor the first of a volume.
+/// a learned factor with the session's probe, such as those in models/. NULL starts from the unit costs of a
+/// software renderer. Not recorded are unusual and cancelled observations, the first frame of the session,
+/// and the first frame of a volume.
 ///
-/// A log of frames that were timed earlier is learned from in the same way: with steering off
-/// (entire_session_set_enabled), plan every frame as it was drawn, and observe its time.
+/// To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
+/// plan every frame as it was drawn, and observe its time.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (another number of frames, a prior with another probe than the
 /// session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
@@ -108,11 +109,11 @@ pub unsafe extern "C" fn entire_session_record(
     }
 }
 
-/// Fits a model to the frames that were kept since entire_session_record: a model of the renderer and the
-/// machine that they were drawn by. It takes a second or less for 500 frames, on the calling thread. `report`
-/// may be NULL; else set report->struct_size first. The session goes on as it was, and goes on keeping
-/// frames: entire_session_set_model puts the model into it, entire_model_save keeps it for the next run.
-/// Names from entire_session_set_timing_source stand in the model's metadata.
+/// Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
+/// It takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
+/// report->struct_size first. The session itself does not change and continues to record: use the model with
+/// entire_session_set_model, and save it for later runs with entire_model_save. The names of
+/// entire_session_set_timing_source are written to the model's metadata.
 ///
 /// Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
 /// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
@@ -148,13 +149,14 @@ pub unsafe extern "C" fn entire_session_calibrate(
     }
 }
 
-/// Keeps a picture that was compared with the same view at full quality, for entire_session_calibrate: the model
-/// then states what coarser steps and smaller images cost this renderer's pictures, and sessions that steer this
-/// renderer by it coarsen what shows less. Draw each of at least 3 scenes (`scene`: the same number for the same view)
-/// at the same settings: ray steps of `step` finest ones and rays `image_sample_distance` pixels apart, 1 and 1
-/// (full quality, `error` 0) among them, steps alone, images alone and both. `error` is how far the picture lies
-/// from that at full quality by any measure that is 0 for equal pictures and grows: the root mean squared difference
-/// of colors, or 1 - SSIM. Smaller pictures are compared as they are shown, at full size. The first 65536 are kept.
+/// Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
+/// model then contains this renderer's quality law (picture error as a function of ray step and image size),
+/// and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw each of
+/// at least 3 scenes (`scene`: the same number for the same view) at the same settings: a ray step of `step`
+/// times the finest, and rays `image_sample_distance` pixels apart. Include full quality (1 and 1, `error`
+/// 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for equal
+/// pictures and grows with the difference, such as the root mean squared difference of colors, or 1 - SSIM.
+/// Enlarge smaller pictures to full size before the comparison. The first 65536 are kept.
 ///
 /// Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance below 1,
 /// seconds that are not positive, a negative error, numbers that are not finite), ENTIRE_OUT_OF_MEMORY,
@@ -178,7 +180,7 @@ pub unsafe extern "C" fn entire_session_record_picture(
     }
 }
 
-/// How many frames are kept since entire_session_record; 0 before it.
+/// Number of frames kept since entire_session_record; 0 before it.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -194,9 +196,9 @@ pub unsafe extern "C" fn entire_session_recorded_count(
     }
 }
 
-/// Steers by another model from now on, with the options that the session was made with. What was observed is
-/// forgotten; volume, transfer function, limits and recorded frames stay. Where the model takes volume
-/// features, set the volume again. The session keeps its own share of the model.
+/// Replaces the session's model, keeping the options that the session was made with. Observations are
+/// forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
+/// set the volume again. The session holds a reference to the model.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), else
 /// as entire_session_new for a model.

@@ -24,7 +24,7 @@ use options::{entire_session_options, hybrid_options, probe_of};
 use std::ffi::c_char;
 use std::sync::Arc;
 
-/// Predicts and steers one render loop. For one thread at a time; give every loop its own.
+/// Predicts and steers one render loop. For one thread at a time; make one session for every loop.
 pub struct entire_session {
     status: Status,
     value: Loop,
@@ -33,9 +33,9 @@ pub struct entire_session {
 pub(crate) struct Loop {
     session: Session,
     model: Option<Arc<entire_model>>,
-    /// Spacing and bounding-sphere radius of the volume that is set.
+    /// Spacing and bounding-sphere radius of the current volume.
     volume: Option<(Vec3, f32)>,
-    /// What the session was made with.
+    /// Options that the session was made with.
     options: entire_session_options,
 }
 
@@ -47,9 +47,9 @@ impl Loop {
     }
 }
 
-/// Makes a session for one render loop. `model` may be NULL: then a linear cost model, which knows no device
-/// until the first frames are observed, predicts. `options` may be NULL for the defaults. The session keeps
-/// its own share of the model.
+/// Makes a session for one render loop. `model` may be NULL: then a linear cost model predicts, which adapts
+/// to the device with the first observed frames. `options` may be NULL for the defaults. The session holds a
+/// reference to the model.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe), ENTIRE_UNSUPPORTED (a model without a
 /// prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
@@ -81,8 +81,8 @@ pub unsafe extern "C" fn entire_session_new(
     })
 }
 
-/// Copies the text of the session's last call where it failed, as entire_model_last_error does; empty after a
-/// call that succeeded.
+/// Copies the error text of the session's last call, like entire_model_last_error; empty if that call
+/// succeeded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_last_error(
     session: *const entire_session,

@@ -1,4 +1,4 @@
-//! How long planned frames took.
+//! Measured times of planned frames.
 
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
@@ -13,21 +13,21 @@ const _: () = {
     assert!(ENTIRE_VERDICT_IGNORED == Verdict::Ignored as u32);
 };
 
-/// What became of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
+/// Effect of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
 pub type entire_verdict = u32;
 /// Learned from.
 pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;
-/// Far from what was expected: its pull was clipped.
+/// Far from the expected time: its influence was clipped.
 pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
-/// Taken note of, not learned from: unusual, or cancelled no later than it was expected to end.
+/// Recorded but not used to correct predictions: unusual, or cancelled no later than its expected end.
 pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;
 
-/// Observation flag: the time holds work that is not the frame's (a compile, an upload, a stall).
+/// Observation flag: the time includes work that is not the frame's (a compile, an upload, a stall).
 pub const ENTIRE_OBSERVE_UNUSUAL: u32 = 1;
-/// Observation flag: the frame was abandoned; its time says only that it takes at least that long.
+/// Observation flag: the frame was abandoned; its time is only a lower bound.
 pub const ENTIRE_OBSERVE_CANCELLED: u32 = 2;
 
-/// Tells how long a planned frame took. Late observations are welcome as long as their plan is among the last
+/// Observes the time of a planned frame. It may come late, while its plan is among the last
 /// 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
 ///
 /// Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is

@@ -1,4 +1,4 @@
-//! How a session steers: its options and their checks.
+//! Options of a session, and their checks.
 
 use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
@@ -8,7 +8,7 @@ use entire_steer::control::{HybridOptions, StepLimits};
 use entire_steer::features::PROBE_SIDE;
 use std::mem::size_of;
 
-/// How a session steers. Fill with entire_session_options_init, then set what differs.
+/// Options of a session. Fill with entire_session_options_init, then set what differs.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_session_options {
@@ -18,25 +18,27 @@ pub struct entire_session_options {
     pub finest_step: f32,
     /// Coarsest ray step that may be chosen, up to 4096; default 16.
     pub coarsest_step: f32,
-    /// Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed
-    /// the target by more than `tolerance`, since not every bound reaches so far.
+    /// Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer frames
+    /// exceed the target by more than `tolerance`, since most bounds are below the target.
     pub miss_rate: f32,
-    /// How far over the target a frame may be before it counts as missed, as a share of the target, not
-    /// negative; default 0.1.
+    /// Excess over the target above which a frame counts as missed, as a share of the target, not negative;
+    /// default 0.1.
     pub tolerance: f32,
-    /// Out-of-range score from which recent frames decide instead of the prediction, positive; default 2.
+    /// Out-of-range score above which steps are chosen from recent frames instead of the prediction,
+    /// positive; default 2.
     pub trust_limit: f32,
-    /// Not 0 where moves are damped in calm phases; default 1.
+    /// Not 0 if moves are damped in calm phases; default 1.
     pub damping: u32,
     /// Rays along each side of the probe that measures frames for a linear cost model (no model, or an
-    /// analytic one), 1 to 24. Fewer make plans cheaper and what they are made from rougher, with the square
-    /// of the side. Default 0: 11. A network keeps the side that its file names, which it was trained with.
+    /// analytic one), 1 to 24. The time of a plan is proportional to the square of the side; fewer rays
+    /// estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which they
+    /// were trained with.
     pub probe_side: u32,
-    /// Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0, plans
-    /// begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11), only where
-    /// the error that a probe estimates of itself is larger than this and could change the plan; and while the
-    /// view has hardly turned since rays were cast, what those met is taken. Default 0: every plan casts all of its
-    /// rays. A network keeps its own probe. Leave it 0 in a session that records frames.
+    /// Accepted error of the probe, as a share of the frame's time, 0 to 1. Over 0, plans start with a probe
+    /// of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
+    /// larger than this and could change the plan; and while the view has hardly turned since rays were cast,
+    /// their result is used again. Default 0: every plan casts all of its rays. Networks always use their own
+    /// probe. Leave it 0 in a session that records frames.
     pub probe_tolerance: f32,
 }
 
@@ -71,8 +73,8 @@ no_padding!(entire_session_options {
     probe_tolerance
 });
 
-/// The probe that options ask for: rays along each side, and the error that plans may leave unknown; `None`
-/// for the predictor's own.
+/// The probe of the options: rays along each side, and the error that plans may leave unresolved; `None` for
+/// the predictor's own.
 pub(super) fn probe_of(options: &entire_session_options) -> Option<(usize, Option<f32>)> {
     let tolerance = (options.probe_tolerance != 0.0).then_some(options.probe_tolerance);
     match options.probe_side {

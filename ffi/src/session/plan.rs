@@ -1,4 +1,4 @@
-//! Predicting a frame, and choosing what to draw.
+//! Prediction of a frame, and choice of its settings.
 
 use super::entire_session;
 use crate::abi::{ByValue, check_output, check_pointer, no_padding, read_struct, slice, write, write_struct};
@@ -10,13 +10,13 @@ use entire_steer::control::{Plan, Reason, Session};
 use entire_steer::predict::Source;
 use std::mem::size_of;
 
-/// Why a plan has the step that it has: one of the `ENTIRE_REASON_*` numbers.
+/// Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
 pub type entire_reason = u32;
 /// The finest step whose upper bound fits the target.
 pub const ENTIRE_REASON_FITS: entire_reason = 1;
-/// As before, but moved there slowly because nothing has changed abruptly.
+/// As before, but the step moved there slowly because nothing changed abruptly.
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
-/// The step before still fits and is close to the best: kept.
+/// The last step still fits and is close to the best: it is kept.
 pub const ENTIRE_REASON_HELD: entire_reason = 3;
 /// Nothing finer is allowed, and it fits.
 pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
@@ -24,14 +24,14 @@ pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
 pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;
 /// The prediction is not trusted: recent frames decide.
 pub const ENTIRE_REASON_HISTORY: entire_reason = 6;
-/// Neither a prediction nor a timing is there: the coarsest step allowed.
+/// There is neither a prediction nor a timing: the coarsest allowed step.
 pub const ENTIRE_REASON_NO_INFORMATION: entire_reason = 7;
-/// Steering is off: the step asked for.
+/// Steering is off: the frame's own step.
 pub const ENTIRE_REASON_OFF: entire_reason = 8;
 /// A rule that reacts to past frames only.
 pub const ENTIRE_REASON_REACTIVE: entire_reason = 9;
 
-/// Where a prediction comes from: one of the `ENTIRE_SOURCE_*` numbers.
+/// Source of a prediction: one of the `ENTIRE_SOURCE_*` numbers.
 pub type entire_source = u32;
 /// The linear cost model on estimated work.
 pub const ENTIRE_SOURCE_ANALYTIC: entire_source = 1;
@@ -40,14 +40,14 @@ pub const ENTIRE_SOURCE_NETWORK: entire_source = 2;
 /// Recent frames.
 pub const ENTIRE_SOURCE_HISTORY: entire_source = 3;
 
-/// In `absent`: nothing is known of the seconds; they are NaN.
+/// In `absent`: the seconds are unknown; they are NaN.
 pub const ENTIRE_ABSENT_SECONDS: u32 = 1;
 /// In `absent`: there is no upper bound; it is NaN.
 pub const ENTIRE_ABSENT_UPPER: u32 = 2;
-/// In `absent`: no training range is known; out_of_range is NaN.
+/// In `absent`: the training range is unknown; out_of_range is NaN.
 pub const ENTIRE_ABSENT_OUT_OF_RANGE: u32 = 4;
 
-/// How many settings entire_session_choose takes at most.
+/// Maximum number of settings of entire_session_choose.
 pub const ENTIRE_MAX_SETTINGS: usize = 64;
 
 const _: () = {
@@ -65,13 +65,13 @@ const _: () = {
     assert!(ENTIRE_SOURCE_HISTORY == Source::History as u32);
 };
 
-/// What to draw, and what to expect of it. Set struct_size before the call.
+/// Settings of a frame to draw, and its expected time. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_plan {
     /// sizeof(entire_plan).
     pub struct_size: usize,
-    /// Names this plan in entire_session_observe; never 0.
+    /// Identifies this plan in entire_session_observe; never 0.
     pub id: u64,
     /// Ray step to draw with, in multiples of the reference step.
     pub step: f32,
@@ -82,11 +82,12 @@ pub struct entire_plan {
     pub seconds: f32,
     /// Upper bound of the seconds.
     pub upper: f32,
-    /// 0 where the inputs lie inside the model's training range, 1 at the edge of trust, growing beyond.
+    /// 0 if the inputs are inside the model's training range, 1 at the limit up to which the prediction is
+    /// trusted, larger beyond.
     pub out_of_range: f32,
-    /// Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
+    /// Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
     pub absent: u32,
-    /// Why this step: one of ENTIRE_REASON_*.
+    /// Reason for this step: one of ENTIRE_REASON_*.
     pub reason: entire_reason,
     /// Must be ignored.
     pub reserved: u32,
@@ -136,9 +137,9 @@ pub struct entire_prediction {
     pub upper: f32,
     /// As in entire_plan.
     pub out_of_range: f32,
-    /// Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
+    /// Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
     pub absent: u32,
-    /// Where it comes from: one of ENTIRE_SOURCE_*.
+    /// Its source: one of ENTIRE_SOURCE_*.
     pub source: entire_source,
     /// Must be ignored.
     pub reserved: u32,
@@ -162,7 +163,7 @@ unsafe impl ByValue for entire_prediction {
 
 no_padding!(entire_prediction { struct_size, seconds, upper, out_of_range, absent, source, reserved });
 
-/// Which of the three numbers are not known.
+/// Flags of the unknown numbers among the three.
 fn absent(seconds: f32, upper: f32, out_of_range: f32) -> u32 {
     let flag = |value: f32, flag| if value.is_nan() { flag } else { 0 };
     flag(seconds, ENTIRE_ABSENT_SECONDS)
@@ -170,12 +171,12 @@ fn absent(seconds: f32, upper: f32, out_of_range: f32) -> u32 {
         | flag(out_of_range, ENTIRE_ABSENT_OUT_OF_RANGE)
 }
 
-/// An upper bound that says something, else NaN.
+/// A finite upper bound, else NaN.
 fn bound(upper: f32) -> f32 {
     if is_frame_time(upper) { upper } else { f32::NAN }
 }
 
-/// The caller's plan. Only a plan that was made from no prediction may lack its seconds.
+/// The caller's plan. Only a plan without a prediction may lack its seconds.
 fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     let without = matches!(plan.reason, Reason::History | Reason::NoInformation | Reason::Off);
     if !(is_frame_time(plan.seconds) || without && plan.seconds.is_nan()) {
@@ -195,17 +196,17 @@ fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     })
 }
 
-/// As [`checked`]; a plan that is refused is taken back, so that the next one has its id.
+/// As [`checked`]; a refused plan is withdrawn, so that the next one gets its id.
 fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
     checked(plan).inspect_err(|_| session.withdraw(plan.id))
 }
 
-/// Predicts a frame's time at the frame's own step, corrected by what was observed; changes nothing that
-/// later plans depend on. Set prediction->struct_size first.
+/// Predicts a frame's time at the frame's own step, corrected by the observed frames; does not influence
+/// later plans. Set prediction->struct_size first.
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
-/// ENTIRE_INVALID_MODEL (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// ENTIRE_INVALID_MODEL (the model's result is not a frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_predict(
     session: *mut entire_session,
@@ -236,7 +237,7 @@ pub unsafe extern "C" fn entire_session_predict(
 }
 
 /// Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose
-/// upper bound fits. Draw with plan->step, then tell entire_session_observe how long it took. Set
+/// upper bound fits. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
 /// plan->struct_size first. Does not allocate.
 ///
 /// Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
@@ -260,8 +261,9 @@ pub unsafe extern "C" fn entire_session_plan(
 }
 
 /// Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else
-/// the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives which one, `plan` its plan,
-/// to be observed like any other. The frame's own step, size and modes do not count. Does not allocate.
+/// the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen
+/// settings, and `plan` their plan, to be observed like any other. The step, size and modes in the frame
+/// itself are ignored. Does not allocate.
 ///
 /// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
 /// range, and with ENTIRE_SIZE_MISMATCH for too many.

@@ -1,4 +1,4 @@
-//! What a session steers: volume, transfer function, limits, and what the caller knows to have changed.
+//! Inputs of a session: volume, transfer function, limits, and changes that the caller announces.
 
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
@@ -12,7 +12,7 @@ use entire_core::scene::TransferFunction;
 use entire_steer::control::{Quality, StepLimits};
 use entire_steer::features::Changes;
 
-/// Change flag: a pipeline was built, or the device is another.
+/// Change flag: a pipeline was built, or the device changed.
 pub const ENTIRE_CHANGE_FIRST: u32 = 1;
 /// Change flag: another transfer function.
 pub const ENTIRE_CHANGE_TRANSFER_FUNCTION: u32 = 2;
@@ -25,13 +25,13 @@ pub const ENTIRE_CHANGE_MODE: u32 = 16;
 /// Change flag: the camera jumped.
 pub const ENTIRE_CHANGE_CAMERA: u32 = 32;
 
-/// Sets the volume. Its first use by any session scans its voxels once; where the model takes volume
-/// features, they are the volume's ready ones (entire_volume_set_features), else the voxels are encoded by
-/// the model's own encoder, which takes milliseconds to seconds. The transfer function must be set again.
+/// Sets the volume. The first session that uses a volume scans its voxels once. If the model takes volume
+/// features, the precomputed ones are used (entire_volume_set_features), else the model's encoder encodes the
+/// voxels, which takes milliseconds to seconds. The transfer function must be set again.
 ///
-/// Fails with ENTIRE_SIZE_MISMATCH (ready features of another number than the model takes), ENTIRE_NOT_READY
-/// (features are needed, and there are neither ready ones nor voxels), ENTIRE_UNSUPPORTED (features are
-/// needed, and the model has no encoder), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_SIZE_MISMATCH (the number of precomputed features is not the model's), ENTIRE_NOT_READY
+/// (the model needs features, and there are neither precomputed ones nor voxels), ENTIRE_UNSUPPORTED (the
+/// model needs features and has no encoder), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_volume(
     session: *mut entire_session,
@@ -55,13 +55,13 @@ pub unsafe extern "C" fn entire_session_set_volume(
     }
 }
 
-/// Sets the next time step of the session's volume, after entire_volume_update. The transfer function stays,
-/// and what was learned of the scene: no change is announced (entire_session_mark does, where a frame pays
-/// for an upload). Where the model takes volume features, those of the time step before stay unless the
-/// volume has ready ones.
+/// Sets the next time step of the session's volume, after entire_volume_update. The transfer function and the
+/// correction learned from observed frames stay. It is not announced as a change of the scene; if the next
+/// frame includes an upload, call entire_session_mark. If the model takes volume features, those of the
+/// previous time step stay unless the volume has precomputed ones.
 ///
 /// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
-/// ready features of another number than the model takes), ENTIRE_INVALID_ARGUMENT (a volume of another
+/// a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of another
 /// scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_time_step(
@@ -102,7 +102,7 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
                 (UnitDistance::World(distance), Some((spacing, _))) => {
                     table.with_unit_distance(distance / spacing.min_element())?
                 }
-                // The session says that the volume comes first.
+                // The session reports that the volume comes first.
                 (UnitDistance::World(_), None) => table,
             };
             let lobes = match &transfer.function {
@@ -131,13 +131,13 @@ pub unsafe extern "C" fn entire_session_set_limits(
     }
 }
 
-/// Allows plans to coarsen the image: neighboring rays stand up to `max_image_sample_distance` pixels apart
+/// Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
 /// along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
 /// together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
-/// entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or about 2
-/// where a smaller image is blurred strongly. A `max_image_sample_distance` of 1, where sessions start,
-/// leaves the image alone. For linear cost models and networks that take the image size. One plan serves all
-/// sizes: this is cheaper, and learns better, than planning for one size after the other.
+/// entire_plan). Up to a step of `step_alone` times the finest, 1 to 64, only the step is coarsened: use 1,
+/// or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1, the default, keeps
+/// the full image size. For linear cost models and networks that take the image size. One plan covers all
+/// sizes, which is cheaper and corrects predictions better than one plan per size.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -154,12 +154,12 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
     }
 }
 
-/// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
-/// shows less. With a step of s finest ones, and rays d pixels apart along each side, a picture's distance
-/// from full quality goes as (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and its time as
-/// (ray_share + (1 - ray_share) / s) / d^2: numbers that are fitted to pictures of this renderer. Takes the
-/// place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it: the
-/// session goes by what its model states then, where it was calibrated with pictures of this renderer.
+/// Sets the quality law of this renderer, so that plans coarsen step or image, whichever adds less error.
+/// With a step of s times the finest, and rays d pixels apart along each side, the picture error is
+/// proportional to (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to (ray_share
+/// + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. Replaces step_alone
+/// (entire_session_set_max_image_sample_distance). An `image_weight` of 0 removes the law: the session then
+/// uses that of its model, if the model was calibrated with pictures of this renderer.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
 /// the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
@@ -178,10 +178,9 @@ pub unsafe extern "C" fn entire_session_set_quality(
     }
 }
 
-/// What plans coarsen by: the numbers of entire_session_set_quality, else those that the model states of the
-/// renderer's pictures (entire_session_record_picture, `entire calibrate`), where the renderer that
-/// entire_session_set_timing_source names is the one that it was calibrated with, or none is named. All are 0
-/// where nothing is known.
+/// The quality law that plans use: the numbers of entire_session_set_quality, else those of the model
+/// (entire_session_record_picture, `entire calibrate`) if it was calibrated with the renderer that
+/// entire_session_set_timing_source names, or if no renderer is named. All are 0 if there is no law.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -216,8 +215,8 @@ pub unsafe extern "C" fn entire_session_quality(
     }
 }
 
-/// Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or
-/// on again. Observations are learned from either way.
+/// Switches steering off (0: every plan returns the frame's own step; for screenshots and still renders) or
+/// on again. Observations correct predictions in both cases.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -234,8 +233,9 @@ pub unsafe extern "C" fn entire_session_set_enabled(
     }
 }
 
-/// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot see:
-/// flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are noticed without it.
+/// Announces that the next frame differs abruptly from the previous one in a way that the session cannot
+/// detect: flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are detected
+/// without it.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

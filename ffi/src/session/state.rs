@@ -1,4 +1,4 @@
-//! What a session learned, saved and taken up again.
+//! Saved states of a session.
 
 use super::entire_session;
 use crate::abi::{check_pointer, slice, text, write};
@@ -10,10 +10,12 @@ use entire_steer::predict::Clock;
 use std::ffi::c_char;
 
 /// Names the renderer whose frames are observed and the clock that times them, such as
-/// "vtkGPUVolumeRayCastMapper" and "wall". What was learned of one does not hold for another: saved states
-/// carry both names, and entire_session_load_state refuses those of others. Sessions start with empty names,
-/// which are names like any other. Call it before loading and before saving. A clock named "cpu", "wall" or
-/// "device" is compared with the model's (entire_session_clocks); where that changes, what was learned is forgotten.
+/// "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
+/// another: saved states contain both names, and entire_session_load_state refuses states with other names.
+/// Both names are empty in a new session, and states saved then load only into sessions with empty names.
+/// Call it before loading and before saving. A clock named "cpu", "wall" or "device" is compared with the
+/// model's (entire_session_clocks); if the result of the comparison changes, the learned correction is
+/// forgotten.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
 /// ENTIRE_NULL_ARGUMENT.
@@ -32,7 +34,7 @@ pub unsafe extern "C" fn entire_session_set_timing_source(
     }
 }
 
-/// Whose seconds: one of the `ENTIRE_CLOCK_*` numbers.
+/// Clock of a time: one of the `ENTIRE_CLOCK_*` numbers.
 pub type entire_clock = u32;
 /// No clock was named, or none of those below.
 pub const ENTIRE_CLOCK_UNSTATED: entire_clock = 0;
@@ -52,10 +54,10 @@ fn number_of(clock: Option<Clock>) -> entire_clock {
     }
 }
 
-/// By which clock the session's model predicts (`model`: what its file states under entire.clock), and by
-/// which the session's frames are timed (`own`: what entire_session_set_timing_source named). Where both are
-/// stated and differ, the session keeps what the model says of scenes against each other and learns the factor
-/// between the clocks from the first frames: the first one is drawn coarsely.
+/// Reads the clock of the model's predictions (`model`: entire.clock in its file) and the clock that times
+/// the session's frames (`own`: from entire_session_set_timing_source). If both are given and differ, the
+/// session uses the model only for ratios between scenes and learns the factor between the clocks from the
+/// first frames; the first frame is drawn coarsely.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -74,9 +76,9 @@ pub unsafe extern "C" fn entire_session_clocks(
     }
 }
 
-/// Saves what was learned, for entire_session_load_state in a later run: `byte_count` receives how many bytes
-/// it is, and `buffer` the bytes where `capacity` suffices. `buffer` may be NULL with capacity 0 to ask for
-/// the size.
+/// Saves the learned correction, for entire_session_load_state in a later run: `byte_count` receives its
+/// size, and `buffer` the bytes if `capacity` suffices. `buffer` may be NULL with capacity 0 to query the
+/// size.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (a capacity that is too small and not 0; the size is in the error text),
 /// ENTIRE_NULL_ARGUMENT.
@@ -107,10 +109,10 @@ pub unsafe extern "C" fn entire_session_save_state(
     }
 }
 
-/// Takes up what an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
+/// Loads the state that an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED
-/// (a whole state, but of another model, renderer or clock: entire_session_set_timing_source),
+/// (a valid state of another model, renderer or clock: entire_session_set_timing_source),
 /// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_load_state(

@@ -11,20 +11,20 @@ use entire_steer::features::{SummaryOptions, SummarySeries};
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Hands over the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes
-/// its voxels: others, or those that were borrowed and have been written to since. A range of NaN, NaN is the
-/// volume's, any other must be the volume's. Ready features are removed: they were those of the time step
-/// before. Sessions learn of it by entire_session_set_time_step; the volume must be in no other call
-/// meanwhile.
+/// Sets the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes its
+/// voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps the volume's;
+/// any other range must equal the volume's. Precomputed features are removed, since they belong to the
+/// previous time step. Then call entire_session_set_time_step for each session. No other call may use the
+/// volume during this one.
 ///
-/// What changed is found in one pass over the voxels, much faster than the scan of a volume, and only that is
-/// scanned again. The first time step that is handed over is scanned whole: what later ones are compared with
-/// (some 50 bytes for each 8 x 8 x 8 voxels) is not kept of volumes that never change.
+/// Changes are found in one pass over the voxels, much faster than the scan of a new volume, and only changed
+/// cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
+/// bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
 /// ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
 /// bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
-/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume is then still that of the time step before.
+/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_update(
     volume: *mut entire_volume,
@@ -35,11 +35,11 @@ pub unsafe extern "C" fn entire_volume_update(
     unsafe { changing(volume, |volume| update(volume, desc, None)) }
 }
 
-/// As entire_volume_update, where the caller knows which voxels changed: none outside of a box that begins
-/// with voxel `first` (three numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that
-/// the box touches are read.
+/// Like entire_volume_update, for changes inside a known box of voxels, which starts at voxel `first` (three
+/// numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that the box touches are read.
 ///
-/// Fails as entire_volume_update, and with ENTIRE_INVALID_ARGUMENT for a box that reaches beyond the volume.
+/// Fails like entire_volume_update, and with ENTIRE_INVALID_ARGUMENT for a box that reaches beyond the
+/// volume.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_update_box(
     volume: *mut entire_volume,
@@ -95,7 +95,7 @@ unsafe fn update(
         None => Box::new(SummarySeries::new(&before, before.shape().dims[2], SummaryOptions::default())?),
     };
     let first = series.summary().is_err();
-    // A series that an error left within a time step is given up: the volume is that of the one before.
+    // A series that failed within a time step is dropped: the volume stays at the step before.
     match series.update(&next, changed, Executor::Serial) {
         Ok(summary) if first => warn_of_non_finite(summary),
         Ok(_) => {}

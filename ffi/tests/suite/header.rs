@@ -1,5 +1,5 @@
-//! `include/entire/entire.h` is what this crate's source says. `UPDATE_HEADER=1` (`make header`) writes it
-//! anew.
+//! `include/entire/entire.h` equals the header that cbindgen makes from this crate's source.
+//! `UPDATE_HEADER=1` (`make header`) writes it.
 
 use entire_steer::control::{HybridOptions, StepLimits};
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ fn header_path() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../include/entire/entire.h")
 }
 
-/// The version macros, from the one place that states the version: the package.
+/// The version macros, from the package's version.
 fn version_macros() -> String {
     let part = |text: &str| text.parse::<u32>().expect("a version number");
     let (major, minor, patch) = (
@@ -50,7 +50,7 @@ fn generate() -> String {
 #[test]
 fn the_committed_header_is_that_of_the_source() {
     if Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml.orig").exists() {
-        // A published package stands alone; the repository's tests have checked the header.
+        // A published package has no repository around it, whose tests have checked the header.
         return;
     }
     let generated = generate();

@@ -1,14 +1,14 @@
-//! Every kind of error that the core has is one that this crate gives a code.
+//! Every error kind of the core has a code in this crate.
 
 use std::path::Path;
 
-/// The core's error kinds are read from its source: the enumeration may grow, so that a match cannot list
+/// The core's error kinds are read from its source: the enumeration is non-exhaustive, so a match cannot list
 /// them all.
 #[test]
 fn no_kind_of_the_core_is_missing() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     if here.join("Cargo.toml.orig").exists() {
-        // A published package stands alone; the repository's tests have checked it.
+        // A published package has no repository around it, whose tests have checked this.
         return;
     }
     let read =
@@ -23,7 +23,7 @@ fn no_kind_of_the_core_is_missing() {
     assert!(kinds.len() >= 7, "ErrorKind is not written as this test reads it");
     let codes = read("src/result.rs");
     for kind in kinds {
-        // The last arm of the match stands for one kind, which has the same number and code.
+        // The last arm of the match is for one kind, which has the same number and code.
         let listed = codes.contains(&format!("ErrorKind::{kind} =>")) || kind == "Unsupported";
         assert!(listed, "entire_core::ErrorKind::{kind} has no code in entire_result (ffi/src/result.rs)");
     }

@@ -1,4 +1,5 @@
-//! Two doors, same bits: the C program `tests/c/parity.c` and this test ask the same model the same things.
+//! C and Rust give the same bits: the C program `tests/c/parity.c` and this test evaluate the same model on
+//! the same inputs.
 //!
 //! Run by `make test-ffi`, which builds the program against the installed library and names it in
 //! `ENTIRE_C_PARITY`.

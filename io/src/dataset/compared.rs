@@ -1,5 +1,5 @@
-//! Tables of compared pictures: one CSV row per picture, its scene, its settings, what it took and how far it lies from
-//! the picture of the same scene at full quality.
+//! Tables of compared pictures: one CSV row per picture with its scene, settings, time and error against the
+//! picture of the same scene at full quality.
 
 use super::groups::Groups;
 use super::table::{positions, unreadable};
@@ -8,14 +8,14 @@ use anyhow::{Context, Result, anyhow, ensure};
 use entire_steer::calibrate::Picture;
 use std::path::Path;
 
-/// The columns, in any order: a name for the view; the ray step, finest ones; pixels between neighboring rays along each
-/// side; seconds by any clock; 0 for equal pictures, growing.
+/// The columns, in any order: a name of the view; the ray step in finest ones; pixels between neighboring
+/// rays along each side; seconds by any clock; the error, 0 for an equal picture.
 const PICTURE_COLUMNS: [&str; 5] = ["scene", "step", "image_sample_distance", "seconds", "error"];
 
 /// Reads a table of compared pictures. Names that end in `.gz` are decompressed.
 ///
 /// # Errors
-/// When the file cannot be read, a column is missing, or a row holds something that it may not; the message names
+/// When the file cannot be read, a column is missing, or a row holds an invalid value; the message names
 /// file, line and column.
 pub fn read_pictures(path: &Path) -> Result<Vec<Picture>> {
     let bytes = read_decompressed(path).with_context(|| format!("cannot read {}", path.display()))?;

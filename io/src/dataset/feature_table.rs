@@ -1,13 +1,13 @@
-//! What the core computes about the frames of a timing table, kept beside it, so that training and evaluation
-//! need no volumes: `NAME.csv` → `NAME.features.csv.gz`.
+//! Scene features of the frames of a timing table, kept beside it so that training and evaluation need no
+//! volumes: `NAME.csv` → `NAME.features.csv.gz`.
 //!
-//! The first line, `# entire-features 1 schema HASH table HASH frames N`, tells what the features are and of
-//! what they were made: a hash of the names of the core's quantities and of [`VERSION`] (names that were
-//! added since are no obstacle), the FNV-1a hash of the timing table's bytes (decompressed), and how many
-//! rows follow. Then one row per frame: its number, every quantity of the core's schema as it stands (never
-//! its logarithm), those that need the probe again as `NAME@SIDE` for probes of other than the standard
-//! number of rays, then the features of each VolumeNet that the file was made with, as columns
-//! `volumenet_ID_I` where ID tells the encoder's weights.
+//! The first line, `# entire-features 1 schema HASH table HASH frames
+//! N`, identifies the features: a hash of the names of the core's quantities and of [`VERSION`] (names that
+//! were added later are no obstacle), the FNV-1a hash of the timing table's bytes (decompressed), and the
+//! number of rows. Then follows one row per frame: its number, every quantity of the core's schema (never its
+//! logarithm), probe-dependent ones also as `NAME@SIDE` for probes with another number of rays than the
+//! standard, then the features of each VolumeNet, as columns `volumenet_ID_I` where ID identifies the
+//! encoder's weights.
 
 use super::TimedFrame;
 use crate::files::{fnv1a, gzip, read_decompressed, without_mark, write_whole};
@@ -17,11 +17,11 @@ use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Counts up whenever the core computes another value of a quantity for the same frame; features kept before
-/// are refused then.
+/// Version of the quantities' values: raised whenever the core computes another value for the same frame, so
+/// that older tables are refused.
 pub const VERSION: u32 = 4;
 
-/// What the first line begins with.
+/// Start of the first line.
 const MARK: &str = "# entire-features 1";
 
 /// Features of frames, by frame number.
@@ -35,19 +35,19 @@ pub struct FeatureTable {
     values: Vec<f32>,
 }
 
-/// Tells apart what the first `count` quantities are and what they mean.
+/// Hash of the names and meanings of the first `count` quantities.
 fn schema_of(count: usize) -> u64 {
     let names: Vec<&str> = SceneQuantity::ALL.iter().take(count).map(|&q| q.into()).collect();
     fnv1a(format!("{VERSION} {}", names.join(",")).as_bytes())
 }
 
-/// Tells apart what quantities there are and what they mean.
+/// Hash of the names and meanings of all quantities.
 fn schema() -> u64 {
     schema_of(SceneQuantity::ALL.len())
 }
 
-/// Whether features of this schema mean what this version's do: new quantities come last, so that tables made
-/// before are good for the others. What a model asks for and a table lacks is computed from the volumes.
+/// True if features of this schema have the same meaning in this version: new quantities come last, so older
+/// tables stay valid for the others. Features that a table lacks are computed from the volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }
@@ -59,15 +59,14 @@ pub fn stem(table: &Path) -> PathBuf {
     bare.with_extension("")
 }
 
-/// Tells VolumeNets apart: a hash of the first block's and the last layer's weights, eight hexadecimal
-/// digits.
+/// Id of a VolumeNet: a hash of the first block's and the last layer's weights, eight hexadecimal digits.
 pub fn encoder_id(parts: &VolumeNetParts) -> String {
     let first = parts.blocks.first().map_or(&[][..], |b| &b.weight[..]);
     let bytes: Vec<u8> = first.iter().chain(&parts.fc.weight).flat_map(|w| w.to_le_bytes()).collect();
     format!("{:08x}", fnv1a(&bytes) >> 32)
 }
 
-/// The column of a quantity, for a probe with so many rays along each side.
+/// The column of a quantity, for a probe with this many rays along each side.
 pub fn quantity_column(quantity: SceneQuantity, probe_side: usize) -> String {
     if probe_side == PROBE_SIDE || !quantity.needs_probe() {
         quantity.to_string()
@@ -82,18 +81,18 @@ pub fn code_column(id: &str, feature: usize) -> String {
 }
 
 impl FeatureTable {
-    /// The path beside a timing table.
+    /// The path of a timing table's features.
     pub fn path_for(table: &Path) -> PathBuf {
         let mut name = stem(table).into_os_string();
         name.push(".features.csv.gz");
         name.into()
     }
 
-    /// From frame numbers and one row of values each, in the columns' order, computed by this program for the
-    /// timing table of the given hash.
+    /// From frame numbers and one row of values each, in the columns' order, computed by this version for the
+    /// timing table with the given hash.
     ///
     /// # Errors
-    /// When the values are not one row per number, or a number stands there twice.
+    /// When the values are not one row per number, or a number appears twice.
     pub fn new(columns: Vec<String>, numbers: &[u64], values: Vec<f32>, table: u64) -> Result<Self> {
         ensure!(
             values.len() == columns.len() * numbers.len(),
@@ -104,7 +103,7 @@ impl FeatureTable {
         );
         let mut at = HashMap::new();
         for (i, &n) in numbers.iter().enumerate() {
-            ensure!(at.insert(n, i).is_none(), "frame {n} stands there twice; make the file anew");
+            ensure!(at.insert(n, i).is_none(), "frame {n} appears twice; make the file again");
         }
         let bytes: Vec<u8> = columns
             .iter()
@@ -115,7 +114,7 @@ impl FeatureTable {
         Ok(Self { schema: schema(), table, hash: fnv1a(&bytes), columns, at, values })
     }
 
-    /// Tells features apart: a hash of columns, frames and values.
+    /// Hash of columns, frames and values.
     pub fn hash(&self) -> u64 {
         self.hash
     }
@@ -125,7 +124,7 @@ impl FeatureTable {
         &self.columns
     }
 
-    /// Where a column stands.
+    /// Index of a column.
     pub fn column(&self, name: &str) -> Option<usize> {
         self.columns.iter().position(|c| c == name)
     }
@@ -162,11 +161,11 @@ impl FeatureTable {
         write_whole(path, &gzip(text.as_bytes())?)
     }
 
-    /// Reads the file beside a timing table; `None` where there is none.
+    /// Reads the features of a timing table; `None` if there are none.
     ///
     /// # Errors
-    /// When it exists and is damaged, was made by a program with other features, or does not go with the
-    /// table, whose bytes' hash is `hash`.
+    /// When the file is damaged, was made by a version with other features, or does not match the table with
+    /// the hash `hash`.
     pub fn beside(table: &Path, frames: &[TimedFrame], hash: u64) -> Result<Option<Self>> {
         let path = Self::path_for(table);
         if !path.exists() {
@@ -174,19 +173,20 @@ impl FeatureTable {
         }
         let found = Self::read(&path).with_context(|| {
             format!(
-                "{} is no feature table; make it anew with `entire features` or remove it",
+                "{} is no feature table; make it again with `entire features` or remove it",
                 path.display()
             )
         })?;
         ensure!(
             is_understood(found.schema),
-            "{} holds features of another version of this program, which need not mean what this version's \
-             do; make it anew with `entire features` or remove it",
+            "{} was made by another version of this program, whose features may differ; make it again with \
+             `entire features` or remove it",
             path.display()
         );
         ensure!(
             found.table == hash,
-            "{} was made of another table than {} is now; make it anew with `entire features` or remove it",
+            "{} does not belong to the present content of {}; make it again with `entire features` or remove \
+             it",
             path.display(),
             table.display()
         );
@@ -199,7 +199,7 @@ impl FeatureTable {
             });
             ensure!(
                 fits,
-                "{} does not go with {}: frame {} is missing or has another size or step; make it anew with \
+                "{} does not match {}: frame {} is missing or has another size or step; make it again with \
                  `entire features`",
                 path.display(),
                 table.display(),
@@ -216,15 +216,15 @@ impl FeatureTable {
     /// Reads a file's bytes, decompressed.
     ///
     /// # Errors
-    /// Says what is wrong, with line and column where it is a field.
+    /// Names the error, with line and column if it is in a field.
     pub fn parse(bytes: &[u8]) -> Result<Self> {
         let bytes = without_mark(bytes);
         let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |i| i + 1);
         let (schema, table, rows) =
             std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {
                 format!(
-                    "its first line is not {MARK:?} with schema, table and frames, so that nothing tells \
-                what its features mean"
+                    "its first line is not {MARK:?} with schema, table and frames, so its features are \
+                unknown"
                 )
             })?;
         let mut reader = csv::ReaderBuilder::new().from_reader(&bytes[end..]);
@@ -253,7 +253,7 @@ impl FeatureTable {
     }
 }
 
-/// Schema, table and number of frames that the first line tells.
+/// Schema, table and number of frames in the first line.
 fn made_of(line: &str) -> Option<(u64, u64, usize)> {
     let words: Vec<&str> = line.strip_prefix(MARK)?.split_whitespace().collect();
     let ["schema", schema, "table", table, "frames", rows] = words[..] else { return None };
@@ -302,8 +302,8 @@ mod tests {
         assert!(message.contains("another version") && message.contains("`entire features`"), "{message}");
     }
 
-    /// Fails when the core computes other values than those that kept tables hold: raise [`VERSION`] then,
-    /// make the kept tables anew with `entire features`, and put the new hash here.
+    /// Fails when the core computes other values than stored tables hold: then raise [`VERSION`], make the
+    /// stored tables again with `entire features`, and put the new hash here.
     #[test]
     fn this_version_stands_for_these_values() {
         use crate::volume::{Volume, VolumeData};

@@ -1,4 +1,4 @@
-//! What a table was measured with and how.
+//! Manifest of a table: machine, renderer and settings of its measurement.
 
 use super::feature_table::stem;
 use crate::files::{read_text, write_whole};
@@ -15,7 +15,7 @@ pub const MANIFEST_FORMAT: &str = "entire-timings-1";
 /// Largest manifest that is read, in bytes.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
-/// What was measured, with what and how. Written beside the table as `NAME.manifest.json`.
+/// Machine, renderer and settings of a measurement. Written beside the table as `NAME.manifest.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// [`MANIFEST_FORMAT`].
@@ -37,15 +37,15 @@ pub struct Manifest {
     pub seed: u64,
     /// Repeats per frame.
     pub repeats: u32,
-    /// What one reference step is.
+    /// Length of one reference step.
     pub step_reference: String,
-    /// Everything else that the collector was told, free form.
+    /// All other settings of the collector, free form.
     #[serde(default)]
     pub settings: serde_json::Value,
-    /// What the volumes' files were, by the volumes' names in the table; empty where that was not kept.
+    /// Identities of the volumes' files, by the volumes' names in the table; empty where they were not kept.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, Vec<Identity>>,
-    /// Keys that this version does not know, kept as they are.
+    /// Keys that this version does not know, kept unchanged.
     #[serde(flatten)]
     pub other: BTreeMap<String, serde_json::Value>,
 }
@@ -69,8 +69,8 @@ impl Manifest {
         write_whole(&path, text.as_bytes())
     }
 
-    /// What tells a volume's files now from those that the frames were measured with, if anything; nothing where
-    /// the manifest does not say what they were.
+    /// Difference between a volume's files and those that the frames were measured with; `None` for the same
+    /// files, and where the manifest does not have them.
     ///
     /// # Errors
     /// When a file cannot be read.
@@ -81,10 +81,10 @@ impl Manifest {
         }
     }
 
-    /// Options by which the table's volumes were read.
+    /// Options of reading the table's volumes.
     ///
     /// # Errors
-    /// When it says so in a way that this version does not know.
+    /// When their stored form is unknown to this version.
     pub fn reading(&self) -> Result<Reading> {
         match self.settings.get("reading") {
             Some(reading) => serde_json::from_value(reading.clone()).context("settings.reading"),
@@ -95,7 +95,7 @@ impl Manifest {
     /// Reads the manifest beside `table`; `None` when there is none.
     ///
     /// # Errors
-    /// When it exists but is no manifest that this version reads.
+    /// When it exists but this version cannot read it.
     pub fn read(table: &Path) -> Result<Option<Self>> {
         let path = Self::path_for(table);
         if !path.try_exists().with_context(|| format!("cannot read {}", path.display()))? {
@@ -109,7 +109,7 @@ impl Manifest {
     /// Reads a manifest's text.
     ///
     /// # Errors
-    /// When it is no manifest that this version reads.
+    /// When this version cannot read it.
     pub fn parse(text: &str) -> Result<Self> {
         let manifest: Self = serde_json::from_str(text)?;
         ensure!(

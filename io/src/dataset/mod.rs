@@ -1,5 +1,5 @@
-//! Frame timings on disk: one CSV row per repeat of a frame, a JSON manifest beside it, and the frames that
-//! come back when repeats are grouped.
+//! Timing tables on disk: one CSV row per repeat of a frame, a JSON manifest beside it, and repeats grouped
+//! into frames in memory.
 //!
 //! Columns, in this order (see [`COLUMNS`]): the frame and repeat numbers; the volume's path, its ensemble
 //! member, time step and size; the camera (arcball degrees, distance in bounding-sphere radii, vertical field

@@ -1,4 +1,4 @@
-//! What a frame shows, and its modes and transfer function as text.
+//! Scene of a frame, with its modes and transfer function as text.
 
 use anyhow::{Result, anyhow, bail, ensure};
 use entire_core::scene::{
@@ -6,14 +6,14 @@ use entire_core::scene::{
 };
 use std::fmt::Write as _;
 
-/// What a frame shows: everything that is known before it is drawn.
+/// Scene of a frame: all that is known before it is drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// The volume file, as the collector was given it.
+    /// The volume file, as it was given to the collector.
     pub volume: String,
     /// The ensemble member (or any other name of a group of related volumes). Empty when there is none.
     pub member: String,
-    /// The time step within the member, where there is one.
+    /// The time step within the member, if there is one.
     pub time_step: Option<u32>,
     /// Voxels along x, y, z.
     pub dims: [u32; 3],
@@ -27,9 +27,9 @@ pub struct Scene {
     pub height: u32,
     /// Ray step in reference steps.
     pub step: f32,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Skipping of empty space.
     pub skipping: Skipping,
     /// Accumulated opacity at which a ray stops.
     pub termination: f32,
@@ -41,7 +41,7 @@ impl Scene {
     /// The frame that a renderer draws.
     ///
     /// # Errors
-    /// When a value lies outside what the core accepts; the message is the core's.
+    /// When the core refuses a value; the message is the core's.
     pub fn to_frame(&self) -> Result<Frame> {
         let camera = Camera::from_arcball(self.camera)?.with_fov_y_degrees(self.fov_y_degrees)?;
         Ok(Frame {
@@ -112,7 +112,7 @@ pub fn parse_skipping(name: &str) -> Result<Skipping> {
 /// Reads Gaussian lobes from `c w h;c w h;…`. An empty text is no lobe.
 ///
 /// # Errors
-/// When a lobe has another number of parts than three, or one is no number.
+/// When a lobe does not have three parts, or one is no number.
 pub fn parse_lobes(text: &str) -> Result<Vec<GaussianLobe>> {
     text.split(';')
         .map(str::trim)
@@ -131,7 +131,7 @@ pub fn parse_lobes(text: &str) -> Result<Vec<GaussianLobe>> {
         .collect()
 }
 
-/// Writes Gaussian lobes so that [`parse_lobes`] gives back the same bits.
+/// Writes Gaussian lobes; [`parse_lobes`] returns the same bits.
 pub fn format_lobes(lobes: &[GaussianLobe]) -> String {
     let mut text = String::new();
     for (i, l) in lobes.iter().enumerate() {

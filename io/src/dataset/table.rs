@@ -1,4 +1,4 @@
-//! Timing tables, read: rows grouped into frames, every wrong field named with its line and column.
+//! Reading of timing tables: rows grouped into frames, every wrong field named with its line and column.
 
 use super::feature_table::FeatureTable;
 use super::{Manifest, Scene, TimedFrame, Timing, parse_lobes, parse_shading, parse_skipping};
@@ -42,17 +42,17 @@ pub const COLUMNS: [&str; 26] = [
 /// A timing table in memory, repeats grouped into frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    /// Where it was read from.
+    /// Its file.
     pub path: PathBuf,
-    /// Its manifest, where there is one.
+    /// Its manifest, if there is one.
     pub manifest: Option<Manifest>,
     /// Its frames, in the order in which they first appear.
     pub frames: Vec<TimedFrame>,
     /// FNV-1a hash of the CSV's bytes, decompressed.
     pub hash: u64,
-    /// What was computed about its frames, where that is kept beside it.
+    /// Scene features of its frames, where they are kept beside it.
     pub features: Option<FeatureTable>,
-    /// Where its volume names start from, where it is neither the working folder nor the table's.
+    /// Folder of its volumes, if it is neither the working folder nor the table's.
     pub root: Option<PathBuf>,
 }
 
@@ -61,15 +61,15 @@ impl Table {
     /// end in `.gz` are decompressed.
     ///
     /// # Errors
-    /// When a file cannot be read, a column is missing, or a row holds something that it may not; the message
-    /// names file, line and column.
+    /// When a file cannot be read, a column is missing, or a row holds an invalid value; the message names
+    /// file, line and column.
     pub fn read(path: &Path, index: usize) -> Result<Self> {
         let mut table = Self::read_without_features(path, index)?;
         table.features = FeatureTable::beside(path, &table.frames, table.hash)?;
         Ok(table)
     }
 
-    /// As [`Table::read`], passing over features kept beside the table.
+    /// As [`Table::read`], without the features beside the table.
     ///
     /// # Errors
     /// As [`Table::read`].
@@ -91,14 +91,14 @@ impl Table {
         })
     }
 
-    /// How many passes the repeats of its frames come in, as its manifest says; 1 where it says nothing.
+    /// Number of passes of its repeats, from the manifest; 1 where it does not say.
     pub fn passes(&self) -> usize {
         let stated = self.manifest.as_ref().and_then(|m| m.settings.get("passes")?.as_u64());
         stated.and_then(|p| usize::try_from(p).ok()).unwrap_or(1).max(1)
     }
 
-    /// Finds a frame's volume file: the name below the root where one is set, the name as it stands, else
-    /// relative to the table's folder.
+    /// Finds a frame's volume file: the name below the root if one is set, the name itself, else relative to
+    /// the table's folder.
     pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {
         if let Some(below) = self.root.as_ref().map(|r| r.join(name)).filter(|p| p.exists()) {
             return Some(below);
@@ -115,7 +115,7 @@ impl Table {
 /// Reads several tables.
 ///
 /// # Errors
-/// As [`Table::read`]; also when they hold no frame at all.
+/// As [`Table::read`]; also when they hold no frame.
 pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
     let tables: Vec<Table> =
         paths.iter().enumerate().map(|(i, p)| Table::read(p, i)).collect::<Result<_>>()?;
@@ -130,7 +130,7 @@ pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
 /// Reads a timing table's bytes; `table` is stored in each frame.
 ///
 /// # Errors
-/// Names line and column of what is wrong.
+/// Names line and column of the error.
 pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     let mut reader = csv::ReaderBuilder::new().from_reader(bytes);
     let headers = reader.headers().context("the header line cannot be read")?.clone();
@@ -147,14 +147,14 @@ pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
         let (number, repeat, scene, measurement) = row.read().with_context(|| format!("line {line}"))?;
         ensure!(
             seen.insert((number, repeat)),
-            "line {line}: frame {number}, repeat {repeat} stands there twice; remove one"
+            "line {line}: frame {number}, repeat {repeat} appears twice; remove one"
         );
         match by_number.get(&number) {
             Some(&i) => {
                 ensure!(
                     frames[i].scene == scene,
-                    "line {line}: repeat {repeat} of frame {number} shows another scene than its earlier \
-                     rows; give it another frame number"
+                    "line {line}: repeat {repeat} of frame {number} has another scene than its earlier rows; \
+                     give it another frame number"
                 );
                 frames[i].repeats.push(measurement);
             }
@@ -167,7 +167,7 @@ pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     Ok(frames)
 }
 
-/// Where the columns of these names are; the first name that is missing.
+/// Positions of the columns with these names; the first missing name as error.
 pub(super) fn positions<const N: usize>(
     headers: &csv::StringRecord,
     names: [&'static str; N],
@@ -179,7 +179,7 @@ pub(super) fn positions<const N: usize>(
     Ok(at)
 }
 
-/// Why a record cannot be read, with its line.
+/// Reason why a record cannot be read, with its line.
 pub(super) fn unreadable(error: &csv::Error) -> anyhow::Error {
     match error.position() {
         Some(p) => anyhow!("line {}: {}", p.line(), describe(error)),

@@ -1,4 +1,4 @@
-//! Tables, manifests and noise floors, written and read back.
+//! Tables, manifests and noise floors, written and read again.
 
 use super::table::parse;
 use super::*;
@@ -223,7 +223,7 @@ fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
     let frames: Vec<TimedFrame> = (0..2000u32)
         .map(|i| {
             let seconds = 1e-3 * 1.005f64.powi(i as i32 / 2);
-            // A first repeat that is slower where frames are quick; a second pass 10 % slower than the first.
+            // A first repeat that is slower for fast frames; a second pass 10 % slower than the first.
             let warm_up = if i < 600 { 0.4 } else { 0.05 };
             let tail = if i % 50 == 0 { 2.0 } else { 0.0 };
             let logs: Vec<f64> = [0.0, 0.1]
@@ -267,10 +267,10 @@ fn frames_without_the_clock_are_left_out_by_number() {
     assert_eq!(timed(&tables, Clock::Cpu, None).unwrap().len(), 1);
     assert_eq!(left_out(&tables, Clock::Wall, None), None);
     assert_eq!(left_out(&tables, Clock::Cpu, Some(Shading::Scatter)), None);
-    // Where nothing is left it is an error.
+    // Without any frame left it is an error.
     assert_eq!(left_out(&tables, Clock::Device, None), None);
     assert!(timed(&tables, Clock::Device, None).unwrap_err().to_string().contains("choose another --clock"));
-    // No clock has them all.
+    // No clock has times of all frames.
     let lone = Timing { cpu: Some(0.2), ..Timing::default() };
     let tables = [table(vec![frame(0, vec![lone]), frame(1, vec![without])])];
     let text = left_out(&tables, Clock::Wall, None).unwrap();

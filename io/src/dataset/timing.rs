@@ -1,4 +1,4 @@
-//! How long frames took: repeats by every clock, their median, and how far they scatter.
+//! Times of frames: repeats by every clock, their median, and their scatter.
 
 use super::{Scene, Table, parse_lobes};
 use crate::metrics::{median, percentile};
@@ -8,7 +8,7 @@ use entire_steer::predict::LONGEST_FRAME;
 use entire_vk_raycaster::{FrameTime, WorkCounts};
 use serde::{Deserialize, Serialize};
 
-/// The timing of one repeat of a frame: the seconds by each clock that there was, and what was counted.
+/// One repeat of a frame: seconds by each available clock, and work counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Timing {
     /// Between device timestamps, seconds.
@@ -17,7 +17,7 @@ pub struct Timing {
     pub wall: Option<f64>,
     /// CPU time of the process, all threads, seconds.
     pub cpu: Option<f64>,
-    /// What the frame did, where the renderer counted.
+    /// Work counts of the frame, where the renderer counted.
     pub counts: Option<WorkCounts>,
 }
 
@@ -27,7 +27,7 @@ impl Timing {
         Self { device: time.device, wall: Some(time.wall), cpu: time.cpu, counts }
     }
 
-    /// The seconds by a clock, or `None` where it was not read.
+    /// The seconds by a clock, or `None` if it was not read.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {
         match clock {
             Clock::Auto => self.device.or(self.wall),
@@ -50,16 +50,16 @@ impl Timing {
         }
         ensure!(
             self.device.is_some() || self.wall.is_some() || self.cpu.is_some(),
-            "no clock was read; at least one of seconds_device, seconds_wall, seconds_cpu is needed"
+            "there is no time; at least one of seconds_device, seconds_wall, seconds_cpu is needed"
         );
         Ok(())
     }
 }
 
-/// Which clock counts as a frame's time.
+/// Clock that gives a frame's time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Clock {
-    /// The device's timestamps where there are any, else wall time.
+    /// The device's timestamps, else wall time.
     #[default]
     Auto,
     /// Device timestamps.
@@ -85,18 +85,18 @@ impl Clock {
 /// A frame with all its repeats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedFrame {
-    /// Which of the loaded tables it comes from.
+    /// Index of its table.
     pub table: usize,
     /// Its number in that table.
     pub number: u64,
-    /// What it shows.
+    /// The scene.
     pub scene: Scene,
     /// Every repeat, in file order.
     pub repeats: Vec<Timing>,
 }
 
 impl TimedFrame {
-    /// A frame of a volume that no file needs to hold, never timed: for tests of what reads tables.
+    /// A frame without a volume file and without times, for tests.
     #[doc(hidden)]
     pub fn of_no_volume(volume: &str, member: &str) -> Self {
         let scene = Scene {
@@ -117,16 +117,16 @@ impl TimedFrame {
         Self { table: 0, number: 0, scene, repeats: Vec::new() }
     }
 
-    /// Median of the repeats by a clock (mean of the middle two where their number is even), over the repeats
-    /// that have it and are longer than zero; `None` when there are none.
+    /// Median of the repeats by a clock (mean of the middle two for an even number), over the repeats that
+    /// have it and are longer than zero; `None` without any.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {
         let mut seconds: Vec<f64> =
             self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
         median(&mut seconds)
     }
 
-    /// Seconds of the frame when nothing disturbs it. Others on the machine lengthen wall time and never shorten it,
-    /// so that the lower quartile of the repeats counts; by other clocks, as [`TimedFrame::seconds`].
+    /// Seconds of the frame without disturbance. Other programs lengthen wall time and never shorten it, so
+    /// by wall time it is the lower quartile of the repeats; by other clocks, it is [`TimedFrame::seconds`].
     pub fn undisturbed(&self, clock: Clock) -> Option<f64> {
         if clock != Clock::Wall {
             return self.seconds(clock);
@@ -136,7 +136,7 @@ impl TimedFrame {
         (!seconds.is_empty()).then(|| percentile(&seconds, 0.25))
     }
 
-    /// The counts, where any repeat was counted.
+    /// The work counts of the first repeat that has them.
     pub fn counts(&self) -> Option<WorkCounts> {
         self.repeats.iter().find_map(|r| r.counts)
     }
@@ -151,7 +151,7 @@ pub struct Timed<'a> {
     pub seconds: &'a [f64],
 }
 
-/// Frames that have seconds by the clock (and the shading asked for), with those seconds.
+/// Frames that have seconds by the clock (and the requested shading), with those seconds.
 ///
 /// # Errors
 /// When there are none.
@@ -172,8 +172,8 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
     Ok(frames)
 }
 
-/// What is to be said of the frames that [`timed`] leaves out because they have no seconds by the clock; `None`
-/// where it leaves out none of them, or all.
+/// Note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` where it leaves
+/// out none of them, or all.
 pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Option<String> {
     let frames: Vec<&TimedFrame> = tables
         .iter()
@@ -195,31 +195,30 @@ pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Opt
         names => format!(", or choose a clock that all frames have: --clock {}", names.join(" or ")),
     };
     Some(format!(
-        "{missing} of {} frames are left out, which have no seconds by the clock {}; measure that clock in every \
-         frame{instead}",
+        "{missing} of {} frames are left out, since they have no {} time; measure it in every frame{instead}",
         frames.len(),
         clock.name()
     ))
 }
 
-/// How far repeats of one frame scatter: the floor under every predictor's error. Robust: every number is a
-/// median, so that no tail of disturbed repeats lifts it.
+/// Scatter of repeats of one frame, which is the floor of every predictor's error. Every number is a median,
+/// and so robust to disturbed repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a
-    /// frame in the same pass (of different passes where a pass has one repeat), over 0.6745·√2, as it is of
-    /// a normal distribution. What the repeats of frames of like duration have in common by their place, such
-    /// as a slow first one, is taken out before.
+    /// frame in the same pass (of different passes where a pass has one repeat), over 0.6745·√2, as for a
+    /// normal distribution. The common trend of repeats by their order, such as a slow first one, is removed
+    /// before, among frames of similar duration.
     pub log_sd: f64,
     /// The same for the median of each frame's repeats, taking its standard error as sqrt(π/2) times the
     /// mean's for three repeats or more, and the mean's for two.
     pub log_sd_of_median: f64,
     /// Median over repeats of |t − frame median| / frame median.
     pub median_relative_deviation: f64,
-    /// Median over frames of ln(first repeat / last one) within a pass: what warming up costs.
+    /// Median over frames of ln(first repeat / last one) within a pass: the cost of warming up.
     pub warm_up: f64,
-    /// Largest less smallest of the passes' medians of ln(pass median / geometric mean of the frame's pass
-    /// medians): how far the machine drifted. `None` for a single pass.
+    /// Range of the passes' medians of ln(pass median / geometric mean of the frame's pass medians): drift of
+    /// the machine. `None` for a single pass.
     pub drift: Option<f64>,
     /// Frames with at least two repeats.
     pub frames: usize,
@@ -231,8 +230,8 @@ impl NoiseFloor {
         let drift =
             self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
         format!(
-            "repeats of one frame scatter with a log-SD of {:.4} (median of repeats about {:.4}), the first \
-             takes {:.1} % longer than the last{drift}; {} repeated frames",
+            "log-SD of a repeat {:.4} (of the median of repeats {:.4}), the first repeat takes {:.1} % \
+             longer than the last{drift}; {} repeated frames",
             self.log_sd,
             self.log_sd_of_median,
             100.0 * self.warm_up.exp_m1(),
@@ -240,16 +239,16 @@ impl NoiseFloor {
         )
     }
 
-    /// The median of |predicted / measured − 1| that knowing the truth would leave.
+    /// The median of |predicted / measured − 1| of perfect predictions.
     pub fn mdape(&self) -> f64 {
         0.6745 * self.log_sd_of_median
     }
 }
 
-/// Fewest frames of like duration whose common trend is told from noise.
+/// Minimum number of frames of similar duration for estimating their common trend.
 const TREND_FRAMES: usize = 20;
 
-/// ln(seconds) of every repeat of a frame that has at least two, and the passes that they come in.
+/// ln(seconds) of every repeat of a frame that has at least two, and their number of passes.
 struct Logs {
     repeats: Vec<f64>,
     median: f64,
@@ -260,7 +259,7 @@ impl Logs {
     fn of(frame: &TimedFrame, clock: Clock, passes: usize) -> Option<Self> {
         let repeats: Vec<f64> =
             frame.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).map(f64::ln).collect();
-        // Repeats without a time leave none that stand for a pass.
+        // Without the times of some repeats, repeats cannot be assigned to passes.
         let whole = repeats.len() == frame.repeats.len() && repeats.len().is_multiple_of(passes);
         let median = median(&mut repeats.clone())?;
         (repeats.len() > 1).then_some(Self { repeats, median, passes: if whole { passes } else { 1 } })
@@ -271,8 +270,8 @@ impl Logs {
     }
 }
 
-/// The repeat-to-repeat noise by a clock, or `None` when no frame was repeated. `passes` says how many passes
-/// the repeats of a frame come in, as its table's manifest does ([`Table::passes`]).
+/// The noise of repeats by a clock, or `None` when no frame was repeated. `passes` is the number of passes of
+/// a frame's repeats, from its table's manifest ([`Table::passes`]).
 pub fn noise_floor<'a>(
     frames: impl IntoIterator<Item = &'a TimedFrame>,
     clock: Clock,
@@ -320,7 +319,7 @@ pub fn noise_floor<'a>(
     })
 }
 
-/// Takes out what repeats have in common by their place, among frames of like duration. `logs` is ordered by
+/// Removes the common trend of repeats by their order, among frames of similar duration. `logs` is ordered by
 /// duration.
 fn without_trend(logs: &mut [Logs]) {
     let parts = (logs.len() / TREND_FRAMES).min(10);

@@ -1,4 +1,4 @@
-//! Timing tables, written frame by frame.
+//! Writing of timing tables, frame by frame.
 
 use super::table::parse;
 use super::{COLUMNS, Scene, Timing, format_lobes};
@@ -10,8 +10,8 @@ use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Appends frames to a timing table. Each frame goes out in one piece and is flushed to disk, so that a crash
-/// loses at most the frame in flight. The table is locked for as long: two writers would mix their rows.
+/// Appends frames to a timing table. Each frame is written in one piece and flushed to disk, so that a crash
+/// loses at most the current frame. The table is locked meanwhile: two writers would mix their rows.
 #[derive(Debug)]
 pub struct Writer {
     file: File,
@@ -37,8 +37,8 @@ impl Writer {
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
 
-    /// Whether a file holds no frame yet: it is not there, or was cut off within its first line or right
-    /// after it.
+    /// True if a file holds no frame: it does not exist, or was cut off within its first line or right after
+    /// it.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -54,8 +54,8 @@ impl Writer {
         Ok(header.as_bytes().starts_with(&start))
     }
 
-    /// Goes on with a table (or starts it where there is none). A last line that was cut off, and a last
-    /// frame with fewer than `repeats` repeats, are removed.
+    /// Continues a table (or starts it if it does not exist). A last line that was cut off, and a last frame
+    /// with fewer than `repeats` repeats, are removed.
     ///
     /// # Errors
     /// When the file is no timing table, has its columns in another order, or cannot be written.
@@ -101,7 +101,7 @@ impl Writer {
     /// Appends a frame with all its repeats, numbered from 0.
     ///
     /// # Errors
-    /// When the scene or a measurement is not valid, the frame is there already, or the disk refuses.
+    /// When the scene or a measurement is not valid, the frame exists already, or the disk refuses.
     pub fn append(&mut self, number: u64, scene: &Scene, repeats: &[Timing]) -> Result<()> {
         scene.check().with_context(|| format!("frame {number}"))?;
         ensure!(!repeats.is_empty(), "frame {number} has no repeat");
@@ -153,7 +153,7 @@ impl Writer {
     }
 }
 
-/// Takes the table for this process alone. The lock goes with the process, however that ends.
+/// Locks the table for this process. The lock ends with the process, however that ends.
 fn lock(file: &File, path: &Path) -> Result<()> {
     match try_lock(file) {
         Ok(()) => Ok(()),
@@ -161,7 +161,7 @@ fn lock(file: &File, path: &Path) -> Result<()> {
             "{} is being written by another process; wait until that has ended, or choose another name",
             path.display()
         ),
-        // Some network file systems know no locks: then nobody can be kept out.
+        // Some network file systems have no locks: then other writers cannot be excluded.
         Err(std::fs::TryLockError::Error(e)) if e.kind() == std::io::ErrorKind::Unsupported => Ok(()),
         Err(std::fs::TryLockError::Error(e)) => {
             Err(e).with_context(|| format!("cannot lock {}", path.display()))

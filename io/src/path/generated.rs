@@ -1,10 +1,10 @@
-//! Paths that are made to fit a volume's value distribution.
+//! Paths that are generated from a volume's value distribution.
 
 use super::{CameraPose, Keyframe, Lobe, MAX_FRAMES, PATH_FORMAT, PathFile, Transfer};
 use anyhow::{Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, VolumeView};
 
-/// Paths that are made to fit a volume.
+/// Paths that are generated for a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Generated {
     /// An orbit with three abrupt transfer-function switches.
@@ -13,7 +13,7 @@ pub enum Generated {
     Orbit,
     /// A slow orbit while a lobe is dragged over the scalar range and back.
     Drag,
-    /// From afar into the volume and out again.
+    /// From far away into the volume and out again.
     FlyIn,
     /// Two switches of the camera and one of the transfer function.
     Cuts,
@@ -94,14 +94,14 @@ impl Generated {
     }
 }
 
-/// The value distribution of a volume, background apart.
+/// The value distribution of a volume without its background.
 struct Values {
     sorted: Vec<f32>,
 }
 
 impl Values {
-    /// From up to 100 000 voxels, evenly spread. Voxels at the low end of the range are taken for background
-    /// where enough others are left.
+    /// From up to 100 000 evenly spread voxels. Voxels at the low end of the range count as background if
+    /// enough others are left.
     fn of(volume: &VolumeView<'_>) -> Self {
         let [nx, ny, nz] = volume.shape().dims;
         let stride = (volume.shape().voxels / 100_000).max(1);
@@ -139,12 +139,12 @@ impl Values {
         self.lobes([(0.7, 0.004, 0.1), (0.85, 0.004, 0.15), (0.97, 0.01, 0.3)])
     }
 
-    /// A thin haze over everything: rays go all the way.
+    /// A thin haze over everything: no ray ends early.
     fn haze(&self) -> Transfer {
         self.lobes([(0.2, 0.01, 0.002), (0.5, 0.01, 0.003), (0.9, 0.005, 0.01)])
     }
 
-    /// The highest values alone: much to skip.
+    /// Only the highest values: most blocks are skipped.
     fn core(&self) -> Transfer {
         self.lobes([(0.985, 0.0008, 0.3), (0.993, 0.0008, 0.6), (0.999, 0.0015, 0.9)])
     }

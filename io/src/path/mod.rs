@@ -1,4 +1,4 @@
-//! Paths: what a user looks at, frame by frame. Camera and transfer function are given at keyframes and
+//! Paths: camera and transfer function of a user, frame by frame. They are given at keyframes and
 //! interpolated in between, or switch abruptly.
 //!
 //! # File format
@@ -8,7 +8,7 @@
 //! * `format`, required: `"entire-path-1"`.
 //! * `name`: a name for reports.
 //! * `frames`, required: number of frames, 1 to 1 000 000.
-//! * `fov_y_deg`: vertical field of view, degrees; 45 where it is not given.
+//! * `fov_y_deg`: vertical field of view, degrees; default 45.
 //! * `keyframes`, required: array of keyframes, `frame` ascending, the first at frame 0 with camera and
 //!   transfer function.
 //!
@@ -16,18 +16,20 @@
 //!
 //! * `frame`, required: frame number from 0.
 //! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the
-//!   distance in bounding-sphere radii. With `"parallel_scale": …` besides, its projection is parallel
-//!   (orthographic): half of the height that is seen, in bounding-sphere radii, in place of the field of view.
+//!   distance in bounding-sphere radii. With an additional `"parallel_scale": …` the projection is parallel
+//!   (orthographic), and this is half of the visible height in bounding-sphere radii, instead of the field of
+//!   view.
 //! * `transfer`, required at frame 0: `{"lobes": [{"center": …, "width": …, "height": …}, …]}` or
 //!   `{"points": [{"position": …, "color": [r, g, b], "opacity": …}, …]}`.
-//! * `switch`: with `true`, what this keyframe gives holds from its frame on at once, and the former value
-//!   before.
+//! * `switch`: with `true`, this keyframe takes effect at once at its frame, and the previous value holds
+//!   until then.
 //!
 //! Camera and transfer function are two tracks; a keyframe may give either or both. Between keyframes of a
-//! track, angles go linearly in degrees as they stand (0 to 720 is two turns), the distance and the parallel
-//! scale in their logarithms; lobes go in pairs by position in the list: center and height linearly, width in its logarithm; points go
-//! in pairs, every number linearly. Two transfer functions of different kinds or lengths cannot be
-//! interpolated, and neither can a perspective and a parallel camera; the later one must switch.
+//! track, angles are interpolated linearly in degrees (0 to 720 is two turns), the distance and the parallel
+//! scale in their logarithms. Lobes are paired by their position in the list: center and height are linear,
+//! width in its logarithm; points are paired too, with every number linear. Two transfer functions of
+//! different kinds or lengths cannot be interpolated, nor can a perspective and a parallel camera; the later
+//! one must switch.
 
 mod generated;
 mod target;
@@ -50,16 +52,16 @@ use std::sync::Arc;
 /// The `format` value.
 pub const PATH_FORMAT: &str = "entire-path-1";
 
-/// Most frames that a path may have.
+/// Maximum number of frames of a path.
 pub const MAX_FRAMES: u32 = 1_000_000;
 
-/// Most lobes or points of a transfer function: four for each entry of the table that it becomes.
+/// Maximum number of lobes or points of a transfer function: four for each entry of its table.
 pub const MAX_TRANSFER_PARTS: usize = 1024;
 
 /// Largest path file, in bytes.
 const MAX_PATH_BYTES: u64 = 64 << 20;
 
-/// A path as its file holds it.
+/// Contents of a path file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PathFile {
@@ -87,13 +89,13 @@ fn default_fov() -> f32 {
 pub struct Keyframe {
     /// Frame number from 0.
     pub frame: u32,
-    /// The camera, where this keyframe gives it.
+    /// The camera, if this keyframe gives it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraPose>,
-    /// The transfer function, where this keyframe gives it.
+    /// The transfer function, if this keyframe gives it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<Transfer>,
-    /// Whether it takes effect at once.
+    /// True if it takes effect at once.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub switch: bool,
 }
@@ -108,7 +110,8 @@ pub struct CameraPose {
     pub ry_deg: f32,
     /// Distance, bounding-sphere radii.
     pub dz_radii: f32,
-    /// Half of the height that a parallel projection shows, bounding-sphere radii; none for a perspective one.
+    /// Half of the visible height of a parallel projection, bounding-sphere radii; none for a perspective
+    /// one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parallel_scale: Option<f32>,
 }
@@ -127,11 +130,11 @@ pub enum Transfer {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lobe {
-    /// Where it peaks.
+    /// Position of the peak.
     pub center: f32,
-    /// How wide it is.
+    /// Width of the lobe.
     pub width: f32,
-    /// How high it is.
+    /// Height of the lobe.
     pub height: f32,
 }
 
@@ -148,7 +151,7 @@ pub struct Point {
 }
 
 impl Transfer {
-    /// The lobes, where there are such.
+    /// The lobes, if the function consists of lobes.
     pub fn lobes(&self) -> Option<Vec<GaussianLobe>> {
         match self {
             Self::Lobes(lobes) => Some(
@@ -161,7 +164,7 @@ impl Transfer {
         }
     }
 
-    /// As the core has it.
+    /// The core's transfer function.
     pub fn function(&self) -> TransferFunction {
         match self {
             Self::Points(points) => TransferFunction::Points(
@@ -212,7 +215,7 @@ impl Transfer {
 impl CameraPose {
     fn mix(self, other: Self, t: f32) -> Self {
         let go = |a: f32, b: f32| a + t * (b - a);
-        // Rounding must not carry it beyond its ends, where a camera may be refused.
+        // Rounding must not move the value beyond its ends, where a camera may be refused.
         let grow = |a: f32, b: f32| go(a.ln(), b.ln()).exp().clamp(a.min(b), a.max(b));
         Self {
             rx_deg: go(self.rx_deg, other.rx_deg),
@@ -222,20 +225,20 @@ impl CameraPose {
         }
     }
 
-    /// As the core has it.
+    /// The core's camera position.
     pub fn arcball(self) -> Arcball {
         Arcball { rx: self.rx_deg, ry: self.ry_deg, dz: self.dz_radii }
     }
 }
 
-/// The transfer function of a frame: where it lies between keyframes. It is worked out when it is asked for,
-/// so that a long path takes no more memory than its keyframes and cameras.
+/// The transfer function of a frame, as a position between keyframes. It is computed on request, so that a
+/// long path takes no more memory than its keyframes and cameras.
 #[derive(Clone, Debug)]
 pub struct TransferAt {
     keys: Arc<[(u32, bool, Transfer)]>,
     /// The keyframe at or before the frame.
     key: usize,
-    /// How far it lies on the way to the next keyframe.
+    /// Share of the way to the next keyframe.
     share: f32,
 }
 
@@ -249,12 +252,12 @@ impl TransferAt {
         }
     }
 
-    /// As the core has it.
+    /// The core's transfer function.
     pub fn function(&self) -> TransferFunction {
         self.get().function()
     }
 
-    /// The lobes, where there are such.
+    /// The lobes, if the function consists of lobes.
     pub fn lobes(&self) -> Option<Vec<GaussianLobe>> {
         self.get().lobes()
     }
@@ -272,20 +275,21 @@ impl PartialEq for TransferAt {
 pub struct PathFrame {
     /// The camera's pose.
     pub camera: Arcball,
-    /// Half of the height that a parallel projection shows, bounding-sphere radii; none for a perspective one.
+    /// Half of the visible height of a parallel projection, bounding-sphere radii; none for a perspective
+    /// one.
     pub parallel_scale: Option<f32>,
     /// The transfer function.
     pub transfer: TransferAt,
-    /// Whether the transfer function differs from the frame before (true for the first).
+    /// True if the transfer function differs from the frame before (true for the first).
     pub transfer_changed: bool,
-    /// Whether the transfer function switched abruptly here.
+    /// True if the transfer function switched abruptly here.
     pub transfer_switched: bool,
-    /// Whether the camera jumped here.
+    /// True if the camera jumped here.
     pub camera_switched: bool,
 }
 
 impl PathFrame {
-    /// Whether anything switched abruptly here.
+    /// True if anything switched abruptly here.
     pub fn switched(&self) -> bool {
         self.transfer_switched || self.camera_switched
     }
@@ -306,7 +310,7 @@ impl PathFile {
     /// Reads a path file.
     ///
     /// # Errors
-    /// Names the file and what is wrong in it.
+    /// Names the file and the error in it.
     pub fn open(path: &Path) -> Result<Self> {
         let text = read_text(path, MAX_PATH_BYTES)
             .with_context(|| format!("cannot read the path {}", path.display()))?;
@@ -316,7 +320,7 @@ impl PathFile {
     /// Reads a path file's text.
     ///
     /// # Errors
-    /// What is wrong, with line and column where it is the JSON.
+    /// The error in the text, with line and column where it is in the JSON.
     pub fn parse(text: &str) -> Result<Self> {
         let file: Self = serde_json::from_str(text).map_err(|e| anyhow!("{e}"))?;
         ensure!(
@@ -327,10 +331,10 @@ impl PathFile {
         Ok(file)
     }
 
-    /// Checks the path and works out every frame.
+    /// Checks the path and computes every frame.
     ///
     /// # Errors
-    /// Names the keyframe, what is wrong and what is accepted.
+    /// Names the keyframe, the error and the accepted values.
     pub fn resolve(&self) -> Result<FlightPath> {
         ensure!(
             (1..=MAX_FRAMES).contains(&self.frames),
@@ -405,7 +409,7 @@ impl PathFile {
             let (key, share, transfer_switched) = at(&keys, index);
             let transfer = TransferAt { keys: keys.clone(), key, share };
             let transfer_changed = frames.last().is_none_or(|f| f.transfer != transfer);
-            // A change from a frame to the next that no keyframe calls a switch is a drag.
+            // A change between two frames without a switch at a keyframe is a drag.
             let real = |switched: bool| switched && index > 0;
             frames.push(PathFrame {
                 camera: camera.arcball(),
@@ -420,18 +424,18 @@ impl PathFile {
     }
 }
 
-/// The camera of a pose: with a parallel scale its projection is parallel, else it has the field of view, in
-/// degrees, which is checked in any case.
+/// The camera of a pose: with a parallel scale its projection is parallel, else it has the field of view in
+/// degrees, which is always checked.
 ///
 /// # Errors
-/// As the core's.
+/// Those of the core.
 pub fn camera(pose: Arcball, fov_y: f32, parallel_scale: Option<f32>) -> entire_core::Result<Camera> {
     let camera = Camera::from_arcball(pose)?.with_fov_y_degrees(fov_y)?;
     parallel_scale.map_or(Ok(camera), |scale| camera.with_parallel_scale(scale))
 }
 
-/// Where a frame lies on a track: the keyframe at or before it, the share of the way to the next one, and
-/// whether the track switched there.
+/// The position of a frame on a track: the keyframe at or before it, the share of the way to the next one,
+/// and true if the track switched there.
 fn at<T>(track: &[(u32, bool, T)], index: u32) -> (usize, f32, bool) {
     let next = track.partition_point(|(frame, _, _)| *frame <= index);
     let (frame, switch, _) = &track[next - 1];
@@ -448,7 +452,7 @@ impl FlightPath {
     /// Reads and checks a path file.
     ///
     /// # Errors
-    /// Names the file and what is wrong in it.
+    /// Names the file and the error in it.
     pub fn open(path: &Path) -> Result<Self> {
         let mut flight =
             PathFile::open(path)?.resolve().with_context(|| format!("{} is no path", path.display()))?;
@@ -461,13 +465,13 @@ impl FlightPath {
     /// The camera of a frame.
     ///
     /// # Errors
-    /// As the core's; none for a path that was [resolved](PathFile::resolve).
+    /// Those of the core; none for a path that was [resolved](PathFile::resolve).
     pub fn camera(&self, index: usize) -> Result<Camera> {
         let at = &self.frames[index];
         Ok(camera(at.camera, self.fov_y_degrees, at.parallel_scale)?)
     }
 
-    /// Frames where something switched abruptly.
+    /// Frames with an abrupt switch.
     pub fn switches(&self) -> Vec<usize> {
         (0..self.frames.len()).filter(|i| self.frames[*i].switched()).collect()
     }

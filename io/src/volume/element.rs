@@ -58,7 +58,7 @@ pub(crate) fn byte_count(dims: [usize; 3], element: Element) -> Result<u64> {
         .context("the sizes in the header multiply to more bytes than can be addressed")
 }
 
-/// Reads the voxels of a volume; memory grows with the bytes that really arrive.
+/// Reads the voxels of a volume; memory grows with the received bytes.
 ///
 /// # Errors
 /// Fewer bytes than the sizes and the type call for, or broken compression. States bytes expected and found.
@@ -98,7 +98,7 @@ pub(crate) fn read_voxels(
     })
 }
 
-/// As [`read_voxels`], of stored numbers that stand for `number * slope + intercept`, which is rounded once.
+/// As [`read_voxels`], for stored numbers that stand for `number * slope + intercept`, which is rounded once.
 ///
 /// # Errors
 /// As [`read_voxels`].
@@ -164,8 +164,8 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
     Ok(())
 }
 
-/// What stands behind the voxels: nothing; fewer bytes than the voxels have, which are left out with a note; or
-/// at least as many.
+/// Checks the bytes after the voxels: none; fewer than the voxels have, which are left out with a note; or at
+/// least as many, which is an error.
 ///
 /// # Errors
 /// When there are at least as many: then sizes or type in the header do not fit the data, or a second volume
@@ -180,7 +180,7 @@ pub(crate) fn expect_end(
     let behind = match stream.remaining() {
         Remaining::Exact(left) => left,
         Remaining::AtMost(_) => io::copy(&mut stream.take(expected), &mut io::sink())
-            .with_context(|| format!("{prefix}behind the voxels"))?,
+            .with_context(|| format!("{prefix}after the voxels"))?,
     };
     if behind == 0 {
         return Ok(None);
@@ -199,12 +199,12 @@ pub(crate) fn expect_end(
         );
     }
     Ok(Some(format!(
-        "{prefix}{behind} bytes behind the {expected} bytes of {x} x {y} x {z} voxels of {size} {bytes} are left \
-         out; check sizes and type in the header if there should be none"
+        "{prefix}{behind} bytes after the {expected} bytes of {x} x {y} x {z} voxels of {size} {bytes} are \
+         left out; check sizes and type in the header if there should be none"
     )))
 }
 
-/// Elements that are reserved before any byte was seen, and bytes converted at a time.
+/// Elements that are reserved before any byte was read, and bytes converted at a time.
 const CHUNK: usize = 1 << 16;
 
 fn bytes(stream: &mut Stream<'_>, voxels: usize) -> Result<Vec<u8>> {
@@ -245,7 +245,7 @@ fn collect<const BYTES: usize, T>(
     Ok(out)
 }
 
-/// Reserves everything at once where the bytes are known to be there.
+/// Reserves all memory at once if the bytes are known to exist.
 fn start<T>(out: &mut Vec<T>, stream: &Stream<'_>, voxels: usize) -> Result<()> {
     if matches!(stream.remaining(), Remaining::Exact(_)) {
         reserve(out, voxels)?;
@@ -253,7 +253,7 @@ fn start<T>(out: &mut Vec<T>, stream: &Stream<'_>, voxels: usize) -> Result<()> 
     Ok(())
 }
 
-/// Makes room for `more` elements, doubling, never beyond `total`.
+/// Reserves space for `more` elements, doubling, never beyond `total`.
 pub(crate) fn grow<T>(out: &mut Vec<T>, more: usize, total: usize) -> Result<()> {
     let needed = out.len() + more;
     if needed > out.capacity() {
@@ -273,7 +273,7 @@ fn reserve<T>(out: &mut Vec<T>, more: usize) -> Result<()> {
     Ok(())
 }
 
-/// Reads until `out` is full or the stream ends; how much was read.
+/// Reads until `out` is full or the stream ends; returns the number of bytes.
 fn fill(stream: &mut Stream<'_>, out: &mut [u8]) -> io::Result<usize> {
     let mut filled = 0;
     while filled < out.len() {
@@ -281,7 +281,7 @@ fn fill(stream: &mut Stream<'_>, out: &mut [u8]) -> io::Result<usize> {
             Ok(0) => break,
             Ok(count) => filled += count,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            // A compressed stream that stops in its middle.
+            // A compressed stream that ends early.
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => break,
             Err(error) => return Err(error),
         }
@@ -299,7 +299,7 @@ fn short(stream: &Stream<'_>, got: usize, voxels: usize, bytes: usize) -> anyhow
 
 fn broken(stream: &Stream<'_>, error: &io::Error, at: usize, voxels: usize, bytes: usize) -> anyhow::Error {
     anyhow::anyhow!(
-        "{}the voxels cannot be read behind byte {at} of {}: {error}; the file is damaged",
+        "{}the voxels cannot be read after byte {at} of {}: {error}; the file is damaged",
         stream.prefix(),
         voxels * bytes
     )
@@ -366,7 +366,7 @@ pub(crate) fn parse_voxels(
     })
 }
 
-/// The longest number in text; more is not one.
+/// The longest number in text; more characters are an error.
 const MAX_TOKEN: usize = 512;
 
 fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Option<T>) -> Result<Vec<T>> {

@@ -1,14 +1,13 @@
-//! Readers over arbitrary bytes: the one door of the fuzz targets and of the tests that replay what they
-//! found.
+//! Readers of arbitrary bytes: entry of the fuzz targets and of the tests that replay their findings.
 
 use super::stream::{Companions, Stream};
 use super::{Format, Volume};
 use anyhow::Result;
 
-/// Parts a header from the file that it names, in one input.
+/// Separates a header from the content of its data file, in one input.
 const SEPARATOR: &[u8] = b"\n--data--\n";
 
-/// The same bytes under whatever name a header asks for.
+/// The same bytes under any file name.
 struct AnyName<'a>(&'a [u8]);
 
 impl Companions for AnyName<'_> {

@@ -1,12 +1,12 @@
 //! MetaImage: lines of `Key = Value` that end with `ElementDataFile`, which names the file of the voxels
-//! (`.mhd`) or says `LOCAL`, the voxels then follow (`.mha`). Several files are named by `LIST [2D]`, with a name in
-//! each line that follows, or by `name%03d.raw FIRST LAST STEP`.
+//! (`.mhd`) or says `LOCAL` if the voxels follow (`.mha`). Several files are named by `LIST [2D]`, with a
+//! name in each further line, or by `name%03d.raw FIRST LAST STEP`.
 //!
-//! As in the format's own library, `HeaderSize` counts from the beginning of the file that holds the voxels, which is
-//! the header's own file with `LOCAL`; -1 says that the voxels are the last bytes of the file, or that it holds nothing
-//! but compressed voxels. Of two byte orders, `BinaryDataByteOrderMSB` counts.
+//! As in the format's own library, `HeaderSize` counts from the start of the file that holds the voxels,
+//! which is the header's own file with `LOCAL`; -1 says that the voxels are the last bytes of the file, or
+//! that it holds compressed voxels only. Of the two fields of byte order, `BinaryDataByteOrderMSB` counts.
 //!
-//! The project's own reader: the crate that reads MetaImage, `bioformats`, has neither voxels in text nor
+//! A reader of the project: the crate that reads MetaImage, `bioformats`, supports neither voxels in text nor
 //! 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
@@ -71,7 +71,7 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     Ok(Parts { data, dims, spacing, name: None, notes })
 }
 
-/// Reads the voxels of one file, or of one of several, from a stream that stands at that byte of it.
+/// Reads the voxels of one file, or of one of several, from a stream that is at their first byte.
 fn voxels(
     mut stream: Stream<'_>,
     header: &Header,
@@ -90,7 +90,7 @@ fn voxels(
         Err(_) if !header.binary => {
             bail!("MetaImage HeaderSize -1 is for binary data alone; state the number of bytes")
         }
-        // What follows the header, or the whole other file, is compressed.
+        // The rest of the file, or the whole data file, is compressed.
         Err(_) if header.compressed => {}
         Err(_) => {
             let expected = byte_count(dims, element)?;
@@ -158,7 +158,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
 }
 
 impl Header {
-    /// Takes one entry; whether it closes the header.
+    /// Takes one entry; returns true if it closes the header.
     fn set(&mut self, key: &str, value: &str) -> Result<bool> {
         match key {
             "ObjectType" if !value.eq_ignore_ascii_case("image") => {

@@ -2,18 +2,18 @@
 //! description.
 //!
 //! [`Volume::open`] picks the format by the file name's ending, else by the first bytes. Readers work on any
-//! [`Stream`], so they read files, memory and decompressed data alike, and never allocate more than the bytes
-//! that are really there call for: a header that claims a huge volume over a few bytes of data is an error,
-//! not an allocation.
+//! [`Stream`], so they read files, memory and decompressed data alike. They allocate in proportion to the
+//! bytes that really exist: a header that claims a huge volume over a few bytes of data is an error, not an
+//! allocation.
 //!
 //! # Bytes behind the voxels
 //!
-//! One rule for all formats, compressed or not: fewer bytes than the voxels have (a line end, padding) are left
-//! out, and [`Volume::notes`] says so; as many or more are refused, since then sizes or type do not fit the data,
-//! or another volume follows. Where each array's length is stated (VTK) it must be right, and voxels in text must
-//! be as many numbers as the sizes call for.
+//! One rule holds for all formats, compressed or not: after the voxels, fewer bytes than the voxels have (a
+//! line end, padding) are left out, and [`Volume::notes`] says so; as many or more are an error, since then
+//! sizes or type do not fit the data, or another volume follows. An array's stated length (VTK) must be
+//! right, and voxels in text must be as many numbers as the sizes require.
 //!
-//! # What becomes of the stored types
+//! # Stored types and their types in memory
 //!
 //! | in the file | in memory |
 //! |---|---|
@@ -24,9 +24,9 @@
 //! | any type with a NIfTI slope, intercept other than 1, 0 | 32-bit float of value × slope + intercept |
 //!
 //! NaN and infinite voxels are kept; they count as the ends of the range when a view normalizes them (see
-//! [`VolumeView::normalize`]). Voxels that hold a fill value ([`VolumeView::fill_values`], or those that
-//! [`Reading::fill`] names) get the least of all other values, and [`Volume::notes`] says so. Axes stay in the file's order, the fastest is x; positions and directions in
-//! space are not used, voxel spacings are.
+//! [`VolumeView::normalize`]). Voxels with a fill value ([`VolumeView::fill_values`], or those that
+//! [`Reading::fill`] names) get the minimum of all other values, and [`Volume::notes`] says so. Axes stay in
+//! the file's order, the fastest is x; positions and directions in space are not used, voxel spacings are.
 
 mod element;
 pub mod hostile;
@@ -63,7 +63,7 @@ pub enum VolumeData {
 }
 
 impl VolumeData {
-    /// The voxels as the core takes them.
+    /// The voxels as a view for the core.
     pub fn scalars(&self) -> Scalars<'_> {
         match self {
             Self::U8(v) => Scalars::U8(v),
@@ -83,7 +83,7 @@ impl VolumeData {
         }
     }
 
-    /// Whether there is no voxel.
+    /// True if there is no voxel.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -143,13 +143,13 @@ impl Format {
         }
     }
 
-    /// The format that a file name's ending stands for.
+    /// The format of a file name's ending.
     pub fn of_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         Self::ALL.into_iter().find(|format| format.endings().iter().any(|ending| name.ends_with(ending)))
     }
 
-    /// The format that a file's first bytes (512 are enough) stand for.
+    /// The format of a file's first bytes (512 are enough).
     pub fn of_content(head: &[u8]) -> Option<Self> {
         let head = without_mark(head);
         let text = head.trim_ascii_start();
@@ -172,13 +172,13 @@ impl Format {
     }
 }
 
-/// What a format's reader found, before it is checked as a whole.
+/// Result of a format's reader, before the checks that all formats share.
 pub(crate) struct Parts {
     pub(crate) data: VolumeData,
     pub(crate) dims: [usize; 3],
     pub(crate) spacing: [f64; 3],
     pub(crate) name: Option<String>,
-    /// What a user should know of how it was read.
+    /// Notes to the user about the reading.
     pub(crate) notes: Vec<String>,
 }
 
@@ -234,7 +234,7 @@ impl Volume {
         Self::open_as(path, &Reading::default(), None)
     }
 
-    /// As [`Volume::open`], as `reading` says; somebody may follow how far it is read and stop it.
+    /// As [`Volume::open`], with the options `reading`; the watcher may follow the progress and stop it.
     ///
     /// # Errors
     /// As [`Volume::open`], and the watcher's own; when there is no array of that name, or the format has no names;
@@ -267,8 +267,8 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Reads a volume of a known format from a stream. `file_name` is what the file is called (raw and JSON
-    /// files find each other by it); files that belong to it come from `companions`.
+    /// Reads a volume of a known format from a stream. `file_name` is the file's name (raw and JSON files
+    /// find each other by it); its data files come from `companions`.
     ///
     /// # Errors
     /// As [`Volume::open`], without the file's name.
@@ -301,7 +301,7 @@ impl Volume {
             Format::Raw => openscivis::read_raw(stream, file_name, companions),
         }?;
         let spacing = parts.spacing.map(|s| s as f32);
-        // Sizes are checked before a voxel is looked at.
+        // Sizes are checked before any voxel.
         let mut notes = parts.notes;
         notes.extend(hide_fill(&mut parts.data, parts.dims, &reading.fill)?);
         let mut volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
@@ -313,8 +313,8 @@ impl Volume {
         Ok(volume)
     }
 
-    /// The voxels as the core takes them: with spacing, and the range where one was set (else the default of
-    /// [`VolumeView::new`], found once when the volume was made).
+    /// A view of the voxels for the core: with spacing, and the range if one was set (else the default of
+    /// [`VolumeView::new`], computed once when the volume was made).
     pub fn view(&self) -> VolumeView<'_> {
         self.checked_view(self.range).expect("sizes, spacing and range were checked when they were set")
     }
@@ -358,12 +358,12 @@ impl Volume {
         self.range
     }
 
-    /// The volume's name: what its description says, else the file's name without its ending.
+    /// The volume's name: from its description, else the file's name without its ending.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// What a user should know of how the file was read: a line each, without the file's name.
+    /// Notes to the user about the reading: a line each, without the file's name.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -374,7 +374,7 @@ impl Volume {
     }
 }
 
-/// A name without an ASCII ending that it has, in capitals or not.
+/// A name without a given ASCII ending, in upper or lower case.
 pub(crate) fn strip_ending<'a>(name: &'a str, ending: &str) -> Option<&'a str> {
     let (rest, found) = name.split_at_checked(name.len().checked_sub(ending.len())?)?;
     found.eq_ignore_ascii_case(ending).then_some(rest)
@@ -428,8 +428,8 @@ pub(crate) fn three_axes<T: Copy>(
         );
     }
     let mut keep: Vec<usize> = (0..sizes.len()).collect();
-    // Axes of one element carry nothing: drop those first that the file does not place in space, then the
-    // last ones.
+    // Axes of one element carry no data: those without a direction in space are dropped first, then the last
+    // ones.
     while keep.len() > 3 {
         let dropped = keep
             .iter()

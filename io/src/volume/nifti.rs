@@ -1,11 +1,11 @@
 //! NIfTI-1 and NIfTI-2 in one file (`.nii`, `.nii.gz`), either byte order. The header's slope and intercept
 //! are applied to the stored numbers; its orientation and its units are not used.
 //!
-//! As in the format's own library, a slope of 0 or one that is not finite says that nothing is scaled, an intercept
-//! that is not finite counts as 0, and a size of 0 behind the third axis as 1. A spacing that is not finite is
-//! not known: 1 is taken, with a note.
+//! As in the format's own library, a slope of 0 or one that is not finite means no scaling, an intercept that
+//! is not finite counts as 0, and a size of 0 after the third axis as 1. A spacing that is not finite is
+//! unknown: 1 is taken, with a note.
 //!
-//! The project's own reader: `nifti` reads NIfTI-1 alone and panics where a header's sizes contradict each
+//! A reader of the project: `nifti` reads only NIfTI-1 and panics where a header's sizes contradict each
 //! other (`lab/scripts/readers`).
 
 use super::element::{expect_end, read_scaled_voxels, read_voxels};
@@ -17,7 +17,7 @@ use std::io::Read;
 const NIFTI1_BYTES: usize = 348;
 const NIFTI2_BYTES: usize = 540;
 
-/// What is used of either header.
+/// Fields of either header.
 struct Header {
     endian: Endian,
     axes: i64,
@@ -55,7 +55,7 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
             notes.push(format!("pixdim[{}] is {value}, so the spacing is not known; 1 is taken", axis + 1));
             *value = 1.0;
         }
-        // Writers leave 0 where the spacing is not known, and put an orientation into the sign.
+        // Writers store 0 where the spacing is unknown, and an orientation in the sign.
         *value = if *value == 0.0 { 1.0 } else { value.abs() };
     }
     let spatial: Vec<bool> = (0..axes).map(|axis| axis < 3).collect();

@@ -2,12 +2,12 @@
 //! voxels in the file that `data file` names, or in several (`LIST [axes]` with a name in each line that follows, or
 //! `name%03d.raw FIRST LAST STEP [axes]`). Encodings raw, gzip, bzip2, hex and ascii are read.
 //!
-//! A spacing of NaN, or a direction of `none` or NaN, says that it is not known: the other of the two fields
-//! counts, and where that says nothing either, 1 with a note. A direction of `none` beside directions of other axes
-//! says that the axis is none of space.
+//! A spacing of NaN, or a direction of `none` or NaN, is unknown: the other of the two fields counts; if it
+//! is unknown too, 1 is taken, with a note. A direction of `none` beside directions of other axes marks an
+//! axis that is not spatial.
 //!
-//! The project's own reader: the crate that reads NRRD, `bioformats`, reserves as much memory as a header
-//! asks for, and has no 64-bit integers (`lab/scripts/readers`).
+//! A reader of the project: the crate that reads NRRD, `bioformats`, reserves as much memory as a header
+//! claims, and has no 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::several::Several;
@@ -63,7 +63,7 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
             bail!("NRRD field \"{field}\" has {found} entries, \"dimension\" says {dimension}");
         }
     }
-    // Where no axis has a direction, the field says nothing.
+    // Where no axis has a direction, the field is ignored.
     let directions = header.directions.as_ref().filter(|d| d.iter().any(Option::is_some));
     let spatial: Vec<bool> = (0..dimension)
         .map(|axis| {
@@ -183,8 +183,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         if line.starts_with('#') {
             continue;
         }
-        // "field: value" describes the data, "key:=value" is the writer's own; whichever separator comes
-        // first decides.
+        // "field: value" describes the data, "key:=value" is user data; the first separator decides.
         let (field, value) = match (line.find(": "), line.find(":=")) {
             (Some(at), pair) if pair.is_none_or(|p| at < p) => (&line[..at], line[at + 2..].trim()),
             (_, Some(_)) => continue,
@@ -195,11 +194,11 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         };
         let field = field.trim().to_ascii_lowercase();
         if seen.contains(&field) {
-            bail!("NRRD header line {number}: field \"{field}\" stands there twice");
+            bail!("NRRD header line {number}: field \"{field}\" appears twice");
         }
         header.set(&field, value).with_context(|| format!("NRRD header line {number}"))?;
         if field.replace(' ', "") == "datafile" && value.split_whitespace().next() == Some("LIST") {
-            // Every line that follows is a name.
+            // Every further line is a name.
             let several = Several::list(value, stream);
             header.several = Some(several.with_context(|| format!("NRRD header line {number}"))?);
             break;
@@ -444,7 +443,7 @@ mod tests {
         let gzip = PLAIN.replace("raw", "gzip");
         assert_eq!(open(&with(&gzip, &pack(&[7; 24]))).unwrap().data(), &VolumeData::U8(vec![7; 24]));
         assert!(message(&with(&gzip, &pack(&[7; 1 << 24]))).contains("the data has 48 or more"));
-        // What the end is looked for in is held no longer than it is needed.
+        // The buffer in which the end is searched is freed as soon as possible.
         let end: Vec<u8> = (0..1 << 22).map(|i| (i % 251) as u8).collect();
         let last = open(&with(&format!("{gzip}byte skip: -3\n"), &pack(&end))).unwrap();
         assert_eq!(last.data(), &VolumeData::U8(end[end.len() - 26..end.len() - 2].to_vec()));

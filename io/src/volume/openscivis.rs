@@ -1,12 +1,12 @@
-//! Raw voxels beside a JSON description, in the manner of the Open SciVis data sets:
+//! Raw voxels beside a JSON description, as in the Open SciVis data sets:
 //!
 //! `{"name": "…", "size": [x, y, z], "type": "uint8", "spacing": [x, y, z]}`
 //!
-//! Either file may be named. A `.json` finds its voxels by `"file"`, by the last part of `"url"`, or as the
-//! `.raw` file of its own name; a `.raw` finds the `.json` of its own name, with or without the
-//! `_256x256x256_uint8` behind the name. A `.raw` file without a description is read when its name has that
-//! part. `"endian"` (or `"byte_order"`) is `little` where it is not stated; `.raw.gz` is decompressed.
-//! Endings may stand in capitals.
+//! Either file may be given. A `.json` finds its voxels by `"file"`, by the last part of `"url"`, or as the
+//! `.raw` file of its own name; a `.raw` finds the `.json` of its own name, with or without a
+//! `_256x256x256_uint8` at its end. A `.raw` file without a description is read if its name has that part.
+//! `"endian"` (or `"byte_order"`) is `little` by default; `.raw.gz` is decompressed. Endings may be in upper
+//! case.
 
 use super::element::{expect_end, read_voxels};
 use super::stream::{Companions, Stream, without_mark};
@@ -177,7 +177,7 @@ fn element(name: &str) -> Option<Element> {
     })
 }
 
-/// Takes `skull_256x256x256_uint8` apart.
+/// Parses names like `skull_256x256x256_uint8`.
 fn parse_name(name: &str) -> Option<(&str, [u64; 3], Element)> {
     let (rest, kind) = name.rsplit_once('_')?;
     let (short, sizes) = rest.rsplit_once('_')?;

@@ -1,4 +1,4 @@
-//! Options of reading a volume file: the array, the values that are no data, the range that maps to [0, 1].
+//! Options of reading a volume file: the array, the fill values, the range that maps to [0, 1].
 
 use super::VolumeData;
 use anyhow::{Result, ensure};
@@ -10,14 +10,14 @@ use std::str::FromStr;
 /// Width of the range of unsigned bytes below which a volume looks empty or flat over 0…255.
 const NARROW: f32 = 64.0;
 
-/// Options of reading a volume file. The default finds everything out.
+/// Options of reading a volume file. The default determines all of them from the file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Reading {
-    /// The array's name, in a format that may hold several (VTK); else the active scalars.
+    /// The array's name, in a format that may hold several (VTK); default: the active scalars.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<String>,
-    /// Values that stand for voxels without data.
+    /// Fill values: voxels without data.
     pub fill: Fill,
     /// The scalar range that maps to [0, 1].
     pub range: Range,
@@ -30,18 +30,18 @@ impl Reading {
         match self.range {
             Range::Given(low, high) => Some((low, high)),
             Range::Data => Some(view.own_range()),
-            // What is taken as data counts.
+            // Values that are taken as data count.
             Range::Default => (!bytes && self.fill != Fill::Found).then(|| view.own_range()),
         }
     }
 
-    /// The text that stands for it.
+    /// Key of the options.
     pub fn key(&self) -> String {
         format!("{:?} {} {}", self.array, self.fill, self.range)
     }
 }
 
-/// Values that stand for voxels without data; such voxels are shown as the low end of the range.
+/// Fill values; their voxels are shown as the low end of the range.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Fill {
@@ -141,11 +141,10 @@ macro_rules! as_text {
 }
 as_text!(Fill Range);
 
-/// Puts the low end of the range of all other voxels where one holds a fill value. Gives what a user should know of
-/// it, if anything.
+/// Replaces fill values by the minimum of all other voxels. Returns the note for the user, if any.
 ///
 /// # Errors
-/// When every voxel holds one of the values that were given.
+/// When every voxel holds one of the given values.
 pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) -> Result<Option<String>> {
     let (values, found) = match fill {
         Fill::Found => (VolumeView::new(data.scalars(), dims)?.fill_values(), true),
@@ -189,7 +188,7 @@ pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) ->
     })
 }
 
-/// A note about the range that a volume is shown over, where it hides the voxels' values.
+/// A note if the volume's range hides its values.
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
     let narrow = range == Range::Default && view.range() != (low, high) && high - low < NARROW;
@@ -201,7 +200,7 @@ pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     })
 }
 
-/// A note about voxels that are no numbers.
+/// A note about voxels that are not finite.
 pub(super) fn non_finite(view: &VolumeView<'_>) -> Option<String> {
     let (broken, all) = (view.non_finite(), view.shape().voxels);
     (broken > 0).then(|| {

@@ -1,10 +1,10 @@
-//! Voxels that are spread over several files: their names, and how much each of them holds.
+//! Voxels in several files: their names, and the share of each.
 
 use super::VolumeData;
 use super::stream::{Companions, Stream};
 use anyhow::{Context, Result, bail, ensure};
 
-/// Most files of one volume.
+/// Maximum number of files of a volume.
 const MAX_FILES: usize = 1 << 16;
 const MAX_LINE: usize = 1 << 16;
 
@@ -12,13 +12,13 @@ const MAX_LINE: usize = 1 << 16;
 #[derive(Debug, PartialEq)]
 pub(super) struct Several {
     pub(super) names: Vec<String>,
-    /// Axes that each file holds; one less than there are where it is not stated. As many as there are: slabs
-    /// of the slowest axis.
+    /// Number of axes that each file holds; default: one less than the volume has. With as many as the volume
+    /// has, files are slabs of the slowest axis.
     pub(super) axes: Option<usize>,
 }
 
 impl Several {
-    /// From `LIST [axes]`, with the names in the lines that follow in the header.
+    /// From `LIST [axes]`, with the names in the following lines of the header.
     pub(super) fn list(value: &str, stream: &mut Stream<'_>) -> Result<Self> {
         let axes = match value.split_whitespace().nth(1) {
             // MetaImage writes 2D where NRRD writes 2.
@@ -37,7 +37,7 @@ impl Several {
         Ok(Self { names, axes })
     }
 
-    /// From `pattern first last step [axes]`; `None` where that is the name of one file.
+    /// From `pattern first last step [axes]`; `None` where that is the name of a single file.
     pub(super) fn pattern(value: &str) -> Result<Option<Self>> {
         let words: Vec<&str> = value.split_whitespace().collect();
         let numbers = words.get(1..).is_some_and(|n| !n.is_empty() && n.iter().all(|w| whole(w).is_ok()));
@@ -60,7 +60,7 @@ impl Several {
         Ok(Some(Self { names, axes }))
     }
 
-    /// Voxels in each file.
+    /// Number of voxels in each file.
     pub(super) fn voxels_each(&self, sizes: &[u64]) -> Result<usize> {
         let product = |sizes: &[u64]| sizes.iter().try_fold(1u64, |p, &n| p.checked_mul(n));
         let all = product(sizes).context("the sizes in the header multiply to more than can be addressed")?;
@@ -96,7 +96,7 @@ fn whole(word: &str) -> Result<i64> {
     }
 }
 
-/// A number put in for `%d`, `%03d` and the like.
+/// A number in place of `%d`, `%03d` and the like.
 fn numbered(pattern: &str, number: i64) -> Result<String> {
     let mut name = String::new();
     let mut rest = pattern;
@@ -145,7 +145,7 @@ impl Several {
     }
 }
 
-/// Puts voxels behind others of the same type.
+/// Appends voxels to others of the same type.
 fn append(all: &mut Option<VolumeData>, part: VolumeData) -> Result<()> {
     fn push<T>(all: &mut Vec<T>, mut part: Vec<T>) -> Result<()> {
         if all.try_reserve(part.len()).is_err() {

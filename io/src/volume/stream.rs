@@ -1,4 +1,4 @@
-//! Byte streams that know how much they can hold, whatever they come from.
+//! Byte streams with a known bound on their length, from any source.
 
 use anyhow::{Context, Result, anyhow, bail};
 use bzip2::bufread::MultiBzDecoder;
@@ -13,40 +13,40 @@ use std::sync::Arc;
 /// less the block's own cost).
 const DEFLATE_GROWTH: u64 = 1032;
 
-/// Nor any bzip2 stream by more than this: a block of 900 000 bytes, each five of which stand for 259 at most,
-/// takes more than 14 bytes.
+/// No bzip2 stream grows by more than this: a block of 900 000 bytes, of which each five stand for at most
+/// 259, takes more than 14 bytes.
 const BZIP2_GROWTH: u64 = 1 << 22;
 
-/// What some editors put before UTF-8 text.
+/// Byte order mark that some editors put before UTF-8 text.
 const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
 
-/// Text without the byte order mark before it, if it has one.
+/// Text without its byte order mark, if it has one.
 pub fn without_mark(text: &[u8]) -> &[u8] {
     text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
 }
 
-/// How many bytes a stream still holds.
+/// Number of bytes that a stream still holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Remaining {
-    /// Exactly so many.
+    /// Exactly this many.
     Exact(u64),
-    /// No more than so many: it is compressed.
+    /// At most this many: the stream is compressed.
     AtMost(u64),
 }
 
-/// Somebody who follows how far files are read, and may stop it.
+/// Watches how far files are read, and may stop the reading.
 pub trait Watcher: Send + Sync {
-    /// So many more bytes are going to be read.
+    /// Called when this many more bytes are going to be read.
     fn expect(&self, bytes: u64);
 
-    /// So many more bytes were read.
+    /// Called when this many more bytes were read.
     ///
     /// # Errors
-    /// To stop the reading; the error reaches whoever reads.
+    /// To stop the reading; the reader gets the error.
     fn advance(&self, bytes: u64) -> io::Result<()>;
 }
 
-/// A file that is followed.
+/// A watched file.
 struct Watched<R> {
     inner: R,
     watcher: Arc<dyn Watcher>,
@@ -83,7 +83,7 @@ impl<'a> Stream<'a> {
         Self::open_watched(path, None)
     }
 
-    /// As [`Stream::open`], with somebody who follows.
+    /// As [`Stream::open`], with a watcher.
     ///
     /// # Errors
     /// As [`Stream::open`].
@@ -93,7 +93,7 @@ impl<'a> Stream<'a> {
             io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
             _ => anyhow!("{shown}: cannot be opened: {error}"),
         };
-        // Opening a FIFO waits for its writer: its kind is asked for first.
+        // Opening a FIFO waits for its writer: its kind is checked first.
         check_regular(path, &std::fs::metadata(path).map_err(refused)?)?;
         let file = File::open(path).map_err(refused)?;
         let metadata = file.metadata().with_context(|| format!("{shown}"))?;
@@ -133,13 +133,13 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// Gives the stream a name for messages, for a file other than the one that was asked for.
+    /// Sets the stream's name in messages, for a file other than the given one.
     pub fn labeled(mut self, label: impl Into<String>) -> Self {
         self.label = label.into();
         self
     }
 
-    /// The stream's name with a colon behind it, or nothing.
+    /// The stream's name with a colon, or nothing.
     pub(crate) fn prefix(&self) -> String {
         if self.label.is_empty() { String::new() } else { format!("{}: ", self.label) }
     }
@@ -148,12 +148,12 @@ impl<'a> Stream<'a> {
         self.remaining
     }
 
-    /// Bytes that were taken so far.
+    /// Number of bytes read so far.
     pub(crate) fn position(&self) -> u64 {
         self.read
     }
 
-    /// The bytes at hand, without taking them: some, unless the stream is at its end.
+    /// The buffered bytes, without consuming them: some, unless the stream is at its end.
     pub(crate) fn peek(&mut self) -> io::Result<&[u8]> {
         loop {
             match self.reader.fill_buf() {
@@ -165,7 +165,7 @@ impl<'a> Stream<'a> {
         self.reader.fill_buf()
     }
 
-    /// Takes a line without its end (LF or CRLF); `None` at the end of the stream.
+    /// Reads a line without its end (LF or CRLF); `None` at the end of the stream.
     ///
     /// # Errors
     /// When the line is longer than `limit` bytes.
@@ -191,7 +191,7 @@ impl<'a> Stream<'a> {
         Ok(Some(line))
     }
 
-    /// Leaves out `count` bytes.
+    /// Skips `count` bytes.
     ///
     /// # Errors
     /// When the stream ends before.
@@ -215,7 +215,7 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// Reads everything that is left, if that is at most `limit` bytes.
+    /// Reads the rest of the stream, if that is at most `limit` bytes.
     ///
     /// # Errors
     /// When there is more.
@@ -261,7 +261,7 @@ impl<'a> Stream<'a> {
         Stream { reader: Box::new(reader), remaining, read: 0, label }
     }
 
-    /// The bytes that the rest of the stream spells in pairs of hexadecimal digits, blanks left out.
+    /// The bytes that the rest of the stream spells in pairs of hexadecimal digits, without blanks.
     pub(crate) fn unhex(self) -> Stream<'a> {
         let (Remaining::Exact(digits) | Remaining::AtMost(digits)) = self.remaining;
         let label = self.label;
@@ -269,8 +269,8 @@ impl<'a> Stream<'a> {
         Stream { reader: Box::new(reader), remaining: Remaining::AtMost(digits / 2), read: 0, label }
     }
 
-    /// What is left but for all before the last `count` bytes and the `behind` bytes that follow them; memory
-    /// grows with the bytes that really arrive.
+    /// The rest of the stream, of which only the last `count` bytes are kept, followed by `behind` bytes;
+    /// memory grows with the bytes that arrive.
     ///
     /// # Errors
     /// When less is left.
@@ -306,7 +306,7 @@ impl<'a> Stream<'a> {
             held.extend_from_slice(part);
             self.consume(length);
             found += length as u64;
-            // Half of it is old: moving the rest costs no more than reading it did.
+            // Half of the buffer is old: moving the rest costs no more than reading it.
             if held.len() as u64 / 2 > keep.max(1 << 16) {
                 held.drain(..held.len() - keep as usize);
             }
@@ -381,7 +381,7 @@ impl<R: BufRead> Read for Hexadecimal<R> {
     }
 }
 
-/// Refuses what has no end, or waits for somebody else: folders, FIFOs, sockets, devices.
+/// Refuses files that have no end or wait for a writer: folders, FIFOs, sockets, devices.
 fn check_regular(path: &Path, metadata: &Metadata) -> Result<()> {
     let shown = path.display();
     if metadata.is_dir() {
@@ -441,25 +441,26 @@ impl Stream<'_> {
     }
 }
 
-/// Where the files come from that a header names beside itself.
+/// Access to the data files that a header names.
 pub trait Companions {
-    /// Opens a file by the name that the header gives.
+    /// Opens a file by its name in the header.
     ///
     /// # Errors
-    /// When there is none of that name.
+    /// When there is no such file.
     fn open(&self, name: &str) -> Result<Stream<'_>>;
 
-    /// Whether there is a file of that name.
+    /// True if there is a file of that name.
     fn exists(&self, name: &str) -> bool;
 
-    /// Tells which files a header names, where it names several, before the first of them is opened.
+    /// Announces the files that a header names, if it names several, before the first is opened.
     fn announce(&self, _names: &[String]) {}
 
-    /// The names that end in `suffix`, in capitals or not, sorted; for formats whose header does not name its data.
+    /// The names that end in `suffix`, in upper or lower case, sorted; for formats whose header does not name
+    /// its data.
     fn ending_in(&self, suffix: &str) -> Vec<String>;
 }
 
-/// Files beside a header in a folder.
+/// Files in the folder of a header.
 #[derive(Clone)]
 pub struct Folder {
     path: PathBuf,
@@ -473,12 +474,12 @@ impl fmt::Debug for Folder {
 }
 
 impl Folder {
-    /// The folder that names are relative to.
+    /// The folder of relative names.
     pub fn new(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), watcher: None }
     }
 
-    /// The same, with somebody who follows the reading of its files.
+    /// The same, with a watcher of its files.
     pub fn watched(self, watcher: Option<Arc<dyn Watcher>>) -> Self {
         Self { watcher, ..self }
     }
@@ -510,7 +511,7 @@ impl Companions for Folder {
     }
 }
 
-/// No files beside the header: everything must be in the stream itself.
+/// No data files: everything must be in the stream itself.
 #[derive(Clone, Copy, Debug)]
 pub struct NoCompanions;
 

@@ -1,13 +1,12 @@
 //! VTK XML image data (`.vti`): ascii, base64 in place, appended raw or base64, in zlib or LZ4 blocks or none, in
 //! one piece or several.
 //!
-//! Of the arrays, in this order: the one that is asked for by name; the active scalars of the points, else of the
-//! cells; the first of the points, else of the cells, that has one component of numbers, in the order of the file.
-//! Arrays that VTK keeps for itself (`vtkGhostType` and the like) are read by name alone. Direction and origin are
-//! not used.
+//! The array is chosen in this order: the one that is named in the options; the active scalars of the points,
+//! else of the cells; the first of the points, else of the cells, in the order of the file, with one
+//! component of numbers. VTK's own arrays (`vtkGhostType` and the like) are read by name only. Direction and
+//! origin are not used.
 //!
-//! The project's own reader: `vtkio` reads no appended raw data, which is what VTK writes by default
-//! (`lab/scripts/readers`).
+//! A reader of the project: `vtkio` does not read appended raw data, VTK's default (`lab/scripts/readers`).
 
 use super::element::{byte_count, grow, parse_voxels, read_voxels};
 use super::stream::{Stream, without_mark};
@@ -37,7 +36,7 @@ enum Place {
     Appended(u64),
 }
 
-/// Arrays that VTK keeps for itself, which are never the volume unless they are asked for by name.
+/// VTK's own arrays, which are never the volume unless they are named.
 const RESERVED: [&str; 8] = [
     "vtkGhostType",
     "vtkGhostLevels",
@@ -49,7 +48,7 @@ const RESERVED: [&str; 8] = [
     "vtkProcessId",
 ];
 
-/// More pieces than any writer makes.
+/// Maximum number of pieces, more than any writer makes.
 const MAX_PIECES: usize = 1 << 12;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -63,7 +62,7 @@ enum Compressor {
 #[derive(Default)]
 struct Section {
     active: Option<String>,
-    /// Of numbers that name points or cells.
+    /// Names of arrays that hold ids of points or cells.
     ids: Vec<String>,
     arrays: Vec<Array>,
 }
@@ -81,7 +80,7 @@ struct File {
     extent: [i64; 6],
     spacing: [f64; 3],
     pieces: Vec<Piece>,
-    /// Encoding and first byte behind the underscore.
+    /// Encoding of the appended data, and the first byte after its underscore.
     appended: Option<(bool, usize)>,
 }
 
@@ -102,9 +101,9 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
         let data = voxels(bytes, &file, array, dims)?;
         return Ok(Parts { data, dims, spacing: file.spacing, name: None, notes });
     }
-    // Pieces share the points of their borders; each voxel comes from one of them at least.
+    // Pieces share the points of their borders; each voxel comes from at least one of them.
     let dims = checked_dims(sizes(file.extent, cells)?)?;
-    // No more than a single piece of the whole file could hold: pieces that share their data make no volume.
+    // At most what a single piece could hold: pieces that refer to the same data make no volume.
     let growth = match file.compressor {
         Compressor::None => 8,
         Compressor::Zlib => 1032,
@@ -156,7 +155,7 @@ fn shown(array: &Array) -> &str {
     array.name.as_deref().unwrap_or("unnamed")
 }
 
-/// Points along each axis of an extent, or cells.
+/// Number of points, or of cells, along each axis of an extent.
 fn sizes(extent: [i64; 6], cells: bool) -> Result<[u64; 3]> {
     let mut sizes = [0u64; 3];
     for axis in 0..3 {
@@ -170,10 +169,10 @@ fn sizes(extent: [i64; 6], cells: bool) -> Result<[u64; 3]> {
     Ok(sizes)
 }
 
-/// Voxels of a piece, where it begins and its size.
+/// Voxels of a piece, its origin and its size.
 type Part = (VolumeData, [usize; 3], [usize; 3]);
 
-/// Puts the voxels of pieces to their places; all of them have the same type.
+/// Copies the voxels of pieces to their places; all of them have the same type.
 fn joined(parts: &[Part], dims: [usize; 3]) -> Result<VolumeData> {
     macro_rules! place {
         ($variant:ident, $zero:expr) => {{
@@ -271,9 +270,9 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
 }
 
 impl Section {
-    /// Whether an array may be the volume without being asked for.
+    /// True if an array may be chosen as the volume by default.
     fn offers(&self, array: &Array) -> bool {
-        // What begins with vtk and a capital is VTK's own.
+        // Names that begin with vtk and a capital letter are VTK's own.
         let own = |name: &String| {
             name.strip_prefix("vtk").is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_uppercase()))
                 || self.ids.contains(name)
@@ -287,7 +286,7 @@ impl Section {
     }
 }
 
-/// The array to read, and whether it is of the cells.
+/// The array to read, and true if it is of the cells.
 fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> Result<(&'a Array, bool)> {
     let sections = [(&piece.points, false), (&piece.cells, true)];
     let all = || sections.iter().flat_map(|&(s, cells)| s.arrays.iter().map(move |array| (s, array, cells)));
@@ -341,10 +340,7 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
             shown(array),
             array.components
         ),
-        Some(_) => bail!(
-            "the file has no array of numbers but those that VTK keeps for itself ({})",
-            names(&|_, _| true)
-        ),
+        Some(_) => bail!("the file has no array of numbers except VTK's own ({})", names(&|_, _| true)),
         None => bail!("the file has no point or cell data array"),
     }
 }
@@ -460,7 +456,7 @@ fn parse(bytes: &[u8]) -> Result<File> {
                     }
                     _ => bail!("AppendedData does not begin with an underscore; is the file cut short?"),
                 }
-                // What follows is not XML.
+                // Binary data follow, not XML.
                 break;
             }
             _ => {}
@@ -479,7 +475,7 @@ fn parse(bytes: &[u8]) -> Result<File> {
 }
 
 impl File {
-    /// A section of the piece that is being read.
+    /// A section of the current piece.
     fn section(&mut self, name: &str) -> Option<&mut Section> {
         let piece = self.pieces.last_mut()?;
         Some(if name == "PointData" { &mut piece.points } else { &mut piece.cells })
@@ -506,7 +502,7 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
     let components = match attribute(tag, "NumberOfComponents")? {
         None => 1,
         Some(text) => match text.trim().parse() {
-            // VTK writes 0 or nothing for plain scalars in some versions.
+            // Some versions of VTK write 0 or nothing for plain scalars.
             Ok(0) => 1,
             Ok(n) => n,
             Err(_) => bail!("array {shown:?}: NumberOfComponents is {text:?}"),
@@ -561,7 +557,7 @@ fn numbers<T: std::str::FromStr, const N: usize>(name: &str, text: &str) -> Resu
     }
 }
 
-/// The header and the data of one array from base64 text, which may go on with other arrays.
+/// The header and the data of one array from base64 text, which other arrays may follow.
 fn from_base64(text: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     let width = if file.wide_header { 8 } else { 4 };
     let mut needed = expected.saturating_add(width);
@@ -580,8 +576,8 @@ fn from_base64(text: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     decode_base64(text, needed)
 }
 
-/// Bytes from base64 text, at least as many as are needed if they are there: blanks are passed over, padding may end
-/// one part and another follow, and the text ends at the first `<`. Header and data may be two parts or one.
+/// Bytes from base64 text, at least as many as needed if they exist: blanks are skipped, padding may end one
+/// part and another follow, and the text ends at the first `<`. Header and data may be two parts or one.
 fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
     // Both parts end in a group of four letters that may hold less than three bytes.
     let letters = usize::try_from(needed / 3 + 3).unwrap_or(usize::MAX).saturating_mul(4);
@@ -609,7 +605,7 @@ fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// One number of a binary header, and what follows it.
+/// One number of a binary header, and the rest after it.
 fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
     let cut = || anyhow::anyhow!("the binary data ends within its header; the file is cut short");
     Ok(if file.wide_header {
@@ -674,7 +670,7 @@ fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u
                 Err(error) => bail!("compressed block {index} of {blocks} is damaged: {error}"),
             }
         }
-        // One byte more than wanted shows a block that holds too much.
+        // One more byte than expected reveals a block that holds too much.
         if let Err(error) = ZlibDecoder::new(this).take(wanted.saturating_add(1)).read_to_end(&mut out) {
             bail!("compressed block {index} of {blocks} is damaged: {error}");
         }

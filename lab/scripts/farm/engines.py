@@ -34,10 +34,10 @@ ASKED = {
     "kills": {"farm-kills-lost-or-wrong": 0},
     "full": {"farm-full-disk-lost-or-wrong": 0},
 }
-# Tasks of each slot, and repeats, of the jobs that an engine's overhead is measured by.
+# Tasks per slot, and repeats, of the jobs that measure an engine's overhead.
 ROUNDS = 16
 REPEATS = 3
-# Runs that are asked for with processes killed.
+# Requested runs with killed processes.
 RUNS = 20
 
 
@@ -46,7 +46,7 @@ def lower_bound(times, slots):
     return max(sum(times) / slots, max(times))
 
 
-# Volumes that the shipped models were not made from.
+# Held-out volumes of the shipped models.
 HELD_OUT = ["castro_blast/m04/t0012", "castro_blast/m05/t0012", "maestroex_bubbles/m03/t0010", "maestroex_bubbles/m03/t0015",
             "nyx_cosmology/m04/t0010", "mr_banana"]
 
@@ -60,7 +60,7 @@ class Farm:
         self.root = Path(__file__).resolve().parents[3]
 
     def job(self, name, renderer, volumes, views, size, predict="", steps="1.0"):
-        """Writes a job file; the database of a run before is removed."""
+        """Writes a job file; the database of an earlier run is removed."""
         folder = self.out / name
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
@@ -99,20 +99,20 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
         return begin, done
 
     def measure(self, job):
-        """Makespan since the engine was up, seconds of the tasks with loading, number of bundles."""
+        """Makespan from the engine's start on, seconds of the tasks with loading, number of bundles."""
         begin, done = self.journal(job)
         end = max(a["end"] for a in done)
         return end - begin, [a["seconds"] + a["load_s"] for a in done], len({a["bundle"] for a in done})
 
     def turns(self, job, slots):
-        """Seconds from the engine's being up to the first task, and on a slot from a bundle's end to the next one's begin, on
-        the mean; None where no bundle followed another."""
+        """Mean seconds from the engine's start to the first task, and on a slot from a bundle's end to the next one's
+        start; None if no bundle followed another."""
         begin, done = self.journal(job)
         begins, ends = {}, {}
         for a in done:
             begins[a["bundle"]] = min(a["begin"], begins.get(a["bundle"], a["begin"]))
             ends[a["bundle"]] = max(a["end"], ends.get(a["bundle"], a["end"]))
-        # Whichever slot it is on: each begin but the slots' first follows the earliest end that none has followed yet.
+        # The slot is unknown: each start except the slots' first is paired with the earliest unpaired end.
         followed = list(zip(sorted(begins.values())[slots:], sorted(ends.values())))
         turn = sum(b - e for b, e in followed) / len(followed) if followed else None
         return min(begins.values()) - begin, turn
@@ -156,7 +156,8 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
 
 
 def frames_of(farm, mean):
-    """384 frames of six volumes that were rendered here, predicted by a shipped model and measured, scaled to a mean."""
+    """384 frames of six volumes that were rendered here, with times predicted by a shipped model and measured, scaled
+    to a mean."""
     file = farm.out / "recorded.json"
     if not file.exists():
         record(farm)
@@ -166,15 +167,15 @@ def frames_of(farm, mean):
 
 
 def paper_case(farm, name, size, device, predict=""):
-    """Six volumes that no shipped model was made from, 64 views each."""
+    """Six held-out volumes of the shipped models, 64 views each."""
     volumes = [farm.root / "data" / f"{volume}.nrrd" for volume in HELD_OUT]
     own = f'[renderer]\nkind = "entire"\ndevice = "{device}"\n'
     return farm.job(name, own, volumes, 64, size, predict)
 
 
 def record(farm):
-    """Renders the paper's case by the renderer that the shipped model was made for, and keeps what was predicted and
-    measured; one processor per frame."""
+    """Renders the paper's case by the renderer of the shipped model, and keeps predicted and measured times; one
+    processor per frame."""
     os.environ["LP_NUM_THREADS"] = "1"
     model = f'[predict]\nmodel = "{farm.root}/models/unshaded-selected.safetensors"\n'
     job = paper_case(farm, "recorded", "384x384", "auto", model)
@@ -191,8 +192,8 @@ def record(farm):
 
 
 def overhead(farm, run, slots):
-    """Seconds of an engine's start, and of a slot from a bundle's end to the next one's begin. `run(tasks)` runs a job of so
-    many short tasks, in bundles as small as may be, and gives it."""
+    """Seconds of an engine's start, and of a slot from a bundle's end to the next one's start. `run(tasks)` runs a job
+    of that many short tasks, in bundles as small as possible, and returns it."""
     starts, turns = [], []
     for _ in range(REPEATS):
         starts.append(farm.turns(run(1), slots)[0])
@@ -201,7 +202,7 @@ def overhead(farm, run, slots):
 
 
 def over_bound(bars, name, what, run, slots, cost):
-    """Prints a run's bar: its end over the least that it can take."""
+    """Prints a run's bar: its end over the lower bound."""
     (makespan, times, bundles), (start, turn) = run, cost
     bound = lower_bound(times, slots)
     least = start + max(sum(times) / slots + max(0.0, bundles / slots - 1) * turn, max(times))
@@ -243,7 +244,7 @@ def hq_sleeping(farm, bars):
         bound = lower_bound(seconds, slots)
         print(f"hyperqueue, {len(times)} sleeping tasks, {slots} workers, {order}: {makespan:.3f} s, bound {bound:.3f} s, "
               f"{makespan / bound:.4f}, {bundles} bundles", flush=True)
-    # The simulator's latency is fitted to the run in arrival order and judged on the others.
+    # The simulator's latency is fitted to the run in arrival order and tested on the others.
     low, high = 0.0, 2.0
     for _ in range(30):
         middle = (low + high) / 2
@@ -271,7 +272,7 @@ def slurm(farm, bars):
         engine = ["--engine", "slurm"]
 
         def short(tasks):
-            # Long enough that the next bundles are in Slurm's queue by then.
+            # Long enough for the next bundles to reach Slurm's queue.
             farm.sleeping("slurm-short", [*engine, "--overhead", "0"], 4, [(0.5, 0.5)], views=tasks, volumes=1)
             return farm.out / "slurm-short/told.toml"
 
@@ -319,7 +320,7 @@ def kills(farm, bars, runs):
             more = ["--resume"] if begun.exists() and begun.stat().st_size else []
             command = [str(farm.entire), "farm", str(job), "--quiet", "--slots", "2", *engine, *more]
             driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            # A worker or the engine, some more of them, then the driver itself.
+            # Kills a worker or the engine, some more of them, then the driver itself.
             until = time.time() + draw.uniform(0.2, 1.2)
             while driver.poll() is None and time.time() < until:
                 time.sleep(draw.uniform(0.02, 0.3))
@@ -349,7 +350,7 @@ def kills(farm, bars, runs):
 
 
 def full(farm, bars):
-    """A disk that is full in the middle of a run, and has room again."""
+    """A disk that becomes full during a run, and later has space again."""
     folder = farm.out / "full-disk"
     folder.mkdir(parents=True, exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o"]
@@ -401,7 +402,7 @@ def main():
         has_hq = subprocess.run([options.python, "-c", "import hyperqueue"], capture_output=True).returncode == 0
         for part in options.parts:
             with bars.part(*ASKED[part]):
-                # Every other run with processes killed is one of HyperQueue.
+                # Every other run with killed processes uses HyperQueue.
                 if part in ("hq-frames", "hq-sleeping", "kills") and not has_hq:
                     bars.lacking(f"{options.python} has no hyperqueue (pip install hyperqueue)", ASKED[part])
                 else:

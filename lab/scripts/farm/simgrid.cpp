@@ -1,5 +1,5 @@
-// A farm in SimGrid: workers ask a master over a network, the master sends one task after the other, workers compute.
-// Replays the list schedule that `entire-lab farm-simulate --arrival --overhead 0` plays, and prints its makespan.
+// A farm in SimGrid: workers ask a master over a network, the master sends one task after another, workers compute.
+// Replays the list schedule of `entire-lab farm-simulate --arrival --overhead 0`, and prints its makespan.
 //
 //   simgrid SECONDS.txt SLOTS LATENCY DISPATCH
 //
@@ -44,7 +44,7 @@ static void worker(int number) {
 
 int main(int argc, char** argv) {
     sg4::Engine engine(&argc, argv);
-    // Latencies and bandwidths as they are given, without factors fitted to TCP.
+    // Latencies and bandwidths as given, without factors fitted to TCP.
     sg4::Engine::set_config("network/model:CM02");
     if (argc != 5) {
         std::fprintf(stderr, "usage: simgrid SECONDS.txt SLOTS LATENCY DISPATCH\n");

@@ -65,7 +65,7 @@ def main():
         tasks = [options.scale * t for t in recorded(options.table)]
         failed = False
         for copies, slots, latency, dispatch in CASES:
-            # Sent longest first by times that are wrong by a tenth.
+            # Sent longest first, by times with errors of a tenth.
             order = sorted(copies * tasks, key=lambda t: -t * draw.lognormvariate(0.0, 0.1))
             listed, seconds = folder / "tasks.csv", folder / "seconds.txt"
             listed.write_text("predicted_s,measured_s\n" + "".join(f"{t!r},{t!r}\n" for t in order), encoding="utf-8")

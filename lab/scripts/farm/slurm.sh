@@ -4,15 +4,15 @@
 #   slurm.sh start FOLDER      prints the path of slurm.conf, for SLURM_CONF
 #   slurm.sh stop FOLDER       returns once the daemons have ended; those that run on after 20 s are killed
 #
-# Needs root, slurmctld, slurmd and munged (Debian: slurm-wlm, munge). Keys, sockets, logs and state lie in FOLDER.
+# Needs root, slurmctld, slurmd and munged (Debian: slurm-wlm, munge). Keys, sockets, logs and state are in FOLDER.
 set -euo pipefail
 what=${1:?start or stop}
 folder=$(realpath -m "${2:?a folder}")
 
-# runs PID: one that has ended and that nobody has waited for runs no more
+# runs PID: true if the process runs; an ended one that was not waited for does not
 runs() { grep -q '^State:[[:space:]]*[^XZ]' "/proc/$1/status" 2>/dev/null; }
 
-# ended SECONDS PID…: waits until all have ended; fails where one still runs after SECONDS
+# ended SECONDS PID…: waits until all have ended; fails if one still runs after SECONDS
 ended() {
     local end=$((SECONDS + $1)) pid
     for pid in "${@:2}"; do

@@ -1,14 +1,13 @@
 #!/usr/bin/env bash
-# Records what the bars of a farm's schedules are taken from: the frames of an image database, and what the farm rendered
-# before. What is there stays; both recordings are of one renderer: remove both together to record anew.
+# Records the data of the bars of a farm's schedules: the frames of an image database, and frames rendered before it.
+# Existing files are kept; both recordings must be of one renderer: remove both together to record again.
 set -euo pipefail
 out=$1 clock=$2
 lab=${ENTIRE_LAB:-target/release/entire-lab}
 mkdir -p "$out"
 common=(--clock "$clock" --size 256x256)
 
-# Six volumes, 64 poses each, one transfer function: what a farm renders for an image database. Schedules are judged by
-# medians of five.
+# Six volumes, 64 poses each, one transfer function, as for an image database. Schedules are judged by medians of five.
 if [ ! -e "$out/farm.json.gz" ]; then
     "$lab" record data/nyx_cosmology/m04/t0010.nrrd data/castro_blast/m04/t0012.nrrd \
         data/castro_blast/m05/t0012.nrrd data/maestroex_bubbles/m03/t0010.nrrd data/maestroex_bubbles/m03/t0015.nrrd \
@@ -17,7 +16,7 @@ if [ ! -e "$out/farm.json.gz" ]; then
     mv "$out/farm.part.json.gz" "$out/farm.json.gz"
 fi
 
-# What the farm rendered before: other volumes of the same simulations, other poses, the same transfer function.
+# Frames that the farm rendered before: other volumes of the same simulations, other poses, the same transfer function.
 if [ ! -e "$out/farm-training.json.gz" ]; then
     "$lab" record data/nyx_cosmology/m01/t0005.nrrd data/nyx_cosmology/m02/t0010.nrrd \
         data/castro_blast/m01/t0008.nrrd data/castro_blast/m02/t0012.nrrd data/maestroex_bubbles/m01/t0010.nrrd \

@@ -42,7 +42,7 @@ BAR = "files-read-alike"
 
 
 class Ours:
-    """The command's readers in a process of their own, which answers one path after the other."""
+    """The command's readers in a separate process, which answers one path after another."""
 
     def __init__(self, target):
         manifest = HERE / "Cargo.toml"
@@ -98,7 +98,7 @@ def shape(reason):
 
 
 class Tally:
-    """What came of the reads."""
+    """Results of the reads."""
 
     def __init__(self, ours):
         self.ours = ours
@@ -106,7 +106,8 @@ class Tally:
         self.ours_refuses, self.ours_alone = defaultdict(list), defaultdict(list)
 
     def take(self, path, name):
-        """Reads a file with every reader of its format; ours and theirs, without those that a convention excuses."""
+        """Reads a file with every reader of its format; returns ours and theirs, without those that a convention
+        excuses."""
         kind = peers.format_of(path)
         mine = self.ours.read(path)
         theirs = {reader: peers.read(reader, path) for reader in peers.OF_FORMAT.get(kind, ())}
@@ -150,7 +151,7 @@ def scaling(path):
 
 
 def compressed_size_is_right(path):
-    """Whether a MetaImage file is not compressed, or states how many bytes its compressed voxels have."""
+    """True if a MetaImage file is not compressed, or states how many bytes its compressed voxels have."""
     data = path.read_bytes()
     end = neighbors.header_end("metaimage", data)
     entries = dict(re.findall(r"^(\w+) *= *(.*?)\s*$", data[:end].decode("latin-1"), re.M))
@@ -164,7 +165,7 @@ def compressed_size_is_right(path):
 
 
 def convention(kind, reader, path, fields, mine, theirs, read):
-    """The sentence that says why these fields may differ, or None."""
+    """The sentence that explains a difference in these fields, or None."""
     values = {"type", "range", "crc32"}
     if kind == "nifti" and reader == "SimpleITK":
         if "spacing" in fields and any(all(close(a * unit, b) for a, b in zip(mine.spacing, theirs.spacing))
@@ -194,13 +195,13 @@ def convention(kind, reader, path, fields, mine, theirs, read):
 
 
 def fixtures():
-    """All files beside the table, with the names that it has for them."""
+    """All files besides the table, with their names in it."""
     return sorted((path.relative_to(FIXTURES).as_posix(), path) for folder in ("volumes", "reports")
                   for path in (FIXTURES / folder).rglob("*") if path.is_file())
 
 
 def row(name, mine, theirs):
-    """A row of the table: what most of the independent readers give, and why ours refuses it if it does.
+    """A row of the table: the result of most independent readers, and the reason if ours refuses the file.
 
     `readers` is `ours` where no other reads the file, and `none` where nobody does.
     """

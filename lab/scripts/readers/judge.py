@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Judges crates that read volumes by the fixtures of cli/tests and by files with hostile headers.
+"""Tests crates that read volumes on the fixtures of cli/tests and on files with hostile headers.
 
     cargo build --manifest-path lab/scripts/readers/Cargo.toml
     python3 lab/scripts/readers/judge.py [--without CRATE] [HOSTILE]
@@ -43,7 +43,7 @@ def limit():
 
 
 def read(reader, path):
-    """What came of it, what was printed, and the memory that it took in bytes."""
+    """Result, output, and memory used in bytes."""
     child = subprocess.Popen([BINARY, reader, path], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
                              stdin=subprocess.DEVNULL, preexec_fn=limit)
     text = child.stdout.read().decode()
@@ -59,7 +59,7 @@ def read(reader, path):
 
 
 def same(ours, theirs):
-    """Whether sizes, spacing (where the crate gives it) and voxels agree."""
+    """True if sizes, spacing (where the crate gives it) and voxels agree."""
     a, b = ours.strip().rsplit("] ", 2), theirs.strip().rsplit("] ", 2)
     return a[0] == b[0] and a[-1] == b[-1] and (b[1] == "[" or a[1] == b[1])
 

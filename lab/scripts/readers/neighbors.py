@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Neighbors of fixtures: copies with a few changes of the header, or of bytes, the same for the same seed.
+"""Mutated fixtures (*neighbors*): copies with a few changes of the header, or of bytes, the same for the same seed.
 
 differential.py reads them. Each has a folder of its own, with links to the files beside the fixture, which headers name.
 """
@@ -59,7 +59,7 @@ LINES = {
     "vti": ["<!-- a comment -->", "<FieldData></FieldData>", "<PointData></PointData>", "<CellData></CellData>",
             '<DataArray type="UInt8" Name="other" format="ascii">1 2 3</DataArray>', "<Unknown/>"],
 }
-# Of NIfTI-1 and -2: offset, format, values.
+# Fields of NIfTI-1 and -2 headers: offset, format, values.
 FIELDS = (
     [(40, "h", (1, 2, 3, 4, 5, 7, 8, 0))] + [(42 + 2 * i, "h", (0, 1, 2, 5, 7, 11, -1, 77)) for i in range(7)]
     + [(70, "h", (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280, 128, 32, 0, 1)), (72, "h", (8, 16, 32, 64, 0, 7))]
@@ -80,7 +80,7 @@ FIELDS = (
 
 
 def header_end(kind, data):
-    """Where the text of the header ends."""
+    """End of the header's text."""
     if kind == "nrrd":
         found = re.search(rb"\r?\n\r?\n", data)
         return found.start() + 1 if found else len(data)
@@ -164,7 +164,7 @@ def change_lines(source, text, kind):
         del lines[a]
     else:
         put = source.choice(LINES.get(kind, [""]))
-        # Most often behind the first line, and before the last one.
+        # Mostly after the first line and before the last one.
         lines.insert(source.randrange(1, max(2, len(lines) - 1)), put)
     return "\n".join(lines)
 
@@ -223,7 +223,7 @@ def changed(source, data, kind):
 
 
 def make(files, wanted, seed, folder, keep):
-    """Yields each neighbor's path and its name: that of the fixture behind a number."""
+    """Yields each mutated file's path and its name: that of the fixture and a number."""
     by_kind = {}
     for name, path in files:
         kind = peers.format_of(path)
@@ -250,7 +250,7 @@ def make(files, wanted, seed, folder, keep):
 
 
 def clear(path, keep):
-    """Removes a neighbor; one that is kept is copied first."""
+    """Removes a mutated file; one to keep is copied first."""
     if keep:
         shutil.copy(path, keep / f"{path.parent.name}-{path.name}")
     shutil.rmtree(path.parent)

@@ -15,7 +15,7 @@ import zlib
 from pathlib import Path
 from typing import NamedTuple, Optional, Tuple
 
-# A child that is forked has none of its parent's threads.
+# A forked child has none of its parent's threads.
 os.environ.setdefault("VTK_SMP_BACKEND_IN_USE", "Sequential")
 os.environ.setdefault("ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -28,7 +28,7 @@ INSTALLED = {}
 
 
 class Reading(NamedTuple):
-    """A volume that was read; `dims` are not three where it has several components or time steps, or is flat."""
+    """A volume that was read; `dims` are not three for several components or time steps, or a flat image."""
 
     dims: Tuple[int, ...]
     type: str
@@ -38,11 +38,11 @@ class Reading(NamedTuple):
 
 
 class Refusal(Exception):
-    """A reader's word that the file is no volume for it."""
+    """A reader's refusal of a file."""
 
 
 def load():
-    """Imports the libraries; the names of those that are missing, as pip knows them."""
+    """Imports the libraries; returns the names of missing ones, as pip knows them."""
     missing = []
     for name, module in (("numpy", "numpy"), ("pynrrd", "nrrd"), ("SimpleITK", "SimpleITK"), ("nibabel", "nibabel"),
                          ("vtk", "vtkmodules.all")):
@@ -56,10 +56,10 @@ def load():
 
 
 def reading(array, dims, spacing):
-    """A reading of an array whose elements stand x fastest once it is flat."""
+    """A reading of an array whose flattened elements run fastest along x."""
     np = INSTALLED["numpy"]
     dims, spacing = [int(n) for n in dims], [float(s) for s in spacing]
-    # Axes of one element beyond the third carry nothing.
+    # Axes of one element beyond the third carry no data.
     while len(dims) > 3 and 1 in dims:
         at = len(dims) - 1 - dims[::-1].index(1)
         del dims[at], spacing[at]
@@ -84,7 +84,7 @@ def reading(array, dims, spacing):
 def with_pynrrd(path):
     np = INSTALLED["numpy"]
     array, header = INSTALLED["pynrrd"].read(str(path), index_order="F")
-    # The library gives the fields back as they stand: the length of a direction counts, else the spacing, else 1.
+    # The library returns the raw fields: the length of a direction counts, else the spacing, else 1.
     spacing = [float("nan")] * array.ndim
     for field in ("spacings", "space directions"):
         for axis, value in enumerate(header.get(field) if header.get(field) is not None else ()):
@@ -118,7 +118,7 @@ def with_nibabel(path):
     return reading(array.ravel(order="F"), array.shape, [float(z) for z in image.header.get_zooms()])
 
 
-# Those that VTK makes itself, which are the volume only where they are asked for by name.
+# VTK's own arrays, which are the volume only if they are named.
 VTK_OWN = re.compile(r"vtk[A-Z]")
 
 
@@ -129,7 +129,7 @@ def with_vtk(path):
     reader = vtk.vtkXMLImageDataReader()
     reader.SetFileName(str(path))
     reader.Update()
-    # The reader reports what is wrong, and hands out an image nevertheless.
+    # The reader reports an error, and returns an image nevertheless.
     if "ERROR" in log.GetOutput().upper() or reader.GetErrorCode():
         said = re.findall(r"\): ([^\n]+)", log.GetOutput()) or [f"error {reader.GetErrorCode()}"]
         raise Refusal(said[0])
@@ -200,12 +200,12 @@ ENDINGS = {".nrrd": "nrrd", ".nhdr": "nrrd", ".mha": "metaimage", ".mhd": "metai
 
 
 def format_of(path):
-    """The format that a file's name stands for, or None."""
+    """The format of a file name's ending, or None."""
     return next((kind for ending, kind in ENDINGS.items() if path.name.lower().endswith(ending)), None)
 
 
 def in_child(reader, path):
-    """What the child writes: a reading, or why there is none."""
+    """Output of the child: a reading, or the reason why there is none."""
     resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_SECONDS, LIMIT_SECONDS))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -215,13 +215,13 @@ def in_child(reader, path):
     try:
         return READERS[reader](path)._asdict()
     except BaseException as error:
-        # What ITK says begins with where it says it.
+        # ITK's messages begin with their place.
         text = re.sub(r".*(ITK ERROR: |nrrdLoad: )", "", " ".join(str(error).split()))
         return {"refused": f"{type(error).__name__}: {text[:300]}"}
 
 
 def read(reader, path):
-    """A Reading, or the reason for which there is none."""
+    """A Reading, or the reason of the refusal."""
     out, into = os.pipe()
     child = os.fork()
     if child == 0:

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Ends commands at random moments (SIGKILL) and on full disks, and looks for files that are torn or lost.
+"""Ends commands at random moments (SIGKILL) and on full disks, and searches for torn or lost files.
 
     python3 lab/scripts/robust/kills.py --entire target/release/entire --lab target/release/entire-lab
 
@@ -28,7 +28,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from bar_lines import Bars  # noqa: E402
 
-# Ends that are asked for, by kind, and the bars of their files.
+# Requested kinds of ends, and the bars of their files.
 ASKED = {"kill": 200, "full_disk": 20}
 NAMES = {kind: f"files_torn_or_lost_{kind}_{count}" for kind, count in ASKED.items()}
 VOLUMES = ["data/castro_blast/m01/t0008.nrrd", "data/nyx_cosmology/m01/t0005.nrrd"]
@@ -51,7 +51,7 @@ def model(path):
 
 
 def table(path):
-    """Frame numbers and repeats of a table; nothing where a row is cut off."""
+    """Frame numbers and repeats of a table; None if a row is cut off."""
     text = path.read_text()
     rows = list(csv.reader(text.splitlines()))
     if not text.endswith("\n") or any(len(r) != len(rows[0]) for r in rows):
@@ -60,7 +60,7 @@ def table(path):
 
 
 class Commands:
-    """The commands, each with the file that it writes and how that is judged."""
+    """The commands, each with its output file and the check of that file."""
 
     def __init__(self, entire, lab, folder):
         self.folder = folder
@@ -109,7 +109,7 @@ class Commands:
 
 
 def run(command, seconds=None, file_limit=None):
-    """Runs a command; ends it after so many seconds. Gives its status (None when it was ended) and what it said."""
+    """Runs a command; ends it after the given seconds. Returns its status (None if it was ended) and its output."""
 
     def limit():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -169,7 +169,7 @@ def measure(options, bars):
                 left.unlink()
 
         def finish(kind, what, say):
-            """After an end: what is there is whole, or goes on and becomes so."""
+            """After an end, a file is whole, or a continued run makes it so."""
             command, file, whole = commands.all[what]
             path = folder / file
             try:
@@ -191,7 +191,7 @@ def measure(options, bars):
             clear(file)
             if not commands.resumes(what):
                 shutil.copy(good / file, folder / file)
-            # More often than once, where a run can be gone on with.
+            # Several times, if a run can be continued.
             resume = []
             for _ in range(draw.randint(1, 4) if commands.resumes(what) else 1):
                 after = draw.choice([draw.uniform(0.001, 0.03), draw.uniform(0.01, 1.1 * took[what] + 0.02)])

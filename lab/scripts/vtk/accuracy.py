@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""How well predictions do per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
+"""Errors of predictors per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
 and an analytic model are trained and judged on the volumes that they did not see. `entire calibrate` is then
 given a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing
@@ -19,8 +19,8 @@ import subprocess
 
 RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
 HOW = "--model-kind residual --batch 128 --learning-rate 0.003 --epochs 150".split()
-# Reading far in memory and converting stored values cost these renderers more than the raycaster. A mean of networks of
-# eight seeds.
+# Reading from distant memory and converting stored values cost these renderers more than the raycaster. A mean of
+# networks of eight seeds.
 MORE = """log_pixels log_samples_per_pixel log_shadow_per_pixel log_segments_per_ray log_ray_spacing footprint_share
 terminated_share log_divergence occupied_share log_visible_share log_mean_extinction log_mean_chord log_step log_voxels
 log_runs log_skips log_remapped_samples log_far_x log_far_y log_far_z""".split()
@@ -32,9 +32,10 @@ ASKED = {name: limit for r in RENDERERS for name, limit in ((f"{r}-rmse-over-sd-
 
 
 def cut(table, count, out):
-    """The table of `count` of its frames, with all their repeats. Frames are taken at even distances along the sum of the
-    square roots of their expected costs, cheapest first: long ones more often than short ones, as what is to be told is mostly
-    about them. The expectation needs no timing; it is the one that stands beside the table. The manifest goes with it."""
+    """The table of `count` of its frames, with all their repeats. Frames are taken at even distances along the sum of
+    the square roots of their expected costs, cheapest first: long ones more often than short ones, since most of the
+    error is in them. The expectation needs no timing; it comes from the features beside the table. The manifest is
+    copied."""
     with gzip.open(table.removesuffix(".csv.gz") + ".features.csv.gz", "rt", newline="") as file:
         file.readline()
         weights = {row["frame"]: math.sqrt(float(row["estimated_seconds"])) for row in csv.DictReader(file)}

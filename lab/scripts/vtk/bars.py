@@ -32,7 +32,7 @@ def python(*words, **options):
 
 
 def logged(path, *words):
-    """Runs a program whose output goes to a file, which is named where the program fails."""
+    """Runs a program whose output goes to a file; an error names the file."""
     with open(path, "w") as log:
         done = subprocess.run([*map(str, words)], stdout=log, stderr=log)
     if done.returncode:
@@ -50,7 +50,7 @@ OTHERS = (19, 31)
 
 
 def calibrate(options, mapper):
-    """A model of this mapper from 60 random frames of volumes other than the comparison's, and from pictures compared there."""
+    """A model of this mapper from 60 random frames of other volumes than the comparison's, and from pictures of those."""
     import vtk_scene
     from timing_table import write_nrrd
 
@@ -102,9 +102,9 @@ def comparison_bars(options, bars, mapper):
 
 
 def relative_error(repeats, name):
-    """Image error over that of AutoAdjust at the same mean frame time on the wall, by the power law through its three rates
-    (least squares in logarithms), all as means over the repeats. The law is drawn on by a tenth of the longest and the
-    shortest time at most; None beyond that."""
+    """Image error over that of AutoAdjust at the same mean frame time by wall time, from the power law through its
+    three rates (least squares in logarithms), all as means over the repeats. The law is extrapolated by at most a tenth
+    beyond the longest and the shortest time; None beyond that."""
     def mean(who):
         return tuple(statistics.fmean(r[who]["wall"][what] for r in repeats) for what in ("mean_ms", "error"))
 

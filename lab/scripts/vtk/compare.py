@@ -37,11 +37,10 @@ from vtk_scene import COLOR, OPAQUE, TRANSPARENT, camera  # noqa: E402
 
 SWITCHES = (50, 100, 150)
 
-# How near the mean frame of `scaled` is to come to the target, as a share of it.
+# Tolerance of the mean frame of `scaled` from the target, as a share of it.
 MEET = 0.03
 
-# AutoAdjustSampleDistances, by the times the target that it is told to spend: as shipped, and as a function of what
-# `scaled` needs.
+# AutoAdjustSampleDistances with factors on its target: as shipped, and as a function of the factor of `scaled`.
 RIVALS = {"auto": lambda scale: 1.0, "between": math.sqrt, "scaled": lambda scale: scale}
 
 
@@ -68,7 +67,7 @@ class Contender:
                 self.steering.SetModelFileName(options.model)
             self.steering.Attach(self.view.renderer, self.view.volume)
 
-        # The window is made before the first frame; what the mapper does once belongs to that frame.
+        # The window is made before the first frame; one-time work of the mapper belongs to that frame.
         self.view.volume.VisibilityOff()
         self.view.window.Render()
         self.view.volume.VisibilityOn()
@@ -116,7 +115,7 @@ def score(rows, full, clock, target):
     times = [r[clock] for r in rows]
     relative = [t / target for t in times]
     off = [abs(r - 1) for r in relative]
-    # Frames that full quality would draw too slowly: only there is anything to hold.
+    # Frames that would miss the target at full quality: only these need steering.
     hard = [abs(r - 1) for r, f in zip(relative, full) if f[clock] > target]
     frames = len(rows)
     recovery = []
@@ -139,12 +138,12 @@ def score(rows, full, clock, target):
 
 
 def clock_of(name, options):
-    """The clock that a contender steers by, which it is scored by."""
+    """The clock by which a contender steers, and by which it is scored."""
     return "wall" if name in RIVALS else options.clock
 
 
 def find_scale(options, image, n, target_cpu, target_wall):
-    """How many times the wall target AutoAdjust must be told to spend so that its mean frame takes the target, 1 to 16. From
+    """Factor, 1 to 16, on the wall target of AutoAdjust at which its mean frame takes the target. From
     a second on the mappers take a frame for a still one and leave the steps of interaction, so the most is less than
     that; it is what is returned where even that spends less."""
     most = max(1.0, min(16.0, 0.95 / target_wall))
@@ -154,7 +153,7 @@ def find_scale(options, image, n, target_cpu, target_wall):
         contender.aim(target_cpu, target_wall, options.clock, scale)
         times = []
         for frame in frames:
-            # The last is what it comes to.
+            # The last iteration gives the result.
             for _ in range(repeats):
                 contender.pose(frame, options.frames, n)
                 wall, _ = timed(contender.view.window.Render)

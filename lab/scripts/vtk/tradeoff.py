@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What a coarser ray step and a smaller image cost a mapper's pictures, and what time each of them saves.
+"""Picture error and time of a mapper at coarser ray steps and smaller images.
 
     plugins/vtk/run.sh exec /usr/bin/python3 lab/scripts/vtk/tradeoff.py --mapper gpu --table tradeoff-gpu.csv
 
@@ -70,7 +70,7 @@ def collect(options):
 
 
 def grids(path):
-    """Logarithms of time over that of full quality and of error, as [scene, image, step]."""
+    """Logarithms of time and of error over those of full quality, as [scene, image, step]."""
     scenes = {}
     with open(path, newline="") as file:
         for row in csv.DictReader(file):
@@ -82,14 +82,14 @@ def grids(path):
 
 
 def law(weight, p, q, rays):
-    """Logarithms of time and error at every pair, as the law has them; the error of full quality is none."""
+    """Logarithms of time and error at every pair by the law; the error of full quality is zero."""
     s, d = np.array(STEPS)[None, :], np.array(IMAGES)[:, None]
     with np.errstate(divide="ignore"):
         return np.log((rays + (1 - rays) / s) / d**2), np.log((s - 1) ** p + weight * (d - 1) ** q)
 
 
 def descend(loss, at, scale, rounds=400):
-    """The least of a function nearby, by steps along each axis that shrink where none helps."""
+    """A local minimum of a function, by steps along each axis that shrink if none helps."""
     at, scale, least = np.array(at, float), np.array(scale, float), loss(at)
     for _ in range(rounds):
         before = least
@@ -111,7 +111,7 @@ def fit(times, errors):
 
     def off(v):
         model = law(math.exp(v[0]), v[1], v[2], rays)[1][counts]
-        # The power that errors add up in.
+        # The exponent with which errors add up.
         model = model - model.mean()
         wanted = error[counts] - error[counts].mean()
         slope = max((model * wanted).sum() / (model**2).sum(), 1e-3)
@@ -120,7 +120,7 @@ def fit(times, errors):
     def loss(v):
         return off(v) if 0.2 <= v[1] <= 6 and 0.2 <= v[2] <= 6 else math.inf
 
-    # What the choice by the law costs, at each of these shares of the time.
+    # Error of the choice by the law, at each of these shares of the time.
     shares = np.arange(0.2, LONGEST, 0.02)
     found = np.array([[at_share(t, e, share) for share in shares] for t, e in zip(time, error)])
     best = np.nanmin(found, 0)
@@ -136,7 +136,8 @@ def fit(times, errors):
 
 
 def at_share(time, error, share):
-    """The error at a share of the full time along pairs in order of their times, by lines in logarithms; NaN beyond them."""
+    """The error at a share of the full time along pairs in the order of their times, by linear interpolation in
+    logarithms; NaN beyond them."""
     order = np.argsort(time)
     if not time.min() <= math.log(share) <= time.max():
         return math.nan
@@ -144,8 +145,8 @@ def at_share(time, error, share):
 
 
 def report(times, errors, numbers):
-    """Means over scenes of errors relative to that of the law's choice, and of what the best pair of each scene costs over
-    smaller images at twice the step, as AutoAdjustSampleDistances draws: the least that any choice can cost."""
+    """Means over scenes of errors relative to that of the law's choice, and of the best pair of each scene over smaller
+    images at twice the step, which AutoAdjustSampleDistances draws: the minimum for any choice."""
     time, error = law(*numbers[:4])
     rows = [("step alone", [(0, k) for k in range(len(STEPS))]), ("image alone", [(k, 0) for k in range(len(IMAGES))]),
             ("image at step 2.1", [(k, STEPS.index(2.1)) for k in range(len(IMAGES))])]
@@ -169,7 +170,7 @@ def report(times, errors, numbers):
 
 
 def factor(logarithms):
-    """The geometric mean of what is known, as text."""
+    """The geometric mean of the known values, as text."""
     known = [v for v in logarithms if not math.isnan(v)]
     return f"{math.exp(np.mean(known)):.2f}" if known else "-"
 

@@ -1,4 +1,4 @@
-//! `entire-lab disturb`: how much somebody else on the machine slows frames down, over time.
+//! `entire-lab disturb`: slowdown of frames over time by another program.
 
 use crate::replay::Slowdown;
 use crate::stress::Noise;
@@ -15,22 +15,22 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Who else is on the machine.
+/// Other load on the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Neighbor {
-    /// Nobody.
+    /// No other load.
     None,
-    /// One core for 50 to 500 ms, a fifth of the time.
+    /// Bursts of 50 to 500 ms on one core, a fifth of the time.
     Bursts,
     /// One core all the time.
     Steady,
 }
 
-/// Record how much somebody else on the machine slows frames down, over time.
+/// Record the slowdown of frames over time by another program on the machine.
 ///
-/// Draws one frame over and over by the wall clock, first without a neighbor, then with it, and writes for every frame of
-/// the second part when it began and how many times as long it took as the median of the first part. `entire-lab
-/// replay --disturbance` plays recorded paths under it.
+/// Times one frame repeatedly by wall time, first without the load, then with it, and writes for every frame
+/// of the second part its start and its time over the median of the first part.
+/// `entire-lab replay --disturbance` replays recorded paths with these slowdowns.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab disturb data/nyx_cosmology/m04/t0010.nrrd --neighbor bursts --out bursts.csv")]
@@ -38,19 +38,19 @@ pub struct Options {
     /// The volume file.
     #[arg(value_name = "VOLUME")]
     pub volume: PathBuf,
-    /// Who else is on the machine.
+    /// Other load on the machine.
     #[arg(long, value_enum)]
     pub neighbor: Neighbor,
     /// Seconds of the recording.
     #[arg(long, default_value_t = 20.0, value_name = "SECONDS")]
     pub seconds: f64,
-    /// Image size, pixels: of a frame of a few milliseconds.
+    /// Image size, pixels; a frame should take a few milliseconds.
     #[arg(long, default_value = "160x160", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// How frames are rendered.
+    /// Rendering options.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Seed of the neighbor's bursts.
+    /// Seed of the bursts.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// The table to write.
@@ -58,7 +58,7 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// Seconds without a neighbor that slowdowns are relative to.
+/// Seconds without the load, which slowdowns are relative to.
 const QUIET_SECONDS: f64 = 5.0;
 
 /// Keeps a core busy until `stop`.
@@ -96,7 +96,7 @@ pub fn run(options: &Options) -> Result<()> {
         ..Frame::new(camera, options.size.0, options.size.1)?
     }
     .checked()?;
-    // When each frame began and what it took, seconds.
+    // Start and seconds of each frame.
     let mut draw = |seconds: f64| -> Result<Vec<(f64, f64)>> {
         let begin = Instant::now();
         let mut out = Vec::new();
@@ -131,7 +131,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     table.flush()?;
     println!(
-        "{}: {} frames of {:.1} ms where nobody disturbs them, on {}",
+        "{}: {} frames, {:.1} ms each when undisturbed, on {}",
         options.out.display(),
         drawn.len(),
         1e3 * usual,

@@ -1,4 +1,4 @@
-//! `entire-lab farm`: every way to balance a render farm beside the others.
+//! `entire-lab farm`: comparison of methods of load balancing.
 
 use crate::bars;
 use crate::farm::{Comparison, Fitting, compare, second_measurement, tasks_of_trace};
@@ -9,7 +9,7 @@ use entire_io::files::write_whole;
 use entire_steer::features::PROBE_SIDE;
 use std::path::PathBuf;
 
-/// Compare every way to balance a render farm for 2 to 64 nodes, by measured times.
+/// Compare methods of load balancing on a render farm of 2 to 64 nodes, by measured times.
 ///
 /// The tasks come from a list (see `entire schedule`; both times are needed), or are the frames of a recorded
 /// path, predicted by a model fitted to other volumes.
@@ -24,31 +24,30 @@ pub struct Options {
     /// Take the frames of a recorded path at the reference step as tasks.
     #[arg(long, value_name = "TRACE.json", conflicts_with = "tasks")]
     pub trace: Option<PathBuf>,
-    /// Timing tables that the predictor of --trace is fitted to, where there is no --training.
+    /// Timing tables that the predictor of --trace is fitted to, without --training.
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", requires = "trace")]
     pub calibration: Vec<PathBuf>,
-    /// Recorded frames of other volumes that the predictor of --trace is fitted to: what a farm has rendered
-    /// before, with the same transfer function. The analytic model is fitted to them, and a factor on it that
-    /// depends on the view.
+    /// Recorded frames of other volumes, with the same transfer function, as a farm has rendered them before:
+    /// the analytic model times a factor that depends on the view is fitted to them, and predicts --trace.
     #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
     pub training: Vec<PathBuf>,
-    /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is made
-    /// once, beforehand: it can pay for more than the 11 that steering uses.
+    /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is computed
+    /// once, so it can afford more than the 11 of steering.
     #[arg(long, default_value_t = PROBE_SIDE, value_name = "N")]
     pub probe_side: usize,
-    /// Write the tasks of --trace down as a task list (CSV).
+    /// Write the tasks of --trace as a task list (CSV).
     #[arg(long, value_name = "TASKS.csv", requires = "trace")]
     pub save_tasks: Option<PathBuf>,
-    /// Seconds of a node that every dispatch from a queue costs.
+    /// Node seconds per dispatch from a queue.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub dispatch: f64,
-    /// Tasks that a node looks at for one on the volume that it holds.
+    /// Queue entries that a node searches for a task on its loaded volume.
     #[arg(long, default_value_t = 64, value_name = "TASKS")]
     pub window: usize,
     /// Folder for the report.
     #[arg(long, value_name = "DIR")]
     pub report: PathBuf,
-    /// Print the bars of the comparison, and fail when one is short.
+    /// Print the goals (bars) of the comparison, and fail when one is missed.
     #[arg(long)]
     pub bars: bool,
 }

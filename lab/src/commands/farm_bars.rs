@@ -1,4 +1,4 @@
-//! `entire-lab farm-bars`, `farm-simulate` and `farm-stand-in`: what `make bars-farm` is made of.
+//! `entire-lab farm-bars`, `farm-simulate` and `farm-stand-in`: the parts of `make bars-farm`.
 
 use crate::bars;
 use crate::farm::{bars as studies, stand_in};
@@ -11,7 +11,7 @@ use entire_farm::simulate::{World, simulate};
 use entire_farm::{By, read_tasks, times, volume_numbers};
 use std::path::PathBuf;
 
-/// Measure the bars of render farms that need no engine.
+/// Measure the goals of render farms that need no engine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -27,10 +27,10 @@ pub struct BarsOptions {
     /// Folder for the job of a million tasks.
     #[arg(long, default_value = "out/farm-bars", value_name = "DIR")]
     pub out: PathBuf,
-    /// Simulated runs of which the end is foretold.
+    /// Simulated runs whose end is predicted.
     #[arg(long, default_value_t = 40, value_name = "N")]
     pub runs: u64,
-    /// Print the bars, and fail when one is short.
+    /// Print the goals (bars), and fail when one is missed.
     #[arg(long)]
     pub bars: bool,
 }
@@ -45,7 +45,7 @@ pub fn run_bars(options: &BarsOptions) -> Result<()> {
     if options.bars { bars::print(&found) } else { Ok(()) }
 }
 
-/// Simulate a farm on a task list with both times, and print what comes out as JSON.
+/// Simulate a farm on a task list with both times, and print the result as JSON.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -55,25 +55,25 @@ pub struct SimulateOptions {
     /// The task list.
     #[arg(value_name = "TASKS.csv")]
     pub tasks: PathBuf,
-    /// Slots.
+    /// Number of slots.
     #[arg(long, value_name = "N")]
     pub slots: usize,
-    /// Times by which these seconds are multiplied.
+    /// Factor on the list's seconds.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
     pub scale: f64,
-    /// Seconds of a slot that each bundle costs.
+    /// Slot seconds per bundle.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub latency: f64,
-    /// Seconds of the engine that each bundle costs, one after the other.
+    /// Engine seconds per bundle; bundles are dispatched one after the other.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub dispatch: f64,
-    /// Seconds of a bundle that the planner reckons with.
+    /// Overhead of a bundle that the planner assumes, seconds.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
-    /// Tasks in the order of the list.
+    /// Send tasks in the order of the list.
     #[arg(long)]
     pub arrival: bool,
-    /// All tasks taken for equally long.
+    /// Take all tasks as equally long.
     #[arg(long)]
     pub uniform: bool,
 }
@@ -129,7 +129,7 @@ pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
     Ok(())
 }
 
-/// Stand in for a renderer in `entire farm`: take as long as a list says.
+/// Stand-in for a renderer in `entire farm`: each task sleeps for its time in a list.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example, as the renderer of a job file:
@@ -138,7 +138,7 @@ pub struct StandInOptions {
     /// The task list, by the job's ids.
     #[arg(value_name = "TASKS.csv")]
     pub tasks: PathBuf,
-    /// Times by which its seconds are multiplied.
+    /// Factor on the list's seconds.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
     pub scale: f64,
 }

@@ -1,4 +1,4 @@
-//! `entire-lab farm-sort-last`: a volume too large for a node, on paper and in the simulator.
+//! `entire-lab farm-sort-last`: a volume too large for a node, in the simulator.
 
 use crate::farm::bars;
 use crate::farm::sort_last::{Composited, Compositing, Scene, measure};
@@ -20,8 +20,8 @@ const LOAD: f64 = 0.005;
 
 /// Simulate a farm whose nodes are too small for a volume: groups of nodes render a part each and composite.
 ///
-/// Parts are really rendered here, one after the other, and their times predicted by the analytic model, which is
-/// fitted to the first views. Compositing and the farm are simulated: a frame takes its slowest part and
+/// Parts are rendered here, one after the other, and their times are predicted by the analytic model, which
+/// is fitted to the first views. Compositing and the farm are simulated: a frame takes its slowest part and
 /// compositing, and groups of nodes take frames longest first.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -41,16 +41,16 @@ pub struct Options {
     /// Pixels along each side.
     #[arg(long, default_value_t = 256, value_name = "N")]
     pub size: u32,
-    /// Renderings of each part of which the shortest counts.
+    /// Renderings of each part; the fastest counts.
     #[arg(long, default_value_t = 3, value_name = "N")]
     pub repeats: usize,
-    /// Seconds of a message between nodes.
+    /// Seconds per message between nodes.
     #[arg(long, default_value_t = 2e-5, value_name = "SECONDS")]
     pub latency: f64,
-    /// Seconds of a byte between nodes, blending included.
+    /// Seconds per byte between nodes, blending included.
     #[arg(long, default_value_t = 1e-9, value_name = "SECONDS")]
     pub per_byte: f64,
-    /// Measured compositings in place of both: columns parts, pixels, seconds.
+    /// Measured compositing times instead of both: columns parts, pixels, seconds.
     #[arg(long, value_name = "CSV")]
     pub composited: Option<PathBuf>,
     /// The renderer of the parts.

@@ -1,4 +1,4 @@
-//! `entire-lab frames`: how many frames of another make of machine a calibration needs.
+//! `entire-lab frames`: calibration error by number of frames of another make of machine.
 
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
@@ -19,52 +19,52 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-/// Volumes of a calibration at most, as `data/` has.
+/// Maximum number of volumes of a calibration, as `data/` has.
 const VOLUMES: usize = 9;
 
 /// Draws for each number of frames.
 const DRAWS: u64 = 8;
 
-/// Largest geometric mean of the median errors over makes of machine, by number of frames.
+/// Limits of the geometric mean, over makes of machine, of the median errors, by number of frames.
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
-/// Find how many frames of another make of machine a calibration needs.
+/// Measure calibration error by number of frames, on another make of machine.
 ///
-/// Each table is of one make of machine, and so is each prior; a table's frames are calibrated to from the priors
-/// of the other makes. A draw takes one member of each ensemble, nine volumes of those at most, and so many of their
-/// frames, the volumes in turn; the model is judged on a table of members that no prior saw. Prints the geometric
-/// means over the draws and the largest, and a bar for each number of frames; writes frames.csv and frames.svg into
-/// DIR.
+/// Each table and each prior is of one make of machine; a model is calibrated to frames of a table from the
+/// priors of the other makes. A draw takes one member of each ensemble, at most nine of their volumes, and
+/// the given number of frames, spread over the volumes; the model is tested on a table of members that no
+/// prior was trained on. Prints the geometric mean and the largest error over the draws, and a goal (bar) for
+/// each number of frames; writes frames.csv and frames.svg into DIR.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   entire-lab frames --data xeon.csv epyc.csv --judged xeon-members.csv epyc-members.csv \
       --priors xeon.safetensors epyc.safetensors --out out/frames")]
 pub struct Options {
-    /// Timing tables, each of one make of machine.
+    /// Timing tables, one for each make of machine.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Tables to judge by, each of the make of the table at its place.
+    /// Test tables, in the order of the makes of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
     pub judged: Vec<PathBuf>,
-    /// Models, each of the make of the table at its place.
+    /// Prior models, in the order of the makes of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
     pub priors: Vec<PathBuf>,
     /// Numbers of frames.
     #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "3,10,20,40,160,500")]
     pub frames: Vec<usize>,
-    /// The clock whose seconds are learned.
+    /// Clock of the learned seconds.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
     pub clock: Clock,
     /// Folder for the results.
     #[arg(long, default_value = "out/frames", value_name = "DIR")]
     pub out: PathBuf,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }
 
-/// Draws frames by their index, of which the volume and the ensemble member are given.
+/// Draws frames by their index, given the volume and the ensemble member of each.
 fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ensemble = |member: &str| member.rsplit_once('/').map_or(String::new(), |(e, _)| e.to_owned());
@@ -100,7 +100,7 @@ fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     calibrated
 }
 
-/// What a draw gave.
+/// Result of a draw.
 struct Found {
     frames: usize,
     error: f64,
@@ -122,8 +122,8 @@ pub fn run(options: &Options) -> Result<()> {
     let (tables, judged, models) = (options.data.len(), options.judged.len(), options.priors.len());
     ensure!(
         tables == models && tables == judged,
-        "--data names {tables} tables, --judged {judged} and --priors {models} models; name those of each table's make \
-         of machine"
+        "--data names {tables} tables, --judged {judged} and --priors {models} models; give one of each for \
+         every make of machine"
     );
     ensure!(!options.frames.contains(&0), "--frames must be 1 or more");
     make_folder(&options.out)?;
@@ -174,7 +174,7 @@ pub fn run(options: &Options) -> Result<()> {
                 let judged = TimedFrames::of(&tables[1].frames, options.clock);
                 let predicted = predict(&file.to_model()?, &context, &judged.frames)?;
                 let metrics =
-                    Metrics::new(&predicted, &judged.seconds).context("there are no frames to judge by")?;
+                    Metrics::new(&predicted, &judged.seconds).context("there are no test frames")?;
                 let one = Found {
                     frames: count,
                     error: metrics.mdape,
@@ -193,11 +193,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     bar.finish_and_clear();
     write_whole(&options.out.join("frames.csv"), csv.as_bytes())?;
-    ensure!(
-        !stopped(),
-        "stopped; what was found until then is in {}",
-        options.out.join("frames.csv").display()
-    );
+    ensure!(!stopped(), "stopped; partial results are in {}", options.out.join("frames.csv").display());
     report(options, &found)
 }
 

@@ -1,4 +1,4 @@
-//! `entire-lab gpu-study`: everything that a device with a driver of its own can be asked in minutes.
+//! `entire-lab gpu-study`: measurements of a device in minutes.
 
 use crate::bars::{self, Bar};
 use crate::gpu::pictures::{Difference, compare};
@@ -19,11 +19,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-/// Study a device: pictures, costs, tables, models, frames held; one report.
+/// Measure a device: pictures, rates, timing tables, models and steering, in one report.
 ///
-/// Takes at most --seconds. A step that runs out of time is cut short or left out, and named; the same command
-/// with the same --out goes on with what is missing. Needs no network: `make gpu-study` puts everything that
-/// it needs into one folder that can be copied to a machine.
+/// Takes at most --seconds. A step that runs out of time is cut short or skipped, and named; the same command
+/// with the same --out completes the missing steps. Needs no network: `make gpu-study-folder` puts everything
+/// into one folder that can be copied to another machine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab gpu-study --out out/gpu-study
@@ -36,19 +36,19 @@ pub struct Options {
     /// The clock of frame times.
     #[arg(long, value_parser = fixed_parser(), default_value = "device")]
     pub clock: Clock,
-    /// Wall seconds that all of it may take.
+    /// Limit of wall seconds for all steps.
     #[arg(long, default_value_t = 530.0, value_name = "SECONDS")]
     pub seconds: f64,
     /// Shading modes to study.
     #[arg(long, value_delimiter = ',', default_values = MODES, value_parser = MODES, value_name = "SHADE,…")]
     pub shade: Vec<String>,
-    /// Small images, few frames: a test of the whole on a software driver.
+    /// Small images and few frames: a quick test on a software driver.
     #[arg(long)]
     pub short: bool,
     /// The folder with the project's volumes.
     #[arg(long, default_value = "data", value_name = "DIR")]
     pub data: PathBuf,
-    /// The `entire` command; unless given, the one beside this program.
+    /// The `entire` command; default: the one beside this program.
     #[arg(long, value_name = "FILE")]
     pub entire: Option<PathBuf>,
     /// Folder for the results.
@@ -56,7 +56,7 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// A run: where, until when, and what was done.
+/// A run: its folder, deadline and outcomes.
 struct Study<'a> {
     options: &'a Options,
     entire: PathBuf,
@@ -91,7 +91,7 @@ impl Study<'_> {
                 step: step.name.clone(),
                 state: State::LeftOut,
                 seconds: 0.0,
-                said: "no time was left; raise --seconds, or run the command again".into(),
+                said: "the time ran out; raise --seconds, or run the command again".into(),
             }
         } else {
             steps::run(step, &self.entire, &self.options.out, self.deadline, &self.stop)?
@@ -124,7 +124,7 @@ fn json(path: &Path) -> Option<Value> {
     serde_json::from_str(&read_text(path, 1 << 24).ok()?).ok()
 }
 
-/// What a folder holds.
+/// Results in a folder.
 fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     let mut tables = Vec::new();
     let mut evaluations = Vec::new();
@@ -151,7 +151,7 @@ fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     }
 }
 
-/// Half of the median time of the frames that are about as large as those to hold.
+/// Half of the median time of frames of about the size of the steering step.
 fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
     let pixels = u64::from(extent.held_size).pow(2);
@@ -174,7 +174,12 @@ pub fn run(options: &Options) -> Result<()> {
     let calibrated = calibrated_with(&options.data, extent.calibration_volumes)?;
     let entire = match &options.entire {
         Some(path) => path.clone(),
-        None => std::env::current_exe().context("where is this program?")?.with_file_name("entire"),
+        None => std::env::current_exe()
+            .context(
+                "cannot find the folder of this \
+                                                 program",
+            )?
+            .with_file_name("entire"),
     };
     anyhow::ensure!(entire.is_file(), "{} is not there; name the command with --entire", entire.display());
     make_folder(&options.out.join("logs"))?;
@@ -202,7 +207,7 @@ pub fn run(options: &Options) -> Result<()> {
             study.pictures(&volumes, extent)?;
             study.bar.inc(1);
         }
-        // Held frames need the first mode's model, and count for more than the last mode's table.
+        // The steering step needs the first mode's model, and is more important than the last mode's table.
         if step.name == "evaluate-frames-none"
             && let Some(target) = target(&options.out, clock, extent)
         {

@@ -1,4 +1,4 @@
-//! One module per subcommand: its options and what it does.
+//! One module per subcommand: its options and its execution.
 
 pub mod disturb;
 pub mod farm;

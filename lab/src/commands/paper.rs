@@ -19,10 +19,10 @@ use std::time::{Duration, Instant};
 /// Recorded paths, for use case 1 (`make steer-traces`).
 const RECORDED: &str = "data/steer";
 
-/// Hold every table and figure of the paper against ours.
+/// Reproduce every table and figure of the paper, beside our results.
 ///
-/// Collects frames as the paper does, trains its networks as it does, and writes one report. Everything is kept
-/// in OUT: a command that was stopped goes on where it was, and nothing is made twice.
+/// Collects frames and trains networks as the paper describes, and writes one report. All results are kept in
+/// OUT: a stopped command continues where it was, and nothing is computed twice.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab paper all --data ../shared/data
@@ -45,13 +45,13 @@ enum Step {
     Collect(StepOptions),
     /// Train VolumeNets.
     Encode(EncodeOptions),
-    /// Train predictors on what was collected and judge them.
+    /// Train predictors on the collected frames and test them.
     Train(TrainOptions),
-    /// Write the report from what was kept.
+    /// Write the report from the kept results.
     Report(ReportOptions),
 }
 
-/// What every step takes.
+/// Options of every step.
 #[derive(Debug, Clone, clap::Args)]
 pub struct StepOptions {
     /// The description: data sets, splits, modes, sizes, numbers of frames, epochs, runs.
@@ -60,7 +60,7 @@ pub struct StepOptions {
     /// Folder that holds the data sets, or `ensembles` with them.
     #[arg(long, value_name = "FOLDER", default_value = "data")]
     pub data: PathBuf,
-    /// Folder for everything made.
+    /// Folder for all results.
     #[arg(long, value_name = "FOLDER", default_value = "out/paper")]
     pub out: PathBuf,
     /// Only these data sets.
@@ -69,16 +69,16 @@ pub struct StepOptions {
     /// Only these modes: none, local, scatter, yt.
     #[arg(long, value_delimiter = ',', value_name = "MODES")]
     pub modes: Vec<String>,
-    /// Stop after so many minutes, keeping what is done.
+    /// Stop after this many minutes and keep the results.
     #[arg(long, value_name = "MINUTES")]
     pub budget: Option<f64>,
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
-    /// A Python with yt, and with what lab/volumenet/requirements.txt names.
+    /// Python with yt and the packages of lab/volumenet/requirements.txt.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     pub python: PathBuf,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }
@@ -96,7 +96,7 @@ pub struct EncodeOptions {
 
 #[derive(Debug, Clone, Default, clap::Args)]
 struct WhichEncoders {
-    /// Only these input sides.
+    /// Only these input sizes.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     sizes: Vec<usize>,
     /// Only these lengths of the feature vector.
@@ -120,7 +120,7 @@ struct HowToTrain {
     /// Only these parts.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "PARTS")]
     only: Vec<Panel>,
-    /// Trainings of every network, instead of the description's.
+    /// Training runs of every network, instead of the description's.
     #[arg(long, value_name = "N")]
     runs: Option<usize>,
     /// Epochs of every network of the paper, instead of the description's.
@@ -141,16 +141,16 @@ pub struct ReportOptions {
 
 #[derive(Debug, Clone, Default, clap::Args)]
 struct HowToReport {
-    /// Results to take where OUT has none of a part: what --keep wrote.
+    /// Results to use for parts that OUT lacks, as written by --keep.
     #[arg(long, value_name = "JSON.gz")]
     kept: Option<PathBuf>,
     /// Write all results into one small file.
     #[arg(long, value_name = "JSON.gz")]
     keep: Option<PathBuf>,
-    /// Write the book's page of the paper's tables, and its charts, into the folder of the book's pages.
+    /// Write the book's page of the paper's tables, with its charts, into this folder.
     #[arg(long, value_name = "FOLDER")]
     book: Option<PathBuf>,
-    /// Print one line per bar, `bar NAME VALUE LIMIT ok|short`, and fail when one is short.
+    /// Print one line per goal, `bar NAME VALUE LIMIT ok|short`, and fail when one is missed (short).
     #[arg(long)]
     bars: bool,
 }
@@ -173,7 +173,7 @@ pub struct AllOptions {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options or files, a step that fails, being stopped, and, with --bars, when one is short.
+/// Bad options or files, a step that fails, an interruption, and, with --bars, a short bar.
 pub fn run(options: &Options) -> Result<()> {
     let none = (WhichEncoders::default(), HowToTrain::default(), HowToReport::default());
     match &options.step {
@@ -266,7 +266,7 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
     Ok(())
 }
 
-/// Use case 2: the paper's assignment, and every other way of `entire-lab farm` in a report of its own.
+/// Use case 2: the paper's assignment, and all methods of `entire-lab farm` in a separate report.
 fn balance(work: &Work<'_>) -> Result<()> {
     cases::balance(work.out, &work.paper.orbit)?;
     for (set, mode) in work.paper.panels.get(&Panel::Varied).into_iter().flatten() {
@@ -289,7 +289,8 @@ fn balance(work: &Work<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Use case 1: recorded paths of a data set under every controller with the paper's network, and under ours.
+/// Use case 1: recorded paths of a data set under every controller with the paper's network, and with our
+/// predictor.
 fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let calibration = Path::new(RECORDED).join("calibration.csv.gz");
     let folder = Path::new(RECORDED).join("traces");
@@ -299,7 +300,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let prefix = format!("{set}-{mode}-volumes-network-1-");
     let models = work.out.join("models");
     let network = std::fs::read_dir(&models).ok().and_then(|entries| {
-        // The one made last: older ones are of other frames or encoders.
+        // The most recent one: older ones are of other frames or encoders.
         entries
             .flatten()
             .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))
@@ -308,7 +309,8 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     });
     if !calibration.exists() || !folder.is_dir() || network.is_none() {
         entire_io::files::note(&format!(
-            "use case 1 needs recorded paths in {RECORDED} (make steer-traces) and the network of {set}; it is left out"
+            "use case 1 needs recorded paths in {RECORDED} (make steer-traces) and the network of {set}; it \
+             is skipped"
         ));
         return Ok(());
     }

@@ -1,4 +1,4 @@
-//! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image
+//! `entire-lab record`: time and picture quality of every frame of a path at a grid of ray steps and image
 //! scales.
 
 use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
@@ -17,12 +17,12 @@ use entire_io::progress::progress_bar;
 use entire_steer::features::{SummaryOptions, VolumeSummary};
 use std::path::PathBuf;
 
-/// Record what every frame of a path costs, and how it looks, at a grid of ray steps.
+/// Record time and picture quality of every frame of a path at a grid of ray steps.
 ///
-/// Every frame is drawn at nine ray steps from the reference step to sixteen of them, and at the reference step as
-/// eleven smaller images down to a tenth of every side (every fourth frame also as smaller images at coarser
-/// steps), outside of any race. `entire-lab replay` then plays controllers and targets against
-/// the recorded curves in milliseconds, beside an oracle that knows them.
+/// Every frame is drawn at nine ray steps from 1 to 16 reference steps, and at the reference step as eleven
+/// smaller images down to a tenth of every side (every fourth frame also as smaller images at coarser steps).
+/// `entire-lab replay` then simulates controllers and targets on the recorded curves in milliseconds, beside
+/// an oracle that knows them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out \
@@ -30,7 +30,7 @@ use std::path::PathBuf;
   entire-lab record a.nrrd b.nrrd --enlarge 2 --calibration 24 --clock cpu --out out/steer/calibration.csv
   entire-lab record t0001.nrrd t0002.nrrd t0003.nrrd --hold 20 --generate orbit --out series.json")]
 pub struct Options {
-    /// The volume files; several are shown one after the other (see --hold).
+    /// The volume files, shown one after the other (see --hold).
     #[arg(value_name = "VOLUME", required = true)]
     pub volumes: Vec<PathBuf>,
     /// The path file (JSON; the format is documented with the examples in examples/paths).
@@ -41,11 +41,11 @@ pub struct Options {
         required_unless_present_any = ["generate", "calibration"]
     )]
     pub path: Option<PathBuf>,
-    /// Make a path that fits the first volume instead.
+    /// Generate a path for the first volume instead.
     #[arg(long, value_enum)]
     pub generate: Option<Generated>,
     /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing
-    /// table: what `entire-lab replay` fits its predictor to.
+    /// table, to which `entire-lab replay` fits its predictor.
     #[arg(long, value_name = "SCENES", conflicts_with_all = ["generate", "path", "hold", "scales"])]
     pub calibration: Option<usize>,
     /// Seed of the calibration scenes.
@@ -54,32 +54,32 @@ pub struct Options {
     /// Frames of a generated path.
     #[arg(long, default_value_t = 96, value_name = "N", conflicts_with = "path")]
     pub frames: u32,
-    /// Frames that each volume is shown for where there are several.
+    /// Frames per volume, if there are several.
     #[arg(long, value_name = "N")]
     pub hold: Option<u32>,
     /// Image scale from a frame on, as FRAME:SCALE, comma-separated.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
-    /// The name in reports; else the file name of the result.
+    /// Name in reports; default: the file name of the result.
     #[arg(long)]
     pub name: Option<String>,
     /// The trace to write (compressed where it ends in .gz); with --calibration the timing table (CSV).
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Go on with an interrupted recording.
+    /// Continue an interrupted recording.
     #[arg(long, conflicts_with = "calibration")]
     pub resume: bool,
     /// Ray steps of the grid at full image size, reference steps, ascending; at least two. Smaller images are
-    /// drawn beside the default ones alone.
+    /// drawn for the default steps only.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
     pub steps: Vec<f32>,
-    /// Drawings of every point of the grid.
+    /// Renderings of every point of the grid.
     #[arg(long, default_value_t = 2, value_name = "R")]
     pub repeats: usize,
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// How frames are rendered.
+    /// Rendering options.
     #[command(flatten)]
     pub render: RenderArgs,
     /// The clock of frame times.
@@ -155,7 +155,7 @@ pub fn run(options: &Options) -> Result<()> {
     let trace = trace?;
     ensure!(
         trace.is_complete(),
-        "interrupted after {} of {} frames; go on with the same command and --resume ({})",
+        "interrupted after {} of {} frames; continue with the same command and --resume ({})",
         trace.frames.len(),
         trace.path.frames,
         options.out.display()
@@ -164,7 +164,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// What an interrupted recording left, with --resume.
+/// Trace of an interrupted recording, with --resume.
 fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> {
     if !options.resume || !options.out.exists() {
         return Ok(None);
@@ -173,7 +173,7 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
     let differences = begun.differences(recording);
     ensure!(
         differences.is_empty(),
-        "cannot go on with {}: it has other {}; use the same settings, or another --out",
+        "cannot go on with {}: its {} differ; use the same settings, or another --out",
         options.out.display(),
         differences.join(", ")
     );

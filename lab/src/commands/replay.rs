@@ -1,4 +1,4 @@
-//! `entire-lab replay`: recorded cost curves under every controller and target, beside an oracle; the
+//! `entire-lab replay`: recorded time curves under every controller and target, beside an oracle; the
 //! steering bars.
 
 use crate::bars;
@@ -21,7 +21,7 @@ use entire_steer::features::PROBE_SIDE;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Recorded paths, and what they are played against.
+/// Recorded paths, timing tables and targets.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Paths {
     /// The recorded paths (`entire-lab record`).
@@ -31,7 +31,7 @@ pub struct Paths {
     /// (`entire-lab record --calibration`).
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", required = true)]
     pub calibration: Vec<PathBuf>,
-    /// Times that frames should not exceed.
+    /// Target frame times.
     #[arg(
         long,
         value_delimiter = ',',
@@ -40,8 +40,8 @@ pub struct Paths {
         allow_hyphen_values = true
     )]
     pub targets: Vec<String>,
-    /// Finest and coarsest step that may be chosen, reference steps. Rules that act on image resolution have
-    /// ranges of their own.
+    /// Finest and coarsest allowed step, reference steps. Rules that act on image resolution have their own
+    /// ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub limits: (f32, f32),
 }
@@ -50,7 +50,7 @@ impl Paths {
     /// The allowed steps, checked.
     ///
     /// # Errors
-    /// For limits that no step meets.
+    /// For limits that contain no step.
     pub fn limits(&self) -> Result<StepLimits> {
         let limits = StepLimits { finest: self.limits.0, coarsest: self.limits.1 };
         limits.check()?;
@@ -71,7 +71,7 @@ impl Paths {
     /// Every target in seconds with its name, the longest first.
     ///
     /// # Errors
-    /// For what is no time.
+    /// For a text that is no time.
     pub fn targets(&self) -> Result<Vec<(f64, &str)>> {
         let mut out =
             self.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;
@@ -80,39 +80,39 @@ impl Paths {
     }
 }
 
-/// Replay recorded cost curves under every controller and target, beside an oracle that knows them.
+/// Replay recorded time curves under every controller and target, beside an oracle that knows them.
 ///
-/// Every trace (see `entire-lab record`) is played under every controller against every target that is worth
-/// playing on it (some allowed step meets it in at least half of the frames), and against a series of
-/// targets. Where no target is worth playing on it, it is played against one of its own, halfway between what
-/// its middle frame takes at the finest and the coarsest step. The predictor is fitted to a timing table of other volumes. Rules that act on image resolution are
-/// answered by the costs of smaller images at the reference step; where a trace holds none, they are played on
-/// the ray step and said to be. DIR gets report.html, scores.json and frames.csv.
+/// Every trace (see `entire-lab record`) is replayed under every controller with every target that some
+/// allowed step meets in at least half of the frames, and with a series of these targets. A trace without
+/// such a target gets one of its own, halfway between the times of its middle frame at the finest and the
+/// coarsest step. The predictor is fitted to a timing table of other volumes. Rules that act on image
+/// resolution get the times of smaller images at the reference step; if a trace has none, they act on the ray
+/// step, and the report says so. DIR gets report.html, scores.json and frames.csv.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab replay data/steer/traces/*.json.gz --calibration data/steer/calibration.csv.gz --out out/steer
   entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
   --out out/nyx")]
 pub struct Options {
-    /// The paths that are played.
+    /// Paths to replay.
     #[command(flatten)]
     pub paths: Paths,
-    /// Replay beside somebody else on the machine, as `entire-lab disturb` recorded.
+    /// Replay with the slowdowns of another program that `entire-lab disturb` recorded.
     #[arg(long, value_name = "FILE.csv")]
     pub disturbance: Option<PathBuf>,
-    /// Steer by this model file instead of the predictor that is fitted to the tables.
+    /// Model file, instead of the predictor that is fitted to the tables.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// The controllers that play; all where none is named.
+    /// Controllers to compare; default: all.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
     pub controllers: Vec<ControllerKind>,
-    /// Rounds in which everything is played, each time with other noise of the measured.
+    /// Rounds over all paths and targets, each with another draw of the measured noise.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub rounds: u64,
     /// Folder for the results.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Print the steering bars, and fail when one is short.
+    /// Print the goals (bars) of steering, and fail when one is missed.
     #[arg(long)]
     pub bars: bool,
 }
@@ -123,10 +123,13 @@ pub struct Options {
 /// Bad options or files; with --bars when one is short.
 pub fn run(options: &Options) -> Result<()> {
     let limits = options.paths.limits()?;
-    ensure!(options.rounds >= 1, "--rounds is 0; everything is played at least once");
+    ensure!(options.rounds >= 1, "--rounds is 0; at least one round is needed");
     let targets = options.paths.targets()?;
     let samples = samples_of(&options.paths.calibration, PROBE_SIDE)?;
-    let response = response(&samples).context("G needs scenes that were timed at several steps")?;
+    let response = response(&samples).context(
+        "G, the curve of frame time over step, needs scenes that were \
+                                               timed at several steps",
+    )?;
     let nothing = [0u8];
     let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
     let mut calibrated = Calibrated::fit(&samples, &no_volume, 1)?;
@@ -149,7 +152,7 @@ pub fn run(options: &Options) -> Result<()> {
             "trace {name} is not played: no target is met by an allowed step in half of its frames"
         ));
     }
-    ensure!(!trials.is_empty(), "no target is worth playing on any trace; the allowed steps never meet one");
+    ensure!(!trials.is_empty(), "no trace has a target that an allowed step meets in half of its frames");
     let mut outcomes = Vec::with_capacity(trials.len());
     for (index, trial) in trials.iter().enumerate() {
         outcomes.push(play(

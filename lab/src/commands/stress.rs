@@ -1,4 +1,4 @@
-//! `entire-lab stress`: scenes in which methods of holding a frame time break.
+//! `entire-lab stress`: scenes in which methods of holding a frame time fail.
 
 use crate::stress::report::{matrix, page};
 use crate::stress::{SCENES, Verdict, bars, bars_on_device, harmless, run as play, run_real};
@@ -15,28 +15,28 @@ use std::path::PathBuf;
 /// Frames of the long run.
 const LONG_RUN: u64 = 1_000_000;
 
-/// Play the stress scenes: each method against scripts of what is known to break it.
+/// Play the stress scenes: scripts in which methods of holding a frame time are known to fail.
 ///
-/// Scenes on a scripted clock, the same in every run, each with a rule that says what passes. Prints the
-/// matrix of scenes and methods, writes report.html and verdicts.json into DIR, and fails when ours fails a
-/// scene. Its bars are about all scenes and methods: they are short where only some are played, and decide the
-/// status where all are.
+/// Scenes run on a scripted clock, the same in every run, and each has a rule for passing. Prints the matrix
+/// of scenes and methods, writes report.html and verdicts.json into DIR, and fails when entire's controller
+/// fails a scene. The goals (bars) are about all scenes and methods: they count as missed if only some are
+/// played, and decide the exit status if all are.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab stress --out out/stress
   entire-lab stress --scenes 1,17,22 --controllers olp,hybrid --out out/stress
   entire-lab stress --device vulkan --clock cpu --out out/stress")]
 pub struct Options {
-    /// Numbers of the scenes; all where none is named.
+    /// Numbers of the scenes; default: all.
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     pub scenes: Vec<usize>,
-    /// The controllers that play; all where none is named.
+    /// Controllers to compare; default: all.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
     pub controllers: Vec<ControllerKind>,
-    /// Play the scenes that make sense there again on this device, with its clock.
+    /// Also play the scenes that work on a real renderer on this device, with its clock.
     #[arg(long, value_enum)]
     pub device: Option<Device>,
-    /// The clock of frame times there.
+    /// Clock of frame times on that device.
     #[arg(long, value_enum, default_value_t, requires = "device")]
     pub clock: Clock,
     /// Folder for the results.
@@ -47,7 +47,7 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options, files that cannot be written, or a scene that ours fails.
+/// Bad options, files that cannot be written, or a scene that entire's controller fails.
 pub fn run(options: &Options) -> Result<()> {
     let scenes: Vec<usize> = if options.scenes.is_empty() {
         SCENES.iter().map(|s| s.number).collect()
@@ -70,9 +70,9 @@ pub fn run(options: &Options) -> Result<()> {
     let verdicts = play(&scenes, &methods, LONG_RUN, &bar);
     bar.finish_and_clear();
     let verdicts = verdicts?;
-    let mut name = "scripted clock; the raycaster's CPU twin counts work".to_owned();
+    let mut name = "scripted clock; the CPU version of the raycaster counts the work".to_owned();
     let mut real = Vec::new();
-    // One that predicts and reacts, one that reacts.
+    // A controller that predicts and reacts, and one that reacts.
     let real_methods: Vec<ControllerKind> =
         [ControllerKind::Olp, ControllerKind::Hybrid].into_iter().filter(|m| methods.contains(m)).collect();
     if let Some(device) = options.device {

@@ -10,10 +10,10 @@ use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
 use std::path::PathBuf;
 
-/// Make and judge every predictor of a study; write one report: accuracy against latency, tables.
+/// Train and test every predictor of a study; write one report with accuracy against latency.
 ///
-/// Predictors that were made before of the same data are taken from OUT/models, so that a study that was
-/// stopped goes on where it was.
+/// Predictors that were already trained on the same data are taken from OUT/models, so a stopped study
+/// continues where it was.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -32,18 +32,18 @@ pub struct Options {
     /// Only these data sets.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub sets: Vec<String>,
-    /// The clock whose seconds are learned and judged, instead of the study's.
+    /// Clock of the predicted seconds, instead of the study's.
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
-    /// Print one line per bar, `bar NAME VALUE LIMIT ok|short`, and fail when one is short.
+    /// Print one line per goal, `bar NAME VALUE LIMIT ok|short`, and fail when one is missed (short).
     ///
-    /// The value is - where what the bar is about is missing.
+    /// The value is - if it could not be measured.
     #[arg(long)]
     pub bars: bool,
     /// Write the predictors that the study ships, each with its card, into this folder.
     #[arg(long, value_name = "FOLDER", conflicts_with = "only")]
     pub ship: Option<PathBuf>,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }
@@ -85,7 +85,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     for set in &study.sets {
         if let Some(split) = set.splits.iter().find(|s| s.main) {
-            println!("{}: frames learned from, cross-validation, test", set.name);
+            println!("{}: training frames, cross-validation, test", set.name);
             println!("{}", fits_table(&study, &found, &set.name, &split.name).to_text());
         }
         if let Some(selected) = by_rule(&study, &found, &set.name) {
@@ -103,6 +103,6 @@ pub fn run(options: &Options) -> Result<()> {
         short = bars.iter().filter(|b| !b.ok).count();
     }
     println!("wrote {}", options.out.join("report.html").display());
-    ensure!(short == 0, "{short} of the bars above are short");
+    ensure!(short == 0, "{short} of the bars above are not met");
     Ok(())
 }

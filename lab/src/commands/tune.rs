@@ -1,4 +1,4 @@
-//! `entire-lab tune`: the controller's constants from recorded paths.
+//! `entire-lab tune`: search of the controller's constants on recorded paths.
 
 use super::replay::Paths;
 use crate::calibration::samples_by_volume;
@@ -16,37 +16,38 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A path by every renderer, and what was fitted to other volumes.
+/// A path on every renderer, and the predictor that was fitted to other volumes.
 type Played = ([Replayable; 3], Calibrated);
 
-/// Choose the controller's constants on recorded paths.
+/// Search for better constants of the controller on recorded paths.
 ///
-/// Every path is played against every target that is worth playing on it, with a predictor that was fitted to
-/// frames of other volumes, and by sessions without a model that begin on the way. The search takes a value
-/// when the paths cost less by more than two standard errors. It changes no file but --out: what it finds
-/// belongs into `core/src/control/constants.rs` and `core/src/adapt/constants.rs`.
+/// Every path is replayed with every target that some allowed step meets in at least half of its frames, by a
+/// predictor fitted to frames of other volumes and by sessions without a model that start at several frames.
+/// The search takes a value when it lowers the cost of the paths by more than two standard errors. It changes
+/// no file but --out: enter the found values in `steer/src/control/constants.rs` and
+/// `steer/src/adapt/constants.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --rounds 0
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --only full,finer")]
 pub struct Options {
-    /// The paths that are played.
+    /// Paths to replay.
     #[command(flatten)]
     pub paths: Paths,
-    /// Play every path once more under each of these recordings of somebody else on the machine (`entire-lab disturb`).
+    /// Replay every path again with each of these recorded slowdowns (`entire-lab disturb`).
     #[arg(long, value_delimiter = ',', value_name = "FILE.csv,…")]
     pub disturbances: Vec<PathBuf>,
-    /// Most rounds over all constants; 0 says what the present ones cost.
+    /// Maximum number of rounds over all constants; 0 prints the cost of the present values.
     #[arg(long, default_value_t = 3, value_name = "N")]
     pub rounds: usize,
-    /// Search for these constants alone; all of them where none is named.
+    /// Search for these constants only; default: all.
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     pub only: Vec<String>,
     /// Start from these values instead of the present ones.
     #[arg(long, value_delimiter = ',', value_name = "NAME=VALUE,…", allow_hyphen_values = true)]
     pub set: Vec<String>,
-    /// File for all that was tried and found, as JSON.
+    /// File for all tried values and the result, as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub out: Option<PathBuf>,
 }
@@ -109,11 +110,11 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let courses: Vec<Course<'_>> =
         played.iter().map(|(recorded, c)| Course::new(recorded, c, &targets, limits)).collect();
-    ensure!(courses.len() >= 2, "one path has no standard error; name several");
+    ensure!(courses.len() >= 2, "a standard error needs several paths; name more than one");
     for (course, (recorded, _)) in courses.iter().zip(&played) {
         ensure!(
             !course.is_empty(),
-            "no target is worth playing on {}; the allowed steps never meet one: name other --targets",
+            "{} has no target that an allowed step meets in half of its frames; name other --targets",
             recorded[0].trace.name
         );
     }
@@ -135,7 +136,7 @@ pub fn run(options: &Options) -> Result<()> {
         );
     }
     if taken.is_empty() {
-        println!("no other value of any constant costs less by more than two standard errors");
+        println!("no other value of any constant lowers the cost by more than two standard errors");
     }
     if let Some(out) = &options.out {
         make_folder_of(out)?;
@@ -152,7 +153,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The place of a constant.
+/// The index of a constant.
 fn place(name: &str) -> Result<usize> {
     Constants::names().position(|n| n == name).with_context(|| {
         let known: Vec<&str> = Constants::names().collect();
@@ -160,14 +161,15 @@ fn place(name: &str) -> Result<usize> {
     })
 }
 
-/// Takes a constant from `NAME=VALUE`.
+/// Sets a constant from `NAME=VALUE`.
 fn set(constants: &mut Constants, given: &str) -> Result<()> {
     let (name, value) = given.split_once('=').with_context(|| format!("{given} is no NAME=VALUE"))?;
     let at = place(name)?;
-    let value: f64 =
-        value.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0).with_context(|| {
-            format!("{name} is to be {value}; it must be a finite number and not negative")
-        })?;
+    let value: f64 = value
+        .parse()
+        .ok()
+        .filter(|v: &f64| v.is_finite() && *v >= 0.0)
+        .with_context(|| format!("{name} is {value}; it must be a finite number and not negative"))?;
     if let Some(constant) = constants.values().nth(at) {
         *constant = value;
     }
@@ -175,7 +177,7 @@ fn set(constants: &mut Constants, given: &str) -> Result<()> {
 }
 
 impl Options {
-    /// The places of the constants to search for.
+    /// The indices of the constants to search for.
     fn tried(&self) -> Result<Vec<usize>> {
         if self.only.is_empty() {
             return Ok((0..Constants::names().count()).collect());
@@ -184,7 +186,7 @@ impl Options {
     }
 }
 
-/// What every path costs before and after.
+/// Costs of every path before and after.
 fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
     let mut columns = vec![Column::text("path"), Column::number("cost"), Column::number("… after")];
     for what in [

@@ -1,5 +1,5 @@
-//! The bars of `entire farm` that need no engine: schedules of recorded frames, loads, foretold ends,
-//! planning at scale. The simulator runs the planner that drives real engines.
+//! The bars of `entire farm` that need no engine: schedules of recorded frames, loads, predicted ends,
+//! planning at scale. The simulator uses the planner of real engines.
 
 use super::search::{Problem, best_of};
 use super::tables::{HELD_OUT, tasks};
@@ -32,7 +32,7 @@ fn measured(tasks: &[Task]) -> Vec<f64> {
     tasks.iter().map(|t| t.measured_s.unwrap_or(1.0)).collect()
 }
 
-/// A plan of tasks whose predicted seconds a model told.
+/// A plan of tasks whose seconds a model predicted.
 pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
     let shape = Shape::of_volumes(base, volume).with_constant(TOLD);
     let mut planner = Planner::new(shape, loads, setting);
@@ -40,12 +40,13 @@ pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> P
     planner
 }
 
-/// How a plan of equal, named slots without costs is made.
+/// Settings of a plan with equal, named slots without costs.
 pub fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
 }
 
-/// Longest first on predicted over the same on measured times, no exchanges: the worst of 2 to 64 nodes.
+/// Longest first by predicted times over the same by measured times, no exchanges: the worst of 2 to 64
+/// nodes.
 ///
 /// # Errors
 /// When a time is not usable.
@@ -63,8 +64,8 @@ pub fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
     Ok(worst)
 }
 
-/// Loading costs 4 mean frames, 8 nodes: the plan's end over the best that local search finds, which knows
-/// the measured times.
+/// Loading costs 4 mean frames, 8 nodes: the plan's end over the best of a local search that knows the
+/// measured times.
 ///
 /// # Errors
 /// Never in practice.
@@ -94,7 +95,7 @@ pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
     Ok(out.makespan / best)
 }
 
-/// What was foretold after a tenth of the work, over runs: median error of the median, and the share of ends
+/// Predicted ends after a tenth of the work, over runs: median error of the median, and the share of ends
 /// within the 90 % interval.
 ///
 /// # Errors
@@ -124,7 +125,7 @@ pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> 
             ..World::default()
         };
         let out = simulate(&mut planner, &world, &[0.1]);
-        let said = out.said.first().context("nothing was foretold")?.end;
+        let said = out.said.first().context("no end was predicted")?.end;
         let hit = (said[0]..=said[2]).contains(&out.makespan);
         hits += u32::from(hit);
         errors.push((said[1] / out.makespan - 1.0).abs());
@@ -170,7 +171,7 @@ pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let eta = planner.eta(0.0);
     let first = clock.elapsed().as_secs_f64();
     let (mut tasks, mut bundles, mut slot) = (0, 0, 0);
-    // Tasks of which nothing is known are bundled by number; what is known makes bundles by time.
+    // Tasks of unknown times are bundled by number; known times bundle them by time.
     for task in 0..16 {
         planner.done_before(task * 62_001, 0, 0.3);
     }
@@ -198,7 +199,7 @@ pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
 pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
     let n = 1_000_000;
     let (p, m) = (predicted(pool), measured(pool));
-    // Recorded frames over and over, with loads, unequal nodes and failures.
+    // Recorded frames repeated, with loads, unequal nodes and failures.
     let pick = |i: usize| i * 7919 % p.len();
     let base: Vec<f64> = (0..n).map(|i| 60.0 * p[pick(i)]).collect();
     let truth: Vec<f64> = (0..n).map(|i| 60.0 * m[pick(i)]).collect();
@@ -227,7 +228,7 @@ pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
         };
         let out = simulate(&mut planner, &world, &[]);
         println!(
-            "simulated: 1000 nodes, 10^6 tasks, {name}: {:.0} s, {:.3} over the bound without loading, {} \
+            "simulated: 1000 nodes, 10^6 tasks, {name}: {:.0} s, {:.3} times the bound without loading, {} \
              bundles, {} loads, {} lost (simulated in {:.1} s)",
             out.makespan,
             out.makespan / bound,
@@ -245,7 +246,7 @@ pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
 /// # Errors
 /// When data or models cannot be read.
 pub fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Result<Vec<Bar>> {
-    // First: memory is that of the process at its largest.
+    // First: the peak memory is that of the process.
     let (first, last, peak) = at_scale(folder)?;
     let mut pools = Vec::new();
     for (table, model) in HELD_OUT {

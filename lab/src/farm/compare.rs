@@ -1,4 +1,4 @@
-//! Every way to balance a farm beside the others, judged by measured times.
+//! Comparison of methods of load balancing, judged by measured times.
 
 use crate::bars::Bar;
 use crate::trace::Trace;
@@ -19,9 +19,9 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What a second measurement would reach in place of a prediction: longest first on the medians of all
-/// repeats but one, judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and
-/// most over the repeats.
+/// Result of a second measurement instead of a prediction: longest first on the medians of all repeats but
+/// one, judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and most over
+/// the repeats.
 ///
 /// # Errors
 /// When a time is not finite and positive.
@@ -49,7 +49,7 @@ pub fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
     Ok(range)
 }
 
-/// Methods of the comparison: title, how, by which times, color.
+/// Methods of the comparison: title, method, times, color.
 const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static longest first, measured", Method::Longest, By::Measured, 2),
     ("static longest first, predicted", Method::Longest, By::Predicted, 0),
@@ -59,10 +59,10 @@ const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static with exchanges, predicted", Method::Static, By::Predicted, 4),
 ];
 
-/// Random orders that the mean of a queue in any order is taken over.
+/// Random orders for the mean of a queue in any order.
 const RANDOM_ORDERS: u64 = 200;
 
-/// When a queue in any order is done: the mean over [`RANDOM_ORDERS`] orders, drawn by seeds.
+/// End of a queue in any order: the mean over [`RANDOM_ORDERS`] orders, drawn by seeds.
 fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
     let mut sum = 0.0;
     for seed in 0..RANDOM_ORDERS {
@@ -73,22 +73,22 @@ fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
     Ok(sum / RANDOM_ORDERS as f64)
 }
 
-/// What a comparison is told.
+/// Inputs of a comparison.
 #[derive(Clone, Debug)]
 pub struct Comparison<'a> {
     /// The tasks, with both times.
     pub tasks: &'a [Task],
-    /// Where they come from, for the report.
+    /// Their origin, for the report.
     pub source: String,
-    /// Seconds of a node that every dispatch from a queue costs.
+    /// Node seconds per dispatch from a queue.
     pub dispatch: f64,
-    /// Tasks that a node looks at for one on the volume that it holds.
+    /// Queue entries that a node searches for a task on its loaded volume.
     pub window: usize,
-    /// What [`second_measurement`] found.
+    /// Result of [`second_measurement`].
     pub noise: Option<(f64, f64)>,
 }
 
-/// Compares every method for 2 to 64 nodes, writes a report into a folder, and gives the bars.
+/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars.
 ///
 /// # Errors
 /// When tasks lack a time, or the report cannot be written.
@@ -149,11 +149,11 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     page.table(
         &table,
         "Time until the last node is done over the lower bound (all work over all nodes, and \
-        the longest tasks).",
+         the longest tasks).",
     );
     println!("{}", table.to_text());
     let mut chart = Chart::new(
-        "Loads of the nodes",
+        "Node loads",
         Axis::categories("nodes", shown.iter().map(ToString::to_string).collect()),
         Axis::linear("load / longest load of longest first, measured"),
     )
@@ -174,8 +174,8 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     }
     page.chart(
         &chart,
-        "Per method, the spread of what the nodes have to do, normalized to the longest load \
-        that static balancing on measured times leaves. 5th, 25th, 50th, 75th and 95th percentile.",
+        "Distribution of node loads per method, relative to the longest load of static balancing by measured \
+         times. 5th, 25th, 50th, 75th and 95th percentile.",
     );
     let mut chart = Chart::new(
         "Longest load",
@@ -191,12 +191,15 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     chart = chart.series(Series::new("lower bound", Mark::Line(bound)).color(6));
     let line = all.iter().map(|&n| (n as f64, random[at(n)] / makespans[0][at(n)])).collect();
     chart = chart.series(Series::new(any, Mark::Line(line)).color(7));
-    page.chart(&chart, "What decides when a farm is done, normalized to static balancing on measured times.");
+    page.chart(
+        &chart,
+        "Longest load, which is the end of the job, relative to static balancing by measured \
+                        times.",
+    );
     if let Some((low, high)) = comparison.noise {
         let text = format!(
-            "What measuring a second time reaches instead of predicting: static longest first on the medians \
-             of all repeats but one takes, by that one, up to {low:.3} to {high:.3} of what longest first on \
-             itself takes."
+            "Limit by noise: static longest first by the medians of all repeats but one, judged by that one, \
+             takes up to {low:.3} to {high:.3} of the time of longest first by that one."
         );
         println!("{text}");
         page.paragraph(&text);
@@ -218,7 +221,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     ])
 }
 
-/// What the plain case lacks: nodes of different speeds, and volumes that take time to load.
+/// The cases beyond the plain one: nodes of different speeds, and volumes that take time to load.
 fn mixed(tasks: &[Task], measured: &[f64], window: usize, page: &mut Page) -> Result<()> {
     page.heading("Unequal nodes, and volumes that must be loaded");
     let mut table = Table::new(vec![

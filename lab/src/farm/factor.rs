@@ -1,10 +1,10 @@
-//! A factor on predicted times, learned from measured frames of one transfer function: what the analytic
-//! model leaves.
+//! A factor on predicted times, learned from measured frames of one transfer function: the residual of the
+//! analytic model.
 //!
-//! The analytic model counts work; what a count costs depends on the direction in which rays cross the voxels
-//! in memory and on how far apart they are. ln(measured / predicted) is fitted to the view direction and the
-//! spacing and divergence of the rays by ridge regression. That needs frames like those that will be
-//! predicted, so it serves farms, not steering.
+//! The analytic model counts work; the cost of a count depends on the direction in which rays cross the
+//! voxels in memory and on their spacing. ln(measured / predicted) is fitted to the view direction and the
+//! spacing and divergence of the rays by ridge regression. That needs frames similar to the predicted ones,
+//! so it serves farms, not steering.
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
@@ -13,7 +13,7 @@ use entire_core::scene::{Arcball, Camera};
 use entire_steer::features::{FrameFeatures, SceneQuantity, Setting};
 use entire_steer::numeric::solve;
 
-/// Numbers of a frame that the factor depends on, before their squares.
+/// Number of a frame's terms, before their squares.
 const TERMS: usize = 10;
 /// Weight of the ridge, in frames.
 const RIDGE: f64 = 10.0;
@@ -59,8 +59,7 @@ impl Factor {
         Self { mean: [0.0; TERMS], sd: [1.0; TERMS], weights: [0.0; 2 * TERMS], offset: 0.0 }
     }
 
-    /// From frames with their predicted seconds; no change where fewer than three frames per unknown are
-    /// usable.
+    /// From frames with their predicted seconds; 1 if fewer than three frames per unknown are usable.
     pub fn fit(frames: &[(&Sample, f64)]) -> Self {
         let rows: Vec<([f64; TERMS], f64)> = frames
             .iter()
@@ -77,7 +76,7 @@ impl Factor {
         for k in 0..TERMS {
             out.mean[k] = rows.iter().map(|r| r.0[k]).sum::<f64>() / n;
             let variance = rows.iter().map(|r| (r.0[k] - out.mean[k]).powi(2)).sum::<f64>() / n;
-            // What never changed says nothing.
+            // A constant input carries no information.
             out.sd[k] = if variance > 1e-12 { variance.sqrt() } else { f64::INFINITY };
         }
         out.offset = rows.iter().map(|r| r.1).sum::<f64>() / n;
@@ -105,7 +104,7 @@ impl Factor {
     fn row(&self, values: &[f64; TERMS]) -> [f64; 2 * TERMS] {
         let mut row = [0.0; 2 * TERMS];
         for k in 0..TERMS {
-            // Beyond what was seen the factor stays what it is at the rim.
+            // Terms are clamped to the training range.
             let z = ((values[k] - self.mean[k]) / self.sd[k]).clamp(-2.5, 2.5);
             row[k] = z;
             row[TERMS + k] = z * z - 1.0;

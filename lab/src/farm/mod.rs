@@ -1,4 +1,4 @@
-//! Render farms in studies: tasks of recorded paths, and every way to balance them beside the others.
+//! Render farms in studies: tasks of recorded paths, and methods of load balancing.
 
 pub mod bars;
 mod compare;

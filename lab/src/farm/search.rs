@@ -1,11 +1,11 @@
-//! What a scheduler could reach that knows the measured times and has time: local search from many random
-//! starts, with loading costs.
+//! Reference for schedulers: a local search from many random starts that knows the measured times, with
+//! loading costs.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-/// Tasks with their volumes, and what loading costs.
+/// Tasks with their volumes, and loading costs.
 #[derive(Clone, Debug)]
 pub(super) struct Problem<'a> {
     /// Seconds of each task.
@@ -41,13 +41,13 @@ impl<'a> State<'a> {
         node * self.problem.load.len() + self.problem.volume[task]
     }
 
-    /// What a task would add to a node.
+    /// Seconds that a task would add to a node.
     fn adds(&self, node: usize, task: usize) -> f64 {
         let load = self.problem.load[self.problem.volume[task]];
         self.problem.seconds[task] + if self.count[self.cell(node, task)] == 0 { load } else { 0.0 }
     }
 
-    /// What a task's leaving would take from its node.
+    /// Seconds that removing a task would save on its node.
     fn frees(&self, task: usize) -> f64 {
         let load = self.problem.load[self.problem.volume[task]];
         let alone = self.count[self.cell(self.node_of[task], task)] == 1;
@@ -72,7 +72,7 @@ impl<'a> State<'a> {
         (0..self.ends.len()).fold(0, |m, n| if self.ends[n] > self.ends[m] { n } else { m })
     }
 
-    /// Moves and exchanges of tasks of the node that is done last, until none helps.
+    /// Moves and exchanges tasks of the node that ends last, until none helps.
     fn improve(&mut self) {
         loop {
             let last = self.last();
@@ -89,7 +89,8 @@ impl<'a> State<'a> {
                 }
                 for other in (0..self.node_of.len()).filter(|t| self.node_of[*t] != last) {
                     let node = self.node_of[other];
-                    // Volumes that both share make this a bound from above; what is taken is worked out anew.
+                    // With shared volumes this is an upper bound of the gain; a chosen change is computed
+                    // exactly.
                     let there = self.ends[node] - self.frees(other) + self.adds(node, task);
                     let here = longest - freed + self.adds(last, other);
                     let end = here.max(there);
@@ -107,7 +108,7 @@ impl<'a> State<'a> {
             }
             self.put(node, task);
             if self.ends[last].max(self.ends[node]) >= longest - 1e-9 {
-                // Shared volumes made it worse than it looked.
+                // Shared volumes made it worse than estimated.
                 self.take(task);
                 if let Some(other) = other {
                     self.take(other);
@@ -129,8 +130,8 @@ fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     out
 }
 
-/// The best end of so many random starts. Even ones wrap volumes in random order around the nodes, odd ones
-/// give tasks in random order each to the node that is done with it first.
+/// The best end of several random starts. Even ones put volumes in random order around the nodes, odd ones
+/// assign tasks in random order, each to the node that ends first with it.
 pub(super) fn best_of(problem: &Problem<'_>, starts: u64) -> f64 {
     (0..starts)
         .into_par_iter()
@@ -174,7 +175,7 @@ mod tests {
         let (seconds, volume) = (vec![3.0, 1.0, 2.0, 2.0, 1.0, 3.0], vec![0, 0, 0, 1, 1, 1]);
         let p = Problem { seconds: &seconds, volume: &volume, load: &[5.0, 5.0], nodes: 2 };
         assert_eq!(best_of(&p, 20), 11.0);
-        // Without loads: the work is even.
+        // Without loads: the work is balanced.
         let p = Problem { load: &[0.0, 0.0], ..p };
         assert_eq!(best_of(&p, 20), 6.0);
     }

@@ -1,8 +1,9 @@
-//! Sort-last rendering: a volume that is too large for a node is cut into parts, a group of nodes renders one part
-//! each, and the partial images are composited. A frame takes what its slowest part takes, and compositing.
+//! Sort-last rendering: a volume that is too large for a node is cut into parts, a group of nodes renders one
+//! part each, and the partial images are composited. The time of a frame is that of its slowest part plus
+//! compositing.
 //!
-//! Compositing is radix-k (Peterka et al. 2009; binary swap where all factors are 2) with a last gathering: in a
-//! round with factor k a node sends k − 1 messages with (k − 1)/k of the pixels that it still has. Its seconds are
+//! Compositing is radix-k (Peterka et al. 2009; binary swap if all factors are 2) with a last gathering: in a
+//! round with factor k a node sends k − 1 messages with (k − 1)/k of its remaining pixels. Its seconds are
 //! messages · latency + bytes · seconds per byte, both fitted to measured times or given.
 
 use anyhow::{Result, bail, ensure};
@@ -27,12 +28,12 @@ pub struct Composited {
     pub seconds: f64,
 }
 
-/// What compositing takes.
+/// Costs of compositing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compositing {
-    /// Seconds of a message.
+    /// Seconds per message.
     pub latency: f64,
-    /// Seconds of a byte, sent and blended.
+    /// Seconds per byte, sent and blended.
     pub per_byte: f64,
 }
 
@@ -51,7 +52,7 @@ impl Compositing {
             share /= k as f64;
             left /= k;
         }
-        // The first node gathers what the others have.
+        // The first node gathers the parts of the others.
         (messages + parts.saturating_sub(1) as f64, bytes + whole - share)
     }
 
@@ -64,8 +65,8 @@ impl Compositing {
     /// Least squares of the relative errors.
     ///
     /// # Errors
-    /// When the times cannot tell latency from bytes: at least two different numbers of parts or of pixels are
-    /// needed.
+    /// When the times do not determine latency and bytes: at least two different numbers of parts or of
+    /// pixels are needed.
     pub fn fit(measured: &[Composited]) -> Result<Self> {
         let (mut aa, mut ab, mut bb, mut a1, mut b1) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for m in measured {
@@ -125,7 +126,7 @@ pub fn cut(dims: [usize; 3], parts: usize) -> Result<Vec<Part>> {
     Ok(out)
 }
 
-/// The elements from a place on, and the bytes of one.
+/// The elements from an index on, and the bytes of one.
 fn behind(scalars: Scalars<'_>, at: usize) -> Result<(Scalars<'_>, u64)> {
     Ok(match scalars {
         Scalars::U8(v) => (Scalars::U8(&v[at..]), 1),
@@ -150,7 +151,7 @@ impl Part {
         Ok((view, bytes * view.shape().voxels))
     }
 
-    /// The camera that sees this part where the camera of the whole volume sees it.
+    /// The camera that shows this part as the camera of the whole volume does.
     fn camera(
         &self,
         whole: &VolumeView<'_>,
@@ -170,7 +171,7 @@ impl Part {
     }
 }
 
-/// What is rendered.
+/// Scene of the frames.
 pub struct Scene<'a> {
     /// The volume.
     pub volume: VolumeView<'a>,
@@ -185,8 +186,8 @@ pub struct Scene<'a> {
 /// Vertical field of view of all frames, degrees.
 const FOV: f32 = 45.0;
 
-/// Seconds of every view (outer) and part (inner): measured, and predicted by the analytic model, which was fitted
-/// to the first views.
+/// Seconds of every view (outer) and part (inner): measured, and predicted by the analytic model, which was
+/// fitted to the first views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parts {
     /// Measured.
@@ -195,13 +196,13 @@ pub struct Parts {
     pub predicted: Vec<Vec<f64>>,
     /// Bytes of the largest part.
     pub bytes: u64,
-    /// How many views the model was fitted to; they come first.
+    /// Number of views that the model was fitted to; they come first.
     pub fitted: usize,
-    /// Samples of each view, all parts together, where the renderer counts.
+    /// Samples of each view, all parts together, if the renderer counts.
     pub samples: Vec<u64>,
 }
 
-/// Renders every view of a volume in parts, one after the other, and predicts what each takes.
+/// Renders every view of a volume in parts, one after another, and predicts their times.
 ///
 /// # Errors
 /// When the renderer fails or the volume is too small.
@@ -266,7 +267,8 @@ pub fn measure(
 }
 
 impl Parts {
-    /// Seconds of the frames that were not fitted to: the slowest part and compositing, predicted and measured.
+    /// Seconds of the frames that the model was not fitted to: the slowest part plus compositing, predicted
+    /// and measured.
     pub fn frames(&self, compositing: &Compositing, pixels: u64) -> (Vec<f64>, Vec<f64>) {
         let of = |times: &[Vec<f64>]| -> Vec<f64> {
             times[self.fitted..]
@@ -344,7 +346,7 @@ mod tests {
         let whole = measure(&scene, 1, 3, 1, &mut renderer, 1.0).unwrap();
         let parts = measure(&scene, 4, 3, 1, &mut renderer, 1.0).unwrap();
         for (a, b) in whole.samples.iter().zip(&parts.samples) {
-            // Blocks that are skipped lie elsewhere in the parts, and each part begins its rays anew.
+            // Blocks of empty space differ between the parts, and each part starts its own rays.
             let ratio = *b as f64 / *a as f64;
             assert!((0.9..1.15).contains(&ratio), "{a} {b}");
         }

@@ -1,5 +1,5 @@
-//! A renderer that draws nothing and takes as long as a list says: what runs on engines in place of recorded
-//! frames. It speaks the session protocol of `entire farm`.
+//! A renderer that draws nothing and sleeps for listed times, in place of recorded frames on engines. It uses
+//! the session protocol of `entire farm`.
 
 use anyhow::{Context, Result};
 use entire_farm::read_tasks;
@@ -19,8 +19,8 @@ struct Asked {
     out: PathBuf,
 }
 
-/// Serves tasks from standard input: each takes `measured_s` of its entry times `scale`, and `load_s` times
-/// `scale` more where its volume is another than the one before.
+/// Serves tasks from standard input: each takes `measured_s` of its entry times `scale`, and additional
+/// `load_s` times `scale` if its volume differs from the one before.
 ///
 /// # Errors
 /// When the list cannot be read or a task is not in it.

@@ -1,4 +1,4 @@
-//! Tasks from timing tables: measured frames, predicted by a model that never saw their volumes.
+//! Tasks from timing tables: measured frames, predicted by a model that was trained on other volumes.
 
 use anyhow::{Context, Result, ensure};
 use entire_farm::Task;
@@ -8,7 +8,7 @@ use entire_io::options::thread_pool;
 use entire_train::fit::{FitContext, predict};
 use std::path::Path;
 
-/// Tables of frames whose volumes the model beside them was not made from (`data/timings/study.json`).
+/// Tables of held-out volumes, each with a model (`data/timings/study.json`).
 pub(super) const HELD_OUT: [(&str, &str); 9] = [
     ("none-members", "unshaded-selected"),
     ("none-scans", "unshaded-selected"),

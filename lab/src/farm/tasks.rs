@@ -14,10 +14,10 @@ use entire_steer::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, Tr
 use entire_steer::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use std::path::PathBuf;
 
-/// What the predictor of tasks is fitted to.
+/// Frames that the predictor of tasks is fitted to.
 #[derive(Clone, Copy, Debug)]
 pub struct Fitting<'a> {
-    /// Timing tables, where there is no `training`.
+    /// Timing tables, if there is no `training`.
     pub calibration: &'a [PathBuf],
     /// Recorded frames of other volumes with the same transfer function.
     pub training: &'a [PathBuf],
@@ -25,7 +25,7 @@ pub struct Fitting<'a> {
     pub probe_side: usize,
 }
 
-/// Frames of recorded paths as samples, one scene per frame, and the volume that each of them shows.
+/// Frames of recorded paths as samples, one scene per frame, and the volume of each.
 #[derive(Default)]
 struct Recorded {
     samples: Vec<Sample>,
@@ -34,7 +34,7 @@ struct Recorded {
 }
 
 impl Recorded {
-    /// Adds what a trace's frames cost at every full-size point of their grids.
+    /// Adds the times of a trace's frames at every full-size point of their grids.
     fn add(&mut self, trace: &Trace, probe_side: usize) -> Result<()> {
         let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
         let mut features = FrameFeatures::with_probe_side(probe_side);
@@ -62,7 +62,7 @@ impl Recorded {
         Ok(())
     }
 
-    /// The analytic model and the factor on it, fitted to the samples that `keep` keeps.
+    /// The analytic model and the factor on it, fitted to the samples that `keep` accepts.
     fn fit(&self, keep: impl Fn(usize) -> bool) -> Result<(AnalyticModel, Factor)> {
         let kept: Vec<&Sample> =
             self.samples.iter().zip(&self.volumes).filter(|(_, v)| keep(**v)).map(|(s, _)| s).collect();
@@ -74,7 +74,7 @@ impl Recorded {
         Ok((model, Factor::fit(&pairs)))
     }
 
-    /// How the model alone and the model with the factor do on every volume when fitted to the others.
+    /// Errors of the model alone and of the model with the factor on every volume, when fitted to the others.
     fn leave_one_out(&self) -> Result<Option<[Quality; 2]>> {
         let volumes: std::collections::BTreeSet<usize> = self.volumes.iter().copied().collect();
         if volumes.len() < 2 {
@@ -97,14 +97,14 @@ fn predicted(model: &mut AnalyticModel, s: &Sample) -> Result<f64> {
     Ok(f64::from(model.predict(&s.predictor_inputs(None))?.seconds))
 }
 
-/// What predicts the tasks of a recorded path.
+/// Predictor of a recorded path's tasks.
 struct TaskPredictor {
     predictor: Box<dyn Predictor + Send>,
     volume_features: Option<Vec<f32>>,
     factor: Factor,
 }
 
-/// Fits to recorded frames where there are any, else to timing tables.
+/// Fits to recorded frames if there are any, else to timing tables.
 fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
     let side = fitting.probe_side;
     ensure!(
@@ -119,8 +119,7 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
             q.log_sd
         );
     };
-    // Frames like the tasks count alone where there are any: other transfer functions teach little about this
-    // one.
+    // Only frames like the tasks count, if there are any: other transfer functions say little about this one.
     if !fitting.training.is_empty() {
         let mut recorded = Recorded::default();
         for file in fitting.training {
@@ -155,11 +154,10 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
     })
 }
 
-/// Tasks of a recorded path: its frames at the reference step, predicted by what was recorded of other
-/// volumes.
+/// Tasks of a recorded path: its frames at the reference step, predicted from recordings of other volumes.
 ///
 /// # Errors
-/// When there is nothing to fit to, a file cannot be read, or a prediction fails.
+/// When there are no frames to fit to, a file cannot be read, or a prediction fails.
 pub fn tasks_of_trace(trace: &Trace, fitting: &Fitting<'_>) -> Result<Vec<Task>> {
     let TaskPredictor { mut predictor, volume_features, factor } = task_predictor(fitting)?;
     let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);

@@ -1,6 +1,6 @@
-//! One run over a device within a given time: pictures against the CPU twin, what the device needs for each
-//! part of a frame, tables in all shading modes, the machine's models, switches held, and a report. Every step
-//! is kept when it is done, so that a run that was ended goes on.
+//! One run over a device within a given time: pictures against the CPU version, the device's rates, tables in
+//! all shading modes, the machine's models, a path with switches, and a report. Every step is stored when it
+//! is finished, so that an interrupted run can be continued.
 
 pub mod pictures;
 pub mod report;
@@ -11,19 +11,19 @@ use entire_io::files::{read_text, write_json};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// How a step ended.
+/// State of a step at its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum State {
     /// Whole.
     Done,
-    /// Ended at its time; what it had is used.
+    /// Ended at its time limit; its partial result is used.
     CutShort,
-    /// Ended with the run; what it had is used, and the next run goes on with it.
+    /// Ended with the run; its partial result is used, and the next run continues it.
     Unfinished,
-    /// It says why.
+    /// Failed, with a message.
     Failed,
-    /// There was no time left for it.
+    /// Skipped for lack of time.
     LeftOut,
 }
 
@@ -39,26 +39,26 @@ impl State {
         }
     }
 
-    /// Whether the step needs to run no more.
+    /// True if the step need not run again.
     pub fn is_over(self) -> bool {
         matches!(self, Self::Done | Self::CutShort)
     }
 }
 
-/// What became of a step.
+/// Outcome of a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
     /// The step's name.
     pub step: String,
-    /// How it ended.
+    /// Its state at the end.
     pub state: State,
-    /// Wall seconds that it took.
+    /// Wall seconds of the step.
     pub seconds: f64,
-    /// The last line that it said.
+    /// The last line of its output.
     pub said: String,
 }
 
-/// The outcomes of a folder, kept after each step.
+/// The outcomes in a folder, stored after each step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Outcomes(pub Vec<Outcome>);
 
@@ -68,7 +68,7 @@ impl Outcomes {
     /// Those of an earlier run in this folder; none where there was no run.
     ///
     /// # Errors
-    /// When the file is there and is not one of these.
+    /// When the file exists but is not of this kind.
     pub fn of(folder: &Path) -> Result<Self> {
         let path = folder.join(Self::FILE);
         if !path.exists() {
@@ -78,12 +78,12 @@ impl Outcomes {
             .with_context(|| format!("{} is damaged; remove it to begin anew", path.display()))
     }
 
-    /// Whether a step needs to run no more.
+    /// True if a step need not run again.
     pub fn has(&self, step: &str) -> bool {
         self.0.iter().any(|o| o.step == step && o.state.is_over())
     }
 
-    /// Keeps an outcome, in place of an earlier one of the same step.
+    /// Stores an outcome, in place of an earlier one of the same step.
     ///
     /// # Errors
     /// When the file cannot be written.

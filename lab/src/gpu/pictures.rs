@@ -1,4 +1,4 @@
-//! Pictures of a device beside those of the CPU twin.
+//! Pictures of a device beside those of the CPU version.
 
 use anyhow::{Context, Result};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Shading, Skipping, TransferFunction};
@@ -10,16 +10,16 @@ use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Cameras that pictures are taken from; the last stands inside.
+/// Cameras of the pictures; the last is inside the volume.
 const CAMERAS: [(f32, f32, f32); 4] =
     [(0.0, 0.0, 2.5), (25.0, 40.0, 1.6), (-60.0, 130.0, 3.0), (10.0, -75.0, 0.4)];
 
-/// How far a picture is off.
+/// Difference of a picture from the CPU version's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
     /// The volume file's name.
     pub volume: String,
-    /// What each sample computes.
+    /// Shading of each sample.
     pub shading: String,
     /// The camera's number.
     pub camera: usize,
@@ -27,12 +27,12 @@ pub struct Difference {
     pub largest: u8,
     /// The mean difference of the channels, of 255.
     pub mean: f64,
-    /// Whether device and twin count the same samples; `None` where one of them does not count.
+    /// True if device and CPU version count the same samples; `None` where one of them does not count.
     pub same_samples: Option<bool>,
 }
 
-/// Draws every volume in every shading mode from every camera on the device and on the CPU twin. The pictures
-/// of the device stay in the folder.
+/// Draws every volume in every shading mode from every camera on the device and on the CPU version. The
+/// pictures of the device stay in the folder.
 ///
 /// # Errors
 /// When a volume cannot be read or a renderer fails.

@@ -12,21 +12,21 @@ use serde_json::Value;
 /// The shading modes, in the order of their cost.
 pub const MODES: [&str; 3] = ["none", "local", "scatter"];
 
-/// What a run found; what is missing was not made.
+/// Results of a run; missing ones were not made.
 pub struct Found {
-    /// How every step ended.
+    /// Outcomes of the steps.
     pub outcomes: Outcomes,
-    /// What `entire probe --json` printed.
+    /// Output of `entire probe --json`.
     pub probe: Option<Value>,
-    /// Pictures beside the twin's.
+    /// Comparison of pictures with the CPU version.
     pub pictures: Vec<Difference>,
     /// Tables: kind (`frames`, `large`), mode, frames.
     pub tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
-    /// Evaluations: kind, mode, what `entire evaluate` wrote.
+    /// Evaluations: kind, mode, output of `entire evaluate`.
     pub evaluations: Vec<(&'static str, &'static str, Value)>,
-    /// What `entire steer` wrote.
+    /// Output of `entire steer`.
     pub switches: Option<Value>,
-    /// The clock whose seconds are told.
+    /// The clock of the reported times.
     pub clock: Clock,
 }
 
@@ -34,7 +34,7 @@ fn number(value: &Value, path: &[&str]) -> Option<f64> {
     path.iter().try_fold(value, |v, key| v.get(key))?.as_f64()
 }
 
-/// The median error that knowing the truth would leave, of an evaluation.
+/// The median error of perfect predictions in an evaluation.
 fn floor(evaluation: &Value) -> Option<f64> {
     Some(NoiseFloor::deserialize(evaluation.get("noise_floor")?).ok()?.mdape())
 }
@@ -44,7 +44,7 @@ fn shown(value: Option<f64>, factor: f64, digits: usize) -> Cell {
 }
 
 impl Found {
-    /// How every step ended.
+    /// Outcomes of the steps, as a table.
     pub fn steps(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("step"),
@@ -64,7 +64,7 @@ impl Found {
         table
     }
 
-    /// Errors of the machine's models on volumes that they did not see.
+    /// Errors of the machine's models on held-out volumes.
     pub fn errors(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("shading"),
@@ -113,7 +113,7 @@ impl Found {
         table
     }
 
-    /// How each rule held its frames.
+    /// Frame times of each controller against the target.
     pub fn held(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("controller"),
@@ -135,12 +135,12 @@ impl Found {
         table
     }
 
-    /// How many steps failed, were left out or are unfinished.
+    /// Number of steps that failed, were skipped or are unfinished.
     pub fn missing(&self) -> usize {
         self.outcomes.0.iter().filter(|o| !o.state.is_over()).count()
     }
 
-    /// The largest difference of a picture from the twin's, of 255; `None` where none was drawn.
+    /// The largest difference of a picture from the CPU version's, of 255; `None` if none was drawn.
     pub fn worst_picture(&self) -> Option<u8> {
         self.pictures.iter().map(|d| d.largest).max()
     }
@@ -149,10 +149,10 @@ impl Found {
     pub fn page(&self, device: String) -> Page {
         let mut page = Page::new(
             "What this device does",
-            "Pictures against the CPU twin, the cost of each part of a frame, frame times in three shading modes, \
-             models that the device calibrated, and frames held across switches.",
+            "Pictures against the CPU version, the cost of each part of a frame, frame times in three \
+             shading modes, models that the device calibrated, and frames held across switches.",
         );
-        page.table(&self.steps(), "Steps. What was cut short is used as far as it came.");
+        page.table(&self.steps(), "Steps. A step that ran out of time counts with its partial results.");
         page.heading("Pictures");
         let mut worst = Table::new(vec![
             Column::text("volume"),
@@ -175,7 +175,7 @@ impl Found {
         }
         page.table(
             &worst,
-            "Every channel of every pixel, device against the CPU twin; 2 of 255 are accepted.",
+            "Every channel of every pixel, device against the CPU version; 2 of 255 are accepted.",
         );
         if let Some(probe) = &self.probe {
             page.heading("The device");
@@ -188,7 +188,7 @@ impl Found {
                     ]);
                 }
             }
-            page.table(&numbers, "As `entire probe` tells them.");
+            page.table(&numbers, "As `entire probe` prints them.");
         }
         page.heading("Frame times");
         page.table(&self.times(), "Median milliseconds of frames that no calibration rendered.");
@@ -209,9 +209,9 @@ impl Found {
         page.heading("Predictions");
         page.table(
             &self.errors(),
-            "The models that `entire calibrate` made here, on volumes that it did not render; the noise floor is the \
-             median error that knowing the truth would leave, since repeats of a frame differ. In a session every \
-             frame is predicted, then observed.",
+            "The models that `entire calibrate` made here, on volumes that it did not render; the noise \
+             floor is the median error of perfect predictions, since repeats of a frame differ. In a session \
+             every frame is predicted, then observed.",
         );
         if self.switches.is_some() {
             page.heading("Frames held");

@@ -1,4 +1,4 @@
-//! The steps of a device's study: which commands they run, how long each may take, and how it is ended.
+//! The steps of a device's study: their commands, time limits and ends.
 
 use super::{Outcome, State};
 use crate::child;
@@ -12,33 +12,33 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-/// What a command has to end by itself after it was asked to.
+/// Time for a command to end by itself after it was asked to.
 const GRACE: Duration = Duration::from_secs(10);
 
-/// How much is done.
+/// Size of the study.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Frames per volume of the tables.
     pub frames: u32,
     /// Longest image side of the tables, pixels.
     pub max_size: u32,
-    /// How much volumes are enlarged, along each axis.
+    /// Enlargement of volumes along each axis.
     pub enlarge: u32,
     /// … in the tables of large volumes; 0 for no such tables.
     pub enlarge_large: u32,
-    /// Seconds that calibration may take, each mode.
+    /// Seconds of a calibration, each mode.
     pub calibration: f64,
-    /// Frames that it renders, at most.
+    /// Maximum number of its frames.
     pub calibration_frames: u32,
-    /// Volumes that it renders, at most; 0 for all that it finds.
+    /// Maximum number of its volumes; 0 for all.
     pub calibration_volumes: usize,
-    /// Seconds that a table may take.
+    /// Seconds of a table.
     pub table: f64,
-    /// Sides of the image whose frames are held, pixels.
+    /// Sides of the image in the steering step, pixels.
     pub held_size: u32,
-    /// Frames that are held.
+    /// Number of frames in the steering step.
     pub held_frames: u32,
-    /// Volumes, at most.
+    /// Maximum number of volumes.
     pub volumes: usize,
     /// Sides of the pictures that are compared, pixels.
     pub picture: u32,
@@ -77,20 +77,20 @@ impl Extent {
     };
 }
 
-/// A command that runs as a process of its own.
+/// A command that runs as a separate process.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
     /// Its name, and that of its log.
     pub name: String,
-    /// What the command is given.
+    /// Arguments of the command.
     pub arguments: Vec<String>,
-    /// Wall seconds that it may take.
+    /// Time limit, wall seconds.
     pub seconds: f64,
-    /// Whether what it has when it is ended is of use.
+    /// True if a partial result is of use.
     pub partial: bool,
-    /// The file that its standard output goes to, beside the logs.
+    /// The file of its standard output, beside the logs.
     pub output: Option<String>,
-    /// Files that an attempt before may have left, and that it begins without.
+    /// Files of an earlier attempt, which are removed first.
     pub anew: Vec<PathBuf>,
 }
 
@@ -102,7 +102,7 @@ fn words(parts: &[&str]) -> Vec<String> {
     parts.iter().map(|p| (*p).to_owned()).collect()
 }
 
-/// Volumes of members that no calibration renders when it is left to choose, in the order of their names.
+/// Volumes of held-out members, in the order of their names.
 ///
 /// # Errors
 /// When the folder cannot be read or holds none.
@@ -119,7 +119,7 @@ pub fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// So many of the volumes that calibrations may render, apart in the order of their names; none where the count is
+/// `count` of the volumes for calibrations, evenly spread over the order of their names; none if the count is
 /// 0, so that the calibration finds its own.
 ///
 /// # Errors
@@ -133,8 +133,8 @@ pub fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>> {
     Ok(all.into_iter().step_by(every).collect())
 }
 
-/// The commands up to the tables of a mode: its model, from the volumes that are named or else those that
-/// `entire calibrate` finds, frames that the model did not see of the other volumes, and its errors on them.
+/// The commands up to the tables of a mode: its model, from the given volumes or else those that
+/// `entire calibrate` finds, frames of held-out volumes, and the model's errors on them.
 pub fn of_mode(
     mode: &str,
     out: &Path,
@@ -162,7 +162,7 @@ pub fn of_mode(
         }
         let table = file(format!("{name}.csv"));
         let mut collect = words(&["collect"]);
-        // Large ones take long to load, and say the same of another size.
+        // Large volumes take long to load, and differ only in size.
         let most = if enlarge == extent.enlarge { extent.volumes } else { 2 };
         collect.extend(volumes.iter().take(most).map(|v| v.to_string_lossy().into_owned()));
         collect.extend(words(&["--shade", mode, "--device", device, "--repeats", "3", "--min-size", "32"]));
@@ -182,13 +182,13 @@ pub fn of_mode(
     steps
 }
 
-/// What the device needs for each part of a frame.
+/// Measures the device's rates.
 pub fn probe(device: &str) -> Step {
     let arguments = words(&["probe", "--json", "--device", device]);
     Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }
 }
 
-/// A path with three switches, held at a target under five rules.
+/// A path with three switches and a target, under five controllers.
 pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, extent: Extent) -> Step {
     let (device, clock) = device;
     let mut steer = words(&["steer", &volume.to_string_lossy(), "--generate", "switches"]);
@@ -202,8 +202,8 @@ pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, ex
     step("switches".into(), 90.0, false, steer)
 }
 
-/// Runs a step's command, at most until its time or the deadline: then it is asked to end, as by Ctrl-C, and
-/// ended where it does not. Its output goes to `OUT/logs/NAME.txt`.
+/// Runs a step's command, at most until its time limit or the deadline: then it is asked to end, as by
+/// Ctrl-C, and killed if it does not. Its output goes to `OUT/logs/NAME.txt`.
 ///
 /// # Errors
 /// When the command cannot be started, or the user asked to stop.
@@ -212,7 +212,7 @@ pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &Ato
     let own = begin + Duration::from_secs_f64(step.seconds);
     let end = deadline.min(own);
     for left in &step.anew {
-        // It need not be there.
+        // The file may not exist.
         let _ = std::fs::remove_file(left);
     }
     let log = out.join("logs").join(format!("{}.txt", step.name));
@@ -230,7 +230,7 @@ pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &Ato
         .with_context(|| format!("cannot run {}; name the command with --entire", entire.display()))?;
     let over = || interrupt::requested(stop) || Instant::now() >= end;
     let child::Ended { status, asked: cut } = child::wait(&mut child, over, Signal::SIGINT, GRACE)?;
-    ensure!(!interrupt::requested(stop), "stopped; the same command goes on where this ended");
+    ensure!(!interrupt::requested(stop), "stopped; the same command continues from here");
     let text = std::fs::read_to_string(&log).unwrap_or_default();
     let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or_default().to_owned();
     let state = match (cut, status.success()) {
@@ -251,7 +251,7 @@ mod tests {
         shell_until(60.0, script, seconds, partial)
     }
 
-    /// As a step of a run that has so many seconds left.
+    /// As a step of a run with this many seconds left.
     fn shell_until(left: f64, script: &str, seconds: f64, partial: bool) -> Outcome {
         let dir = tempfile::tempdir().unwrap();
         std::fs::create_dir(dir.path().join("logs")).unwrap();

@@ -1,4 +1,4 @@
-//! What the study says about its bars.
+//! Bars of the paper's study.
 
 use super::description::{Panel, Paper, YT};
 use super::encode::{ALL, Encoder, Record};
@@ -10,12 +10,12 @@ use crate::bars::Bar;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What is known about an encoder's reconstruction of held-out volumes.
+/// Errors of an encoder's reconstruction of held-out volumes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reconstruction {
     /// The encoder.
     pub encoder: Encoder,
-    /// What its training wrote down.
+    /// Record of its training.
     pub record: Record,
 }
 
@@ -26,13 +26,13 @@ impl Reconstruction {
     }
 }
 
-/// The n-th smallest of some numbers, counted from 1: what holds for at least n of them.
+/// The n-th smallest of some numbers, counted from 1: a bound for at least n of them.
 fn nth(mut values: Vec<f64>, n: usize) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(n.checked_sub(1)?).copied()
 }
 
-/// The bars: whatever is missing is short.
+/// The bars; missing values are short.
 pub fn bars(
     paper: &Paper,
     all: &[Results],
@@ -43,12 +43,12 @@ pub fn bars(
     let limits = &paper.limits;
     let missing = shown.iter().filter(|s| !s.there || s.command.is_empty()).count();
     let mut out = vec![Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0)];
-    // As the paper: on its split, with at least its number of frames of every training volume.
+    // As in the paper: on its split, with at least its number of frames of every training volume.
     let full = |r: &&Results| r.panel == Panel::Overall && complete(r);
     let overall: Vec<&Results> = all.iter().filter(full).collect();
     let network = |r: &Results| r.row(BY_VOLUMES, NETWORK).cloned();
     let ratios = |of: &dyn Fn(&Row) -> Option<f64>, yt: bool| -> Vec<f64> {
-        // One value per data set, which holds for all of its modes; none where a mode has none.
+        // One value per data set, the worst of its modes; none if a mode has none.
         let mut worst: BTreeMap<&str, Option<f64>> = BTreeMap::new();
         for r in overall.iter().filter(|r| (r.mode == YT) == yt) {
             let found = network(r).as_ref().and_then(of);
@@ -86,7 +86,7 @@ pub fn bars(
     out
 }
 
-/// Whether the frames of the training volumes are as many as the description asks for.
+/// True if the training volumes have as many frames as the description requires.
 fn complete(results: &Results) -> bool {
     let times = results.facts.iter().find(|f| f.name == "times");
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();
@@ -144,7 +144,7 @@ mod tests {
         assert_eq!(of(&all, "raycaster-rmse-over-constant"), Some(0.6));
         assert_eq!(of(&all, "raycaster-rmse-over-lvrp"), Some(1.2));
         assert_eq!(of(&all, "yt-rmse-over-constant"), Some(0.3));
-        // A data set of which a mode has no value has none.
+        // A data set with a mode without a value has no value.
         all.push(overall("b", "local", None));
         assert_eq!(of(&all, "raycaster-rmse-over-constant"), Some(0.9));
     }

@@ -1,4 +1,4 @@
-//! The book's page of the paper's tables and figures: what the report says, in Markdown, with its charts beside it.
+//! The book's page of the paper's tables and figures: the report in Markdown, with its charts beside it.
 
 use super::description::{Label, Paper};
 use super::material::Material;
@@ -57,7 +57,7 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
         for (file, caption) in &section.pictures {
             let name =
                 Path::new(file).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-            // A picture that the book has already.
+            // A picture that the book already has.
             let place = if pages.join("images").join(&name).is_file() {
                 format!("images/{name}")
             } else {
@@ -75,7 +75,7 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
         } else if !section.pictures.is_empty() {
             out += "\nThe pictures above.\n";
         }
-        // What was said is not said again.
+        // Notes are not repeated.
         for note in section.notes.iter().chain((!label.note.is_empty()).then_some(&label.note)) {
             if told.insert(note.clone()) {
                 let _ = write!(out, "\n{note}\n");

@@ -1,4 +1,4 @@
-//! Use case 2: how a farm is balanced by predicted times.
+//! Use case 2: load balancing of a farm by predicted times.
 
 use super::description::{Orbit, Panel};
 use super::judge::{NETWORK, OURS};
@@ -12,18 +12,18 @@ use std::path::{Path, PathBuf};
 
 /// Numbers of nodes.
 pub const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
-/// Tasks of unknown times are assigned by an equal one.
+/// Tasks of unknown times are assigned with equal times.
 const UNIFORM: &str = "uniform";
-/// Tasks are assigned by what they take.
+/// Tasks are assigned by their measured times.
 const GROUND_TRUTH: &str = "GT";
 
-/// Where the tasks of the orbit are written down for `entire-lab farm`.
+/// Path of the task list of the orbit for `entire-lab farm`.
 pub fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
     out.join("cases").join(format!("tasks-{set}-{mode}.csv"))
 }
 
-/// Static assignments of the orbit's tasks, longest first, by measured, predicted and equal times: the loads of
-/// the nodes over that of the slowest node by measured times. Also writes the tasks down.
+/// Static assignments of the orbit's tasks, longest first, by measured, predicted and equal times: the nodes'
+/// loads over that of the slowest node by measured times. Also writes the task list.
 ///
 /// # Errors
 /// When results cannot be read or written.

@@ -1,4 +1,4 @@
-//! Frames of our raycaster: every mode and the low-resolution proxy of a volume in one go, volume by volume.
+//! Frames of our raycaster: every mode and the low-resolution proxy of a volume in one run, volume by volume.
 
 use super::Work;
 use super::description::{Panel, Paper, RAYCASTER_MODES};
@@ -18,10 +18,10 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Which frames a table holds.
+/// Frames of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Random ones of every volume.
+    /// Random frames of every volume.
     Random,
     /// One parameter varied at a time, and an orbit.
     Varied,
@@ -34,10 +34,10 @@ pub fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> P
     out.join("tables").join(format!("{set}-{mode}{kind}{low}.csv"))
 }
 
-/// How the frames of a mode are rendered.
+/// Protocol of a mode's frames.
 ///
 /// # Errors
-/// For a mode that is none.
+/// For an unknown mode.
 pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
     let own = paper.in_mode.get(mode).copied().unwrap_or_default();
     Ok(Protocol {
@@ -60,16 +60,16 @@ pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
     })
 }
 
-/// Experiments in which one parameter is varied, by the frame numbers that they have: thousands.
+/// Experiments with one varied parameter, by the thousands digit of their frame numbers.
 pub const EXPERIMENTS: [&str; 4] = ["volume", "image resolution", "transfer function", "camera pose"];
-/// The frame numbers of the orbit for load balancing start here.
+/// First frame number of the orbit for load balancing.
 pub const ORBIT: u64 = 10_000;
-/// The frame numbers of the same orbit with a transfer function drawn for every pose start here.
+/// First frame number of the same orbit with a random transfer function for every pose.
 pub const DRAWN_ORBIT: u64 = 20_000;
 /// Frame numbers of one experiment.
 pub const PER_EXPERIMENT: u64 = 1_000;
 
-/// A frame to render: its number, its volume's place among the jobs, what it shows but for mode and voxels.
+/// A frame to render: its number, its volume's index among the jobs, its scene without mode and voxels.
 #[derive(Clone, Debug)]
 struct Wanted {
     number: u64,
@@ -77,8 +77,8 @@ struct Wanted {
     scene: Scene,
 }
 
-/// The frames of the experiments: one test volume of the split by volumes and one drawn frame are the middle
-/// around which a parameter is varied. The volumes that are varied are those held out.
+/// The frames of the experiments: a parameter is varied around one test volume of the split by volumes and
+/// one random frame. The varied volumes are the held-out ones.
 fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let Some(parts) = place.split(super::volumes::BY_VOLUMES) else { return Ok(Vec::new()) };
     let protocol = protocol(paper, mode, false)?;
@@ -87,7 +87,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let (least, most) = (f64::from(protocol.scenes.min_size), f64::from(protocol.scenes.max_size));
     let side = (least * most).sqrt().round() as u32;
     let count = paper.frames.varied;
-    // Frames beyond those of any table: nothing was trained on them.
+    // Frame numbers beyond those of any table: no model was trained on them.
     let drawn = |job: usize, index: u64| protocol.scene(&place.jobs[job], [1; 3], 1_000_000 + index);
     let base = Scene { width: side, height: side, ..drawn(middle, 0) };
     let mut out = Vec::new();
@@ -104,7 +104,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
         add(1, i, middle, Scene { width: side, height: side, ..base.clone() });
         let lobes = drawn(middle, 1 + u64::from(i)).lobes;
         add(2, i, middle, Scene { lobes, ..base.clone() });
-        // Three times around while rising, at the middle's distance.
+        // Three turns while rising, at the distance of the middle frame.
         let angle = 3.0 * 360.0 * share;
         let camera = Arcball {
             rx: (80.0 * share) as f32,
@@ -129,7 +129,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     Ok(out)
 }
 
-/// A table that is being written.
+/// A table in the making.
 struct Open {
     writer: Writer,
     manifest: Manifest,
@@ -172,7 +172,7 @@ impl Open {
         Ok(Self { writer, manifest, path, protocol, frames: Vec::new(), kind, low })
     }
 
-    /// Notes when this run ended.
+    /// Stores the end of this run in the manifest.
     fn close(mut self) -> Result<()> {
         if let Some(last) = self.manifest.other.get_mut("runs").and_then(|r| r.as_array_mut()?.last_mut()) {
             last["ended"] = json!(machine::now());
@@ -182,7 +182,7 @@ impl Open {
     }
 }
 
-/// What is missing of a data set: its tables, each with the frames that it lacks.
+/// Missing tables of a data set, each with the frames that it lacks.
 fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Vec<Open>> {
     let paper = work.paper;
     let mut tables = Vec::new();
@@ -223,8 +223,8 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
     Ok(tables)
 }
 
-/// Collects what is missing. Of every volume, first the frames that each needs, then the others of training
-/// volumes, so that a part of the time gives a part of every split.
+/// Collects missing frames. Of every volume, first the frames that each needs, then the others of training
+/// volumes, so that part of the time gives part of every split.
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, a table of other settings, and being stopped.
@@ -257,7 +257,7 @@ pub fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -
     Ok(())
 }
 
-/// Renders frames of one volume, at both resolutions and in all modes.
+/// Renders missing frames of one volume, at both resolutions and in all modes.
 fn of_volume(
     work: &Work<'_>,
     place: &Place,

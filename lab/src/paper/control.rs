@@ -1,4 +1,5 @@
-//! Use case 1: recorded paths of a data set under every controller, by the paper's network and by ours.
+//! Use case 1: recorded paths of a data set under every controller, with the paper's network and with our
+//! predictor.
 
 use super::Work;
 use super::description::Panel;
@@ -20,7 +21,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Who is drawn frame by frame: the paper's three, and ours.
+/// Controllers that are drawn frame by frame: the paper's three, and ours.
 const DRAWN: [(&str, &str); 4] = [
     (ControllerKind::Olp.name(), "OLP"),
     (ControllerKind::Pid.name(), "PID"),
@@ -35,9 +36,9 @@ const OURS: &str = "ours";
 struct Drawing {
     title: &'static str,
     axis: &'static str,
-    /// What a controller did.
+    /// The controller's value.
     value: fn(&Row) -> f64,
-    /// What that is to be held against: the target, or the best possible controller.
+    /// Reference of the value: the target, or the best possible controller.
     beside: &'static str,
     best: fn(&Row) -> f64,
 }
@@ -66,22 +67,22 @@ const CHARTS: [Drawing; 3] = [
     },
 ];
 
-/// Frames whose pictures are compared, as shares of the path: the first after an abrupt change, one shortly after
-/// another, and a calm one.
+/// Frames whose pictures are compared, as shares of the path: the first after an abrupt change, one shortly
+/// after another, and a calm one.
 const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
 
 /// Side of a compared picture, pixels.
 const SIDE: u32 = 128;
 
-/// What was replayed of a data set's paths.
+/// Replayed paths of a data set.
 pub struct Played<'a> {
     /// The recorded paths.
     pub traces: &'a [PathBuf],
-    /// What `entire-lab replay` wrote with the paper's network.
+    /// Output of `entire-lab replay` with the paper's network.
     pub network: &'a Path,
-    /// What it wrote for the hybrid controller with its own predictor.
+    /// Output for the hybrid controller with its own predictor.
     pub ours: &'a Path,
-    /// The calibration table, whose curves are behind G.
+    /// The calibration table, whose curves G is made from.
     pub calibration: &'a Path,
 }
 
@@ -128,8 +129,8 @@ pub fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     Ok(out)
 }
 
-/// Keeps what was replayed: scores, the first path frame by frame with pictures of three of its frames, and
-/// the curves behind G.
+/// Stores the replay: scores, the first path frame by frame with pictures of three of its frames, and the
+/// curves of G.
 ///
 /// # Errors
 /// When a file cannot be read or written, and when the renderer fails.
@@ -193,7 +194,7 @@ fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> 
     out
 }
 
-/// The frames of the first path with abrupt changes, against the middle one of the targets that were played.
+/// The frames of the first path with abrupt changes, for the middle one of the targets.
 fn one_path(frames: &[Row]) -> Option<Vec<Row>> {
     let mut names: Vec<&str> = frames.iter().map(|r| r.trace.as_str()).collect();
     names.dedup();
@@ -220,13 +221,13 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
         for (controller, title) in DRAWN {
             add(title, controller, chart.value);
         }
-        // The same for every controller.
+        // The same value of every controller.
         add(chart.beside, &drawn[0].controller, chart.best);
     }
     out
 }
 
-/// Three frames side by side: at the reference step, then as every controller drew them.
+/// Three frames side by side: at the reference step, then as drawn by every controller.
 fn pictures(
     work: &Work<'_>,
     set: &str,
@@ -283,7 +284,10 @@ fn side_by_side(images: &[Image]) -> Image {
 /// The time of every calibration scene over that at the reference step, and G.
 fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     let samples = samples_of(&[calibration.to_owned()], PROBE_SIDE)?;
-    let g = response(&samples).context("G needs scenes that were timed at several steps")?;
+    let g = response(&samples).context(
+        "G, the curve of frame time over step, needs scenes that were timed \
+                                        at several steps",
+    )?;
     let mut by_scene: BTreeMap<usize, Vec<(f64, f64)>> = BTreeMap::new();
     for s in &samples {
         by_scene.entry(s.scene).or_default().push((f64::from(s.setting.step), s.seconds));
@@ -309,7 +313,7 @@ fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     Ok(out)
 }
 
-/// What the table of controllers shows: a figure of the scores, its title, and whether it is a share.
+/// Columns of the table of controllers: a figure of the scores, its title, and true if it is a share.
 const COLUMNS: [(&str, &str, bool); 7] = [
     ("all deviation", "mean distance from the target", true),
     ("all missed", "frames over 1.1 × target", true),
@@ -320,7 +324,7 @@ const COLUMNS: [(&str, &str, bool); 7] = [
     ("worst", "slowest frame over target", false),
 ];
 
-/// A figure of a controller's that is 1 where it answered with the image resolution; without it, it answered with the step.
+/// A controller's score that is 1 if it acted on image resolution, else on the step.
 const ON_IMAGE: &str = "on_image";
 const IMAGE: ActsOn = ActsOn::ImageResolution { coarsest: 1.0 };
 

@@ -1,4 +1,4 @@
-//! What the study of the paper is asked for: its JSON file.
+//! Description of the paper's study: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::files::read_text;
@@ -8,44 +8,44 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The description, as its file holds it. Paths are relative to the file's folder.
+/// Contents of a description file. Paths are relative to the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Paper {
     /// Title of the report.
     pub title: String,
-    /// Whose seconds count.
+    /// Clock of the frame times.
     pub clock: String,
     /// Seed of the scenes.
     pub seed: u64,
     /// Frames per volume.
     pub frames: FrameCounts,
-    /// How often each frame is rendered.
+    /// Renderings of each frame.
     pub repeats: u32,
-    /// Renderings thrown away after each volume is loaded.
+    /// Renderings discarded after each volume is loaded.
     pub warm_up: u32,
     /// Enlargement of the volumes at load.
     pub enlarge: usize,
-    /// Edge of the volumes behind the low-resolution proxy (LVRP), voxels.
+    /// Voxels per side of the volumes of the low-resolution proxy (LVRP).
     pub proxy: usize,
-    /// What scenes are drawn from.
+    /// Distribution of the scenes.
     pub scenes: SceneDistribution,
-    /// What is otherwise in a mode, whose frames take far longer.
+    /// Differences of a mode whose frames take far longer.
     #[serde(default)]
     pub in_mode: BTreeMap<String, InMode>,
     /// Data sets.
     pub data_sets: Vec<DataSet>,
-    /// yt's frames, which its collector takes.
+    /// Collection of yt's frames.
     pub yt: YtFrames,
     /// VolumeNets.
     pub encoders: Encoders,
-    /// Trainings of one network from different seeds, for deviations.
+    /// Training runs of one network with different seeds, for deviations.
     pub runs: usize,
     /// The paper's network.
     pub network: Recipe,
-    /// Ours, by mode.
+    /// Our predictor, by mode.
     pub ours: BTreeMap<String, Recipe>,
-    /// Shares of the training frames, for the study of their number.
+    /// Shares of the training frames, in the study of their number.
     pub shares: Vec<f64>,
     /// Layers of PredNet to compare.
     pub depths: Vec<String>,
@@ -57,19 +57,19 @@ pub struct Paper {
     pub tuning: Tuning,
     /// Load balancing.
     pub orbit: Orbit,
-    /// For each part of the study, the data sets and modes that it is made of; `overall` is made of all.
+    /// For each part of the study, its data sets and modes; `overall` has all.
     pub panels: BTreeMap<Panel, Vec<(String, String)>>,
     /// The paper's tables and figures.
     pub labels: Vec<Label>,
-    /// What the bars ask for.
+    /// Limits of the bars.
     pub limits: Limits,
 }
 
-/// What is otherwise in a mode.
+/// Differences of a mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InMode {
-    /// How often each frame is rendered.
+    /// Renderings of each frame.
     pub repeats: Option<u32>,
     /// Longest image side, pixels.
     pub max_size: Option<u32>,
@@ -79,11 +79,12 @@ pub struct InMode {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameCounts {
-    /// Of a training volume.
+    /// Frames of a training volume.
     pub training: u32,
-    /// Of a validation or test volume; and, of every volume, on few voxels: what the proxy's line is fitted to.
+    /// Frames of a validation or test volume; and, for every volume, frames at low resolution, to which the
+    /// proxy's line is fitted.
     pub held_out: u32,
-    /// Of one parameter varied at a time.
+    /// Frames of an experiment with one varied parameter.
     pub varied: u32,
 }
 
@@ -91,16 +92,16 @@ pub struct FrameCounts {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DataSet {
-    /// Its folder's name, in the data folder or in `ensembles` there.
+    /// Name of its folder, in the data folder or in `ensembles` there.
     pub name: String,
     /// The name in reports.
     pub title: String,
-    /// What it is in the paper, where it is there.
+    /// Name of the data set in the paper, if it is there.
     #[serde(default)]
     pub paper: Option<String>,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
     pub modes: Vec<String>,
-    /// Whether it only tests what was learned from the others: volumes of another kind.
+    /// True if it only tests models of the others: volumes of another kind.
     #[serde(default)]
     pub only_tests: bool,
     /// The harder split.
@@ -108,24 +109,24 @@ pub struct DataSet {
     pub members: Option<MemberSplit>,
 }
 
-/// Which ensemble members serve what in the harder split; all others are learned from.
+/// Roles of ensemble members in the harder split; all others are for training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MemberSplit {
-    /// Decides when training stops; a tenth of the other volumes where there is none.
+    /// Decides when training stops; a tenth of the other volumes if empty.
     #[serde(default)]
     pub validation: BTreeSet<String>,
     /// Tested on.
     pub test: BTreeSet<String>,
 }
 
-/// How yt's frames are collected.
+/// Collection of yt's frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct YtFrames {
     /// The collector.
     pub script: PathBuf,
-    /// How often each frame is drawn.
+    /// Renderings of each frame.
     pub repeats: u32,
     /// Shortest image side, pixels.
     pub min_size: u32,
@@ -133,7 +134,7 @@ pub struct YtFrames {
     pub max_size: u32,
 }
 
-/// Which VolumeNets are trained, and how.
+/// The VolumeNets to train, and their training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Encoders {
@@ -147,11 +148,11 @@ pub struct Encoders {
     pub epochs: usize,
     /// Epochs without a better validation loss after which training stops.
     pub patience: usize,
-    /// Input side and features of the encoder that every part uses which compares none.
+    /// Input side and features of the encoder in all parts that compare none.
     pub main: (usize, usize),
-    /// Encoders that ship, for splits that the study trains none for: of the main one's size, then others.
+    /// Shipped encoders, for splits without encoders of their own: first of the main one's size, then others.
     pub shipped: Vec<PathBuf>,
-    /// Widths of the blocks, for the capacity sweep, and the data set and input side that it is made on.
+    /// Widths of the blocks in the capacity sweep, and its data set and input side.
     pub capacity: Capacity,
 }
 
@@ -173,16 +174,16 @@ pub struct Capacity {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tuning {
-    /// Mode of the data sets that it is pre-trained on, all of them together.
+    /// Mode of the data sets for pre-training, which is on all of them together.
     pub mode: String,
-    /// Numbers of frames that it is fine-tuned to.
+    /// Numbers of frames for fine-tuning.
     pub frames: Vec<usize>,
     /// Epochs of fine-tuning.
     pub epochs: usize,
-    /// Other renderers' tables: name, table to learn from, table to test on. The same table twice: half of its
-    /// frames, drawn at random, for either.
+    /// Tables of other renderers: name, training table, test table. If both are the same: random halves of
+    /// its frames.
     pub renderers: Vec<(String, PathBuf, PathBuf)>,
-    /// The same renderer's tables from other machines, likewise.
+    /// Tables of the same renderer on other machines, likewise.
     #[serde(default)]
     pub machines: Vec<(String, PathBuf, PathBuf)>,
 }
@@ -199,14 +200,14 @@ pub struct Orbit {
     pub size: u32,
 }
 
-/// A part of the study; each is made and kept by itself.
+/// Part of the study; each is computed and stored separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Panel {
     /// Every data set and mode: the network, ours, the mean of 15 %, LVRP; by volumes, members, modality.
     Overall,
-    /// The network without one of its inputs.
+    /// The network, each time without one input.
     Ablation,
     /// One parameter varied at a time.
     Varied,
@@ -241,19 +242,19 @@ impl Panel {
 pub struct Label {
     /// The paper's label.
     pub label: String,
-    /// What it shows.
+    /// Title of the table or figure.
     pub title: String,
-    /// The part that makes its counterpart.
+    /// The part with its counterpart.
     pub panel: Panel,
     /// The command that makes it.
     pub command: String,
     /// The paper's numbers.
     #[serde(default)]
     pub paper: Option<Numbers>,
-    /// A picture of ours that is kept elsewhere.
+    /// A picture of ours from elsewhere.
     #[serde(default)]
     pub picture: Option<PathBuf>,
-    /// What differs from the paper by nature.
+    /// Inherent difference from the paper.
     #[serde(default)]
     pub note: String,
 }
@@ -262,13 +263,13 @@ pub struct Label {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Numbers {
-    /// Headings; the first is of the rows' names.
+    /// Headings; the first is that of the rows' names.
     pub columns: Vec<String>,
-    /// Rows: a name, then numbers; `null` where the paper has none.
+    /// Rows: a name, then numbers; `null` for missing ones.
     pub rows: Vec<(String, Vec<Option<f64>>)>,
 }
 
-/// What the bars ask for.
+/// Limits of the bars.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
@@ -276,13 +277,13 @@ pub struct Limits {
     pub over_constant: f64,
     /// The same over LVRP's.
     pub over_lvrp: f64,
-    /// RMSE of ours over the network's.
+    /// RMSE of our predictor over the network's.
     pub ours_over_network: f64,
-    /// Data sets for which they must hold.
+    /// Number of data sets for which they must hold.
     pub data_sets: usize,
     /// Reconstruction of held-out volumes, dB.
     pub psnr: f64,
-    /// Seconds that the report may take.
+    /// Time limit of the report, seconds.
     pub report_seconds: f64,
 }
 
@@ -297,10 +298,10 @@ impl Paper {
         self.data_sets.iter().find(|d| d.name == name)
     }
 
-    /// Ours for a mode.
+    /// Our recipe for a mode.
     ///
     /// # Errors
-    /// Where the description has none.
+    /// If the description has none.
     pub fn ours_for(&self, mode: &str) -> Result<&Recipe> {
         self.ours.get(mode).with_context(|| format!("the description has no recipe `ours` for mode {mode:?}"))
     }
@@ -309,7 +310,7 @@ impl Paper {
 /// Reads a description.
 ///
 /// # Errors
-/// When the file cannot be read or says something that it may not.
+/// When the file cannot be read or holds an invalid value.
 pub fn read(path: &Path) -> Result<Paper> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut paper: Paper = serde_json::from_str(&text)

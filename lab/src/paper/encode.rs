@@ -1,4 +1,4 @@
-//! VolumeNets of every size asked for, by the training script: of each data set, of all together, and of
+//! VolumeNets of all required sizes, trained by the script: for each data set, for all together, and with
 //! other widths for the capacity sweep.
 
 use super::Work;
@@ -14,14 +14,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-/// What a training has to end by itself after it was asked to: it ends its batch, judges every volume by its
-/// best weights and writes them. One that is killed goes on from its last epoch.
+/// Time for a training to end by itself after it was asked to: it ends its batch, evaluates every volume with
+/// its best weights and writes them. A killed one continues from its last epoch.
 const GRACE: Duration = Duration::from_secs(600);
 
 /// The name of the encoder of all data sets.
 pub const ALL: &str = "all";
 
-/// What is to be trained.
+/// An encoder to train.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Encoder {
     /// A data set, or [`ALL`].
@@ -30,12 +30,12 @@ pub struct Encoder {
     pub size: usize,
     /// Length of the feature vector.
     pub features: usize,
-    /// Widths of the blocks; the script's own where there are none.
+    /// Widths of the blocks; the script's default if empty.
     pub channels: Vec<usize>,
 }
 
 impl Encoder {
-    /// Where it is kept.
+    /// Path of the model file.
     pub fn path(&self, out: &Path) -> PathBuf {
         let Self { set, size, features, channels } = self;
         let widths: Vec<String> = channels.iter().map(ToString::to_string).collect();
@@ -43,7 +43,7 @@ impl Encoder {
         out.join("volumenet").join(format!("{set}-{size}f{features}{widths}.safetensors"))
     }
 
-    /// What the script wrote down about it, where it is trained.
+    /// The script's record, if the encoder is trained.
     ///
     /// # Errors
     /// When the record cannot be read.
@@ -57,12 +57,12 @@ impl Encoder {
     }
 }
 
-/// What the training script writes beside a model.
+/// Record that the training script writes beside a model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
-    /// What it was made of.
+    /// Inputs of the training.
     pub provenance: Provenance,
-    /// How long it took.
+    /// Seconds of the training.
     pub seconds: f64,
 }
 
@@ -73,9 +73,9 @@ pub struct Provenance {
     pub psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
     /// Epochs that ran.
     pub epochs_run: usize,
-    /// The epoch whose weights were kept.
+    /// The epoch of the stored weights.
     pub best_epoch: usize,
-    /// Why it ended.
+    /// Reason for its end.
     pub stopped: String,
     /// Machine and library.
     pub machine: String,
@@ -84,7 +84,7 @@ pub struct Provenance {
 }
 
 impl Record {
-    /// Whether the training came to its end.
+    /// True if the training was completed.
     pub fn complete(&self) -> bool {
         !self.provenance.stopped.starts_with("interrupted")
     }
@@ -95,7 +95,7 @@ impl Record {
     }
 }
 
-/// Every encoder of the study that data sets at hand can be learned for; those asked for by size and length.
+/// Every encoder of the study that can be trained on the available data sets, filtered by size and length.
 pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[usize]) -> Vec<Encoder> {
     let asked = &work.paper.encoders;
     let wanted = |list: &[usize], n: usize| list.is_empty() || list.contains(&n);
@@ -118,7 +118,7 @@ pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[
             }
         }
     }
-    // The one that everything else uses comes first.
+    // The main one comes first.
     let main = asked.main;
     out.sort_by_key(|e| {
         (!e.channels.is_empty(), e.set == ALL, (e.size, e.features) != main, e.size, e.features)
@@ -126,7 +126,7 @@ pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[
     out
 }
 
-/// Trains what is missing.
+/// Trains missing encoders.
 ///
 /// # Errors
 /// When Python or the script fails, and when it is stopped.

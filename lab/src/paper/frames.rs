@@ -1,4 +1,4 @@
-//! The frames of a data set and mode: its tables with their features, and the twins on few voxels.
+//! The frames of a data set and mode: its tables with their features, and the same frames at low resolution.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -18,13 +18,13 @@ use std::path::{Path, PathBuf};
 
 /// The tables of a data set and mode.
 pub(super) struct Loaded {
-    /// All of them; frames name theirs by its place here.
+    /// All of them; frames refer to theirs by its index here.
     pub(super) tables: Vec<Table>,
-    /// Where the frames of the experiments are, where they were collected.
+    /// Index of the table of the experiments, if it was collected.
     pub(super) varied: Option<usize>,
-    /// Volumes of another kind: title and place of the table.
+    /// Volumes of another kind: title and index of the table.
     pub(super) modalities: Vec<(String, usize)>,
-    /// Seconds on few voxels, by table and frame number.
+    /// Seconds at low resolution, by table and frame number.
     pub(super) low: BTreeMap<(usize, u64), f64>,
 }
 
@@ -39,8 +39,7 @@ pub(super) struct SplitFrames<'a> {
 }
 
 impl Loaded {
-    /// Reads the tables; `None` where the frames were not collected. Features that are missing beside them
-    /// are computed.
+    /// Reads the tables; `None` if the frames were not collected. Missing features are computed.
     pub(super) fn read(work: &Work<'_>, place: &Place, mode: &str, clock: Clock) -> Result<Option<Self>> {
         let main = table_path(work.out, &place.set.name, mode, Kind::Random, false);
         if !main.exists() {
@@ -74,7 +73,7 @@ impl Loaded {
         Ok(index)
     }
 
-    /// The frames of a split. Of volumes that are held out, only so many as the description says.
+    /// The frames of a split. Of held-out volumes, only the described number.
     pub(super) fn split(&self, work: &Work<'_>, parts: &Parts, clock: Clock) -> SplitFrames<'_> {
         let of = |names: &BTreeSet<String>, most: u32| {
             let each = u64::from(work.paper.frames.training);
@@ -98,8 +97,8 @@ impl Loaded {
     }
 }
 
-/// The encoders that a data set's frames are encoded by: its own and those of all, as far as they are
-/// trained, and those that ship. Volumes that only test are encoded by every data set's.
+/// The encoders for a data set's frames: its own and those of all data sets together, if they are trained,
+/// and the shipped ones. Test-only volumes are encoded by those of every data set.
 fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     for encoder in trained(work, None)? {
@@ -111,7 +110,7 @@ fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
     Ok(out)
 }
 
-/// The encoders that are trained, of one data set where it is named; not those of the capacity sweep.
+/// The trained encoders, of one data set if it is given, without those of the capacity sweep.
 pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>> {
     let asked = &work.paper.encoders;
     let mut out = Vec::new();
@@ -129,9 +128,9 @@ pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>
     Ok(out)
 }
 
-/// The encoder of the parts that compare none, and what it is. Of the split by volumes, that of the data set
-/// where it is trained: of the size asked for, else of another with as many features. Otherwise the one that
-/// ships, which saw none of the test members.
+/// The encoder of the parts that compare none, with its description. For the split by volumes, that of the
+/// data set if it is trained: of the described size, else of another size with as many features. Otherwise
+/// the shipped one, which was trained without the test members.
 pub(super) fn main_encoder(work: &Work<'_>, set: &str, split: &str) -> Result<(PathBuf, String)> {
     let (size, features) = work.paper.encoders.main;
     if split == BY_VOLUMES {
@@ -149,7 +148,7 @@ pub(super) fn main_encoder(work: &Work<'_>, set: &str, split: &str) -> Result<(P
     Ok((path, format!("{name} as shipped, of members of three data sets together")))
 }
 
-/// Computes the features beside a table unless they are there.
+/// Computes the features of a table unless they exist.
 fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
     let table = Table::read_without_features(path, 0)?;
     let encoders = encoders_of(work, &place.set)?;
@@ -157,7 +156,7 @@ fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
     sides.retain(|s| *s != PROBE_SIDE);
     sides.sort_unstable();
     sides.dedup();
-    // Features of a table that has grown since are refused; they are made anew.
+    // Features of a table that has grown since are refused and computed again.
     let there = FeatureTable::beside(path, &table.frames, table.hash).ok().flatten();
     let mut wanted: Vec<String> =
         sides.iter().map(|&s| quantity_column(SceneQuantity::SamplesPerPixel, s)).collect();
@@ -178,7 +177,7 @@ fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
     })
 }
 
-/// The data sets and modes that a part of the study is made of, as far as they are asked for and there.
+/// The data sets and modes of a part of the study, as far as they are selected and available.
 pub(super) fn of_panel(work: &Work<'_>, panel: Panel) -> Result<Vec<(Place, String)>> {
     let all = places(work.paper, work.selection, work.data)?;
     let named = work.paper.panels.get(&panel);

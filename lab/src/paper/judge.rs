@@ -1,5 +1,5 @@
-//! Predictors made on the frames of a data set and mode, and judged: the paper's network and ours from several
-//! seeds, the mean of 15 % of the frames, the low-resolution proxy.
+//! Training and evaluation of predictors on the frames of a data set and mode: the paper's network and ours
+//! with several seeds, the mean of 15 % of the frames, the low-resolution proxy.
 
 use super::Work;
 use super::frames::{Loaded, SplitFrames};
@@ -21,16 +21,16 @@ use std::path::PathBuf;
 
 /// The paper's network in tables.
 pub(super) const NETWORK: &str = "the paper's network";
-/// Ours in tables.
+/// Our predictor in tables.
 pub(super) const OURS: &str = "ours: analytic × factor";
 /// The mean of 15 % of the frames.
 pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
 /// The low-resolution proxy.
 pub(super) const LVRP: &str = "LVRP";
 
-/// A data set and mode at work.
+/// Context of a data set and mode.
 pub(super) struct At<'a> {
-    /// What every step works with.
+    /// Context of every step.
     pub(super) work: &'a Work<'a>,
     /// The data set.
     pub(super) place: &'a Place,
@@ -38,26 +38,26 @@ pub(super) struct At<'a> {
     pub(super) mode: &'a str,
     /// Its frames.
     pub(super) loaded: &'a Loaded,
-    /// Whose seconds count.
+    /// Clock of the frame times.
     pub(super) clock: Clock,
-    /// Makes models and keeps them.
+    /// Trains models and stores them.
     pub(super) runner: &'a Runner<'a>,
-    /// What fitting works with.
+    /// Context of fitting.
     pub(super) context: FitContext<'a>,
 }
 
-/// What a predictor is made as.
+/// A method by which a predictor is made.
 pub(super) struct Method<'a> {
     /// Its name in tables and in the names of model files.
     pub(super) name: &'a str,
-    /// Tells model files of one name apart.
+    /// Key that distinguishes model files of the same name.
     pub(super) key: &'a str,
     /// How.
     pub(super) recipe: Recipe,
 }
 
 impl At<'_> {
-    /// Makes a predictor once from every seed, or takes those that were made before.
+    /// Trains a predictor once with every seed, or reads the stored ones.
     pub(super) fn runs<'f>(
         &self,
         method: &Method<'_>,
@@ -94,12 +94,12 @@ impl At<'_> {
         made.iter().map(|(file, _)| Ok(file.to_model()?)).collect()
     }
 
-    /// What every model predicts for some frames.
+    /// Predictions of every model for some frames.
     pub(super) fn predictions(&self, models: &[Model], frames: &[&TimedFrame]) -> Result<Vec<Vec<f64>>> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
 
-    /// The proxy's line, fitted to the training frames; `None` where too few were rendered on few voxels.
+    /// The proxy's line, fitted to the training frames; `None` if too few were rendered at low resolution.
     pub(super) fn proxy(&self, training: &TimedFrames<'_>) -> Option<Line> {
         let pairs: Vec<(f64, f64)> = training
             .frames
@@ -110,13 +110,13 @@ impl At<'_> {
         (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
     }
 
-    /// What the proxy predicts; `None` where it has not all of the frames.
+    /// Predictions of the proxy; `None` where it lacks some of the frames.
     pub(super) fn by_proxy(&self, line: Option<Line>, frames: &[&TimedFrame]) -> Option<Vec<f64>> {
         let line = line?;
         frames.iter().map(|f| Some(line.at(*self.loaded.low.get(&(f.table, f.number))?))).collect()
     }
 
-    /// Where latencies are measured: on a volume as it is rendered.
+    /// Bench for latencies, on a volume in its rendered form.
     pub(super) fn bench(&self) -> Result<Bench> {
         let job = self.place.jobs.first().context("no volume")?;
         let volume = Volume::open(self.place.root.join(&job.path))?;
@@ -127,18 +127,18 @@ impl At<'_> {
     }
 }
 
-/// Predictors on one set of frames, beside the baselines.
+/// Evaluates predictors on one set of frames, beside the baselines.
 pub(super) struct Judge<'a> {
     split: String,
     frames: &'a TimedFrames<'a>,
     constant: Option<f64>,
     lvrp: Option<f64>,
-    /// What was found.
+    /// Results.
     pub(super) rows: Vec<Row>,
 }
 
 impl<'a> Judge<'a> {
-    /// Begins with the baselines.
+    /// Starts with the baselines.
     pub(super) fn new(
         at: &At<'_>,
         split: &str,
@@ -178,7 +178,7 @@ impl<'a> Judge<'a> {
         out
     }
 
-    /// Judges a predictor of several runs; nothing where there are no frames.
+    /// Evaluates the runs of a predictor; does nothing without frames.
     pub(super) fn add(&mut self, name: &str, runs: &[Vec<f64>]) {
         let measured = &self.frames.seconds;
         let metrics: Vec<Metrics> = runs.iter().filter_map(|p| Metrics::new(p, measured)).collect();

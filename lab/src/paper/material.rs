@@ -1,4 +1,4 @@
-//! What the report is made of, and the one file that keeps all of it.
+//! Inputs of the report, and the one file that keeps all of them.
 
 use super::bars::Reconstruction;
 use super::description::Paper;
@@ -10,19 +10,19 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What the report is made of.
+/// Inputs of the report.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Material {
-    /// What was found.
+    /// Results of all parts.
     pub all: Vec<Results>,
-    /// How well encoders reconstruct.
+    /// Reconstruction errors of encoders.
     pub reconstructions: Vec<Reconstruction>,
     /// PNG files by name.
     #[serde(with = "base64_files")]
     pub pictures: BTreeMap<String, Vec<u8>>,
 }
 
-/// Reads what every step kept, and of a kept file what the folder lacks.
+/// Reads the results of every step, and those that the folder lacks from a kept file.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -66,7 +66,7 @@ fn read(path: &Path) -> Result<Material> {
         .with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
-/// Writes everything into one compressed file, which [`material`] takes.
+/// Writes everything into one compressed file, which [`material`] can read.
 ///
 /// # Errors
 /// When the file cannot be written.

@@ -1,8 +1,8 @@
-//! The paper's evaluation, row by row: frames collected as the paper collects them, its networks trained as it
-//! trains them, and one report that holds every table and figure of the paper beside ours.
+//! The paper's evaluation, row by row: frames and networks as the paper describes them, and one report with
+//! every table and figure of the paper beside ours.
 //!
-//! Every step keeps what it made in one folder and makes nothing twice, so that it can be stopped and gone on
-//! with: tables of frames, encoders, models, and one file of results for every part of the study.
+//! Every step stores its results in one folder and computes nothing twice, so that it can be stopped and
+//! continued: tables of frames, encoders, models, and one file of results for every part of the study.
 
 mod bars;
 pub mod book;
@@ -30,33 +30,33 @@ pub use volumes::{Place, Selection, places};
 
 use std::time::Instant;
 
-/// What every step of the study works with.
+/// Context of every step of the study.
 pub struct Work<'a> {
-    /// What is asked for.
+    /// Description of the study.
     pub paper: &'a Paper,
-    /// Which part of it.
+    /// Selected parts.
     pub selection: &'a Selection,
     /// The folder of the volumes.
     pub data: &'a std::path::Path,
-    /// The folder that everything made goes to.
+    /// The folder of all results.
     pub out: &'a std::path::Path,
-    /// The Python that trains VolumeNet and draws by yt.
+    /// The Python for VolumeNet and yt.
     pub python: &'a std::path::Path,
     /// Threads.
     pub pool: &'a rayon::ThreadPool,
-    /// When to stop, where that was asked for.
+    /// Deadline, if there is one.
     pub deadline: Option<Instant>,
-    /// Whether the user asked to stop.
+    /// Returns true if the user asked to stop.
     pub interrupted: &'a dyn Fn() -> bool,
 }
 
 impl Work<'_> {
-    /// Whether to stop: the user asked, or the time is over.
+    /// True if the study must stop: the user asked, or the time is over.
     pub fn stop(&self) -> bool {
         (self.interrupted)() || self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Why it stopped and how to go on.
+    /// Reason for the stop, and the way to continue.
     pub fn stopped(&self) -> &'static str {
         if (self.interrupted)() {
             "interrupted; what is done is kept, the same command goes on"

@@ -1,4 +1,4 @@
-//! Renderings of the data sets: how they look, how they change over time, and the poses behind G.
+//! Renderings of the data sets: examples, their change over time, and the poses of G.
 
 use super::Work;
 use super::collect::protocol;
@@ -19,10 +19,10 @@ use std::process::Command;
 const SIDE: u32 = 192;
 /// The transfer function: a veil and two shells.
 const LOBES: &str = "0.3 0.003 0.012;0.6 0.003 0.04;0.88 0.006 0.6";
-/// The poses behind G: those of the paper's figure are three, too.
+/// The poses of G: the paper's figure has three, too.
 const POSES: [(f32, f32); 3] = [(15.0, 20.0), (35.0, 140.0), (60.0, -100.0)];
 
-/// Draws what is missing.
+/// Draws missing pictures.
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, and being stopped.
@@ -87,7 +87,7 @@ pub fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> R
     Ok(())
 }
 
-/// The encoders whose reconstructions are drawn: with as many features as the main one.
+/// The encoders whose reconstructions are drawn: those with as many features as the main one.
 fn reconstructed(work: &Work<'_>, place: &Place) -> Result<Vec<Encoder>> {
     let mut found = super::frames::trained(work, Some(&place.set.name))?;
     found.retain(|e| e.features == work.paper.encoders.main.1);

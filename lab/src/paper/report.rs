@@ -20,7 +20,7 @@ use std::time::Instant;
 pub struct Shown {
     /// The paper's label.
     pub label: String,
-    /// Whether there is a table or figure of ours.
+    /// True if there is a table or figure of ours.
     pub there: bool,
     /// The command that makes it.
     pub command: String,
@@ -28,12 +28,12 @@ pub struct Shown {
     pub summary: String,
 }
 
-/// Ours on a split.
+/// Result of our predictor on a split.
 pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> {
     results.row(split, OURS)
 }
 
-/// Writes report.html, rows.md, and rows.json; returns the bars. `started` says since when it has been at work.
+/// Writes report.html, rows.md, and rows.json; returns the bars. `started` is the start of the work.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -119,7 +119,7 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
     Ok(found)
 }
 
-/// A picture's bytes: one of those that the steps drew, or one that the description names.
+/// A picture's bytes: drawn by a step, or named by the description.
 pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     match material.pictures.get(file) {
         Some(drawn) => Ok(drawn.clone()),
@@ -127,7 +127,7 @@ pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     }
 }
 
-/// One row per label. `quote` stands around commands, as Markdown has it.
+/// One row per label. `quote` is put around commands, for Markdown.
 fn rows_table(paper: &Paper, shown: &[Shown], quote: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("label"),

@@ -1,4 +1,4 @@
-//! What the study found, in one small file for every part of it, data set and mode.
+//! Results of the study, in one small file for every part of it, data set and mode.
 
 use super::description::Panel;
 use anyhow::{Context, Result};
@@ -7,16 +7,16 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// How a predictor did on some frames.
+/// Errors of a predictor on some frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// The predictor.
     pub name: String,
     /// The split, or the experiment.
     pub split: String,
-    /// Frames judged on.
+    /// Number of test frames.
     pub frames: usize,
-    /// Trainings behind it.
+    /// Number of training runs.
     pub runs: usize,
     /// Mean over the runs, seconds.
     pub rmse: f64,
@@ -34,7 +34,7 @@ pub struct Row {
     pub over_lvrp: Option<f64>,
     /// Median of |predicted − measured| / measured, mean over the runs.
     pub mdape: f64,
-    /// Seconds of one prediction, where it was measured.
+    /// Seconds of one prediction, if it was measured.
     pub latency: Option<f64>,
     /// Squared errors of all runs: 5th, 25th, 50th, 75th, 95th percentile.
     pub squared_errors: [f64; 5],
@@ -48,9 +48,9 @@ pub struct Row {
 pub struct Curve {
     /// The chart that it belongs to.
     pub chart: String,
-    /// What it is.
+    /// Name of the curve.
     pub name: String,
-    /// What runs along x.
+    /// Quantity along x.
     pub x: String,
     /// (x, y).
     pub points: Vec<(f64, f64)>,
@@ -60,24 +60,24 @@ pub struct Curve {
 pub(super) const ORBIT_CHART: &str = "orbit";
 /// The chart of the orbit with drawn transfer functions: a curve per volume.
 pub(super) const DRAWN_CHART: &str = "orbit, drawn transfer functions";
-/// The curve of what was measured.
+/// The curve of measured times.
 pub(super) const MEASURED: &str = "measured";
-/// What runs along x where a curve has a point per frame.
+/// Quantity along x where a curve has a point per frame.
 pub(super) const SORTED: &str = "frames, by their measured time";
 
 /// Named numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fact {
-    /// What they are of.
+    /// Name of the group of numbers.
     pub name: String,
     /// By name.
     pub values: BTreeMap<String, f64>,
 }
 
-/// What one part of the study found for one data set and mode.
+/// Results of one part of the study for one data set and mode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Results {
-    /// Tells apart what it was made of.
+    /// Hash of the inputs.
     pub identity: String,
     /// The part of the study.
     pub panel: Panel,
@@ -85,11 +85,11 @@ pub struct Results {
     pub set: String,
     /// The mode.
     pub mode: String,
-    /// Frames learned from, validated on and tested on, by split.
+    /// Training, validation and test frames, by split.
     pub frames: BTreeMap<String, [usize; 3]>,
-    /// The encoder behind the network.
+    /// The network's encoder.
     pub encoder: String,
-    /// What the frames were measured on.
+    /// Device that the frames were measured on.
     pub device: String,
     /// Its machine.
     pub machine: String,
@@ -102,11 +102,11 @@ pub struct Results {
     /// Pictures' files beside this one, with captions.
     #[serde(default)]
     pub pictures: Vec<(String, String)>,
-    /// When it was made.
+    /// Date.
     pub made: String,
-    /// By which program.
+    /// Version of the program.
     pub program: String,
-    /// Seconds that it took.
+    /// Seconds of the computation.
     pub seconds: f64,
 }
 
@@ -138,12 +138,12 @@ impl Results {
     }
 }
 
-/// Where the results of a part are kept.
+/// Path of the results of a part.
 pub(super) fn path(out: &Path, panel: Panel, set: &str, mode: &str) -> PathBuf {
     out.join("results").join(format!("{}-{set}-{mode}.json", panel.name()))
 }
 
-/// Writes results down.
+/// Writes results.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -152,7 +152,7 @@ pub(super) fn write(out: &Path, results: &Results) -> Result<()> {
     write_json(&path(out, results.panel, &results.set, &results.mode), results)
 }
 
-/// The results of this identity, where they were made before.
+/// The stored results with this identity.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -175,7 +175,7 @@ fn one(text: &str, path: &Path) -> Result<Results> {
     serde_json::from_str(text).with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
-/// All results of a folder, and those that were kept elsewhere of parts that the folder lacks.
+/// All results of a folder, and kept ones of parts that the folder lacks.
 ///
 /// # Errors
 /// When a file cannot be read.

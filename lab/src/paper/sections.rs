@@ -12,7 +12,7 @@ use super::volumes::{BY_MODALITY, BY_VOLUMES};
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 use std::collections::BTreeSet;
 
-/// What stands in the report under a label.
+/// Section of the report under a label.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Section {
     /// Tables with captions.
@@ -28,13 +28,13 @@ pub(super) struct Section {
 }
 
 impl Section {
-    /// Whether there is a table or figure.
+    /// True if there is a table or figure.
     pub(super) fn there(&self) -> bool {
         !self.tables.is_empty() || !self.charts.is_empty() || !self.pictures.is_empty()
     }
 }
 
-/// Our counterpart of a label, of what there is.
+/// Our counterpart of a label, from the available results.
 pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Section {
     let of: Vec<&Results> = material.all.iter().filter(|r| r.panel == label.panel).collect();
     let mut s = Section::default();
@@ -95,7 +95,7 @@ fn title_of(paper: &Paper, set: &str, mode: &str) -> String {
     format!("{name}, {mode}")
 }
 
-/// Seconds with four digits that count.
+/// Seconds with four significant digits.
 fn seconds(v: f64) -> String {
     if v == 0.0 || !v.is_finite() {
         return "0".into();
@@ -476,7 +476,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
 }
 
 fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
-    // An architecture counts where every renderer has it.
+    // Only architectures that every renderer has.
     let shown: Vec<&&Results> = of.iter().filter(|r| r.rows.iter().any(|x| x.name.contains('→'))).collect();
     let Some(first) = shown.first() else { return };
     let names: Vec<&str> =
@@ -599,7 +599,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
     s.summary = of.iter().flat_map(|r| &r.facts).map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ");
 }
 
-/// Times of single frames where a pre-trained model was taken to.
+/// Times of single frames of the data that a pre-trained model was adapted to.
 fn tuned_frames(of: &[&Results], s: &mut Section) {
     let mut all: Vec<&str> = Vec::new();
     for r in of {

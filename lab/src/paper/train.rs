@@ -1,4 +1,4 @@
-//! Trains the networks of every part of the study on the frames at hand and judges them.
+//! Training and evaluation of the networks of every part of the study.
 
 use super::collect::{DRAWN_ORBIT, EXPERIMENTS, ORBIT, PER_EXPERIMENT};
 use super::description::{Panel, Paper, RAYCASTER_MODES};
@@ -24,10 +24,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Counts up whenever the same frames give other results.
+/// Version of the results: raised whenever the same frames give other ones.
 const MADE_AS: u32 = 1;
 
-/// The parts that are made of the frames of one data set and mode each.
+/// The parts that use the frames of one data set and mode each.
 const BY_SET: [Panel; 7] = [
     Panel::Overall,
     Panel::Ablation,
@@ -38,7 +38,7 @@ const BY_SET: [Panel; 7] = [
     Panel::Final,
 ];
 
-/// Makes what is missing of the parts asked for (all where none is named).
+/// Computes the missing results of the selected parts (default: all).
 ///
 /// # Errors
 /// When tables cannot be read, a training fails, and when it is stopped.
@@ -79,7 +79,7 @@ pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
                 let started = Instant::now();
                 let mut results = Results::new(panel, &place.set.name, mode, mark);
                 let made = at.make(panel, &mut results);
-                // What was stopped says so, whatever it failed with.
+                // A stopped part says so, whatever error it ended with.
                 if work.stop() {
                     bail!("{}", work.stopped());
                 }
@@ -101,7 +101,7 @@ pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     Ok(())
 }
 
-/// Tells apart what a part was made of.
+/// Hash of a part's inputs.
 pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table]) -> Result<String> {
     let p: &Paper = work.paper;
     let bare = |r: &Recipe| Recipe { volumenet: None, ..r.clone() };
@@ -170,7 +170,7 @@ impl At<'_> {
         self.on_split(&Method { name: OURS, key: &key, recipe }, self.paper().runs, frames)
     }
 
-    /// The network without one of its inputs.
+    /// The network, each time without one input.
     fn without(&self, input: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
         let (mut recipe, _) = self.network(BY_VOLUMES)?;
         recipe.inputs.retain(|i| i != input);
@@ -256,7 +256,7 @@ impl At<'_> {
         Ok(())
     }
 
-    /// What the main encoder and the one that ships say about every volume, a line per ensemble member.
+    /// Feature vectors of every volume by the main encoder and the shipped one, a line per ensemble member.
     fn code_curves(&self, results: &mut Results) -> Result<()> {
         let features = self.loaded.tables[0].features.as_ref().context("no features")?;
         let encoders = [
@@ -432,7 +432,7 @@ impl At<'_> {
         Ok(())
     }
 
-    /// The network with other layers; of the same layers and encoder as the study's it is that one.
+    /// The network with other layers; with the study's layers and encoder it is the study's network.
     fn with_layers(
         &self,
         preset: &str,
@@ -479,7 +479,7 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Seconds that encoding a volume takes, on one thread.
+    /// Seconds to encode a volume, on one thread.
     fn encoding(&self, path: &Path) -> Result<f64> {
         let model = open_model(path)?;
         let net = VolumeNet::new(model.volumenet().context("no VolumeNet")?)?;

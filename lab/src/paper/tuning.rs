@@ -1,5 +1,6 @@
-//! Fine-tuning: the network pre-trained on all data sets together, taken to other renderers, machines and kinds
-//! of volumes with few frames; beside networks from nothing, and ours in closed form.
+//! Fine-tuning: the network pre-trained on all data sets together and adapted to other renderers, machines
+//! and kinds of volumes with few frames; beside networks trained from scratch, and our predictor in closed
+//! form.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -29,7 +30,7 @@ const TOGETHER: &str = "all";
 /// The set's name in results: other machines.
 pub(super) const MACHINES: &str = "machines";
 
-/// Where a pre-trained model is taken to: frames to learn from, frames to judge on.
+/// Target of an adaptation: training frames, test frames.
 struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
@@ -38,7 +39,7 @@ struct Target<'a> {
     set: &'static str,
 }
 
-/// Tables of another renderer or machine: the first of them is learned from, the last judged on.
+/// Tables of another renderer or machine: the first is for training, the last for testing.
 struct Found {
     name: String,
     first: usize,
@@ -51,26 +52,26 @@ struct Pretrained<'a> {
     work: &'a Work<'a>,
     runner: &'a Runner<'a>,
     context: &'a FitContext<'a>,
-    /// How the network is trained.
+    /// Recipe of the network.
     recipe: &'a Recipe,
     /// The network's file.
     network: PathBuf,
     ours: ModelFile,
 }
 
-/// Most frames of a chart that has a point per frame.
+/// Maximum number of frames of a chart with a point per frame.
 const MOST_DRAWN: usize = 100;
-/// The least time that such a chart shows, seconds.
+/// The smallest time in such a chart, seconds.
 const LEAST_DRAWN: f64 = 1e-4;
 
-/// Draws the curves unless they are there.
+/// Computes the curves unless they exist.
 ///
 /// # Errors
 /// When tables cannot be read, a training fails, and when it is stopped.
 pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result<()> {
     let paper = work.paper;
     let mode = &paper.tuning.mode;
-    // Whatever is asked for otherwise, it is pre-trained on everything at hand.
+    // Independent of the selection, it is pre-trained on all available data.
     let everything = Selection::default();
     let all = places(paper, &everything, work.data)?;
     let mut tables: Vec<Table> = Vec::new();
@@ -117,7 +118,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             ));
             continue;
         }
-        // Volumes are needed where the features of the table that is kept lack the network's.
+        // Volumes are needed if the table's stored features lack the network's.
         let bare = found.iter().filter(|t| t.features.as_ref().is_none_or(|f| f.column(&code).is_none()));
         let lost = bare.flat_map(|t| t.frames.iter().map(move |f| (t, f)));
         let lost = lost.map(|(t, f)| (t, &f.scene.volume)).find(|(t, v)| t.resolve_volume(v).is_none());
@@ -169,7 +170,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
     }
     for Found { name, first, last, set } in &others {
-        // Another machine differs in nothing else: its frames are of the data sets that are pre-trained on.
+        // Another machine differs in nothing else: its frames are of the data sets of the pre-training.
         let known = |f: &TimedFrame| {
             Path::new(&f.scene.volume).iter().any(|part| pretrained_on.iter().any(|s| part == *s))
         };
@@ -209,7 +210,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
 }
 
 impl Pretrained<'_> {
-    /// Takes both to a target with few frames and more, and says how right they are there.
+    /// Adapts both to a target with increasing numbers of frames, and measures their errors there.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
         let Self { work, runner, context, recipe, network, ours } = self;
         let none = TimedFrames::default();
@@ -290,12 +291,12 @@ impl Pretrained<'_> {
     }
 }
 
-/// What rendered a table's frames.
+/// Device that rendered a table's frames.
 fn machine(table: &Table) -> Option<&str> {
     table.manifest.as_ref().map(|m| m.machine.as_str())
 }
 
-/// Measured and predicted times of frames in the order of the measured ones, [`MOST_DRAWN`] at most.
+/// Measured and predicted times of frames in the order of the measured ones, at most [`MOST_DRAWN`].
 fn frame_by_frame(target: &Target<'_>, predicted: &[(&str, Vec<f64>)]) -> Vec<Curve> {
     let measured = &target.judged.seconds;
     let mut order: Vec<usize> = (0..measured.len()).collect();
@@ -313,7 +314,7 @@ fn frame_by_frame(target: &Target<'_>, predicted: &[(&str, Vec<f64>)]) -> Vec<Cu
     std::iter::once(curve(MEASURED, measured)).chain(drawn).collect()
 }
 
-/// Frames to learn from and frames to judge on, at random.
+/// Random training and test frames.
 fn halves<'a>(all: &TimedFrames<'a>) -> (TimedFrames<'a>, TimedFrames<'a>) {
     all.sample(all.frames.len() / 2, 11)
 }

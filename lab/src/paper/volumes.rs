@@ -1,4 +1,4 @@
-//! The volumes of a data set, and which of them serve what.
+//! The volumes of a data set, and their roles in splits.
 
 use super::description::{DataSet, Paper};
 use anyhow::{Context, Result, ensure};
@@ -7,7 +7,7 @@ use entire_io::files::fnv1a;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Which part of the study is asked for; everything where nothing is named.
+/// Selection of the study's parts; everything by default.
 #[derive(Clone, Debug, Default)]
 pub struct Selection {
     /// Data sets.
@@ -17,18 +17,18 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// Whether a data set is asked for.
+    /// True if a data set is selected.
     pub fn has(&self, set: &str) -> bool {
         self.data_sets.is_empty() || self.data_sets.iter().any(|n| n == set)
     }
 
-    /// Whether a mode is asked for.
+    /// True if a mode is selected.
     pub fn has_mode(&self, mode: &str) -> bool {
         self.modes.is_empty() || self.modes.iter().any(|n| n == mode)
     }
 }
 
-/// Learned from, decides when training stops, tested on: volumes by name, no two parts with one in common.
+/// Training, validation and test volumes, by name; no volume is in two parts.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Parts {
     /// `volumes` or `members`.
@@ -48,21 +48,21 @@ pub(super) const BY_MEMBERS: &str = "members";
 /// The hardest: volumes of another kind.
 pub(super) const BY_MODALITY: &str = "modality";
 
-/// A data set where it lies.
+/// A data set in its folder.
 #[derive(Clone, Debug)]
 pub struct Place {
-    /// What it is.
+    /// The data set.
     pub set: DataSet,
-    /// The folder that its volumes' names start from.
+    /// The root folder of its volumes' names.
     pub root: PathBuf,
-    /// Its volumes in order: a volume's place here numbers its frames. Paths start from `root`.
+    /// Its volumes in order: a volume's index numbers its frames. Paths start from `root`.
     pub jobs: Vec<Job>,
-    /// How they are split; none where it only tests.
+    /// Splits of the volumes; empty where the set is only for tests.
     pub splits: Vec<Parts>,
 }
 
 impl Place {
-    /// Finds a data set; `None` where its folder is not there.
+    /// Finds a data set; `None` if its folder does not exist.
     ///
     /// # Errors
     /// When its folder cannot be read or holds no volume.
@@ -79,7 +79,7 @@ impl Place {
         Ok(Some(Self { set: set.clone(), root, jobs, splits }))
     }
 
-    /// Frames that a volume needs: many where some split learns from it.
+    /// Number of frames of a volume: many if it is a training volume of some split.
     pub fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
         let name = name_of(job);
         let learned = self.splits.iter().any(|s| s.training.contains(&name));
@@ -92,7 +92,7 @@ impl Place {
     }
 }
 
-/// The folders that volumes' names may start from.
+/// The root folders of volumes' names.
 pub(super) fn roots(data: &Path) -> [PathBuf; 2] {
     [data.join("ensembles"), data.to_owned()]
 }
@@ -117,8 +117,8 @@ fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()
     Ok(())
 }
 
-/// A tenth of some volumes, at least one, and the next tenth: in the order of a hash of their names, so that
-/// they are as good as drawn, and the same wherever the data lie.
+/// A tenth of some volumes, at least one, and the next tenth: in the order of a hash of their names, which is
+/// pseudo-random but independent of the folder.
 fn tenths<'a>(names: impl Iterator<Item = &'a String>) -> (BTreeSet<String>, BTreeSet<String>) {
     let mut names: Vec<&String> = names.collect();
     let tenth = ((names.len() as f64 / 10.0).round() as usize).max(1);
@@ -145,7 +145,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
             validation = tenths(training.iter()).0;
             training.retain(|n| !validation.contains(n));
         }
-        // Where the data at hand lack these members there is no such split.
+        // If the available data lack these members there is no such split.
         if !test.is_empty() && !training.is_empty() && !validation.is_empty() {
             out.push(Parts { name: BY_MEMBERS, training, validation, test });
         }
@@ -153,10 +153,10 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
     Ok(out)
 }
 
-/// The data sets of a study that are asked for and are there. Those that are not are said on standard error.
+/// The selected data sets that exist. A note names the others.
 ///
 /// # Errors
-/// When one cannot be read, or none is there.
+/// When one cannot be read, or none exists.
 pub fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<Place>> {
     for name in &selection.data_sets {
         let known = || paper.data_sets.iter().map(|d| d.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -167,7 +167,7 @@ pub fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<P
         match Place::find(set, data)? {
             Some(place) => found.push(place),
             None => {
-                entire_io::files::note(&format!("{} is not in {}; it is left out", set.name, data.display()))
+                entire_io::files::note(&format!("{} is not in {}; it is skipped", set.name, data.display()))
             }
         }
     }
@@ -209,10 +209,10 @@ mod tests {
         assert_eq!((found[0].validation.len(), found[0].test.len()), (4, 4));
         assert!(found[1].test.iter().all(|n| n.contains("/m03/")));
         assert_eq!(found[1].training.len(), 20);
-        // Without validation members, some of the other members' volumes serve.
+        // Without validation members, some of the other members' volumes are used.
         let found = splits(&set(Some(serde_json::json!({ "test": ["m03"] }))), &jobs()).unwrap();
         assert_eq!((found[1].training.len(), found[1].validation.len()), (27, 3));
-        // Members that are not there make no split.
+        // Missing members make no split.
         assert_eq!(splits(&set(Some(serde_json::json!({ "test": ["m09"] }))), &jobs()).unwrap().len(), 1);
         assert!(splits(&set(None), &jobs()[..2]).is_err());
     }

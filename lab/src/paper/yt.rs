@@ -1,5 +1,5 @@
-//! Frames that yt draws, by the collector that the examples have: one call for every volume, so that a stopped
-//! collection goes on.
+//! Frames drawn by yt, by the collector in `examples`: one call for every volume, so that a stopped
+//! collection can be continued.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -14,13 +14,13 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Where the frames of one volume go.
+/// Path of the frames of one volume.
 fn part(work: &Work<'_>, job: &Job, low: bool) -> PathBuf {
     let name = name_of(job).replace(['/', '.'], "-");
     work.out.join("tables").join("yt").join(format!("{name}{}.csv", if low { "-low" } else { "" }))
 }
 
-/// Collects what is missing of a data set and puts it together. Held-out volumes come first.
+/// Collects the missing frames of a data set and merges them. Held-out volumes come first.
 ///
 /// # Errors
 /// When Python, yt or the collector fails, and when it is stopped.
@@ -60,7 +60,7 @@ fn of_volume(work: &Work<'_>, place: &Place, job: &Job, low: bool, to: &std::pat
             std::fs::remove_file(&old).with_context(|| format!("cannot remove {}", old.display()))?;
         }
     }
-    // The name that the volume is called by is what its scenes are drawn from, as those of the raycaster.
+    // The volume's name seeds its scenes, as for the raycaster.
     let frames = if low { work.paper.frames.held_out } else { place.frames_of(job, work.paper) };
     let mut command = Command::new(work.python);
     command
@@ -90,7 +90,7 @@ fn of_volume(work: &Work<'_>, place: &Place, job: &Job, low: bool, to: &std::pat
     rename(begun, to.to_owned())
 }
 
-/// The volumes' frames as tables, numbered as the raycaster's are.
+/// Merges the volumes' frames into tables, numbered as the raycaster's.
 fn put_together(work: &Work<'_>, place: &Place) -> Result<()> {
     let each = u64::from(work.paper.frames.training);
     let mut scenes: BTreeMap<u64, Scene> = BTreeMap::new();
@@ -108,7 +108,7 @@ fn put_together(work: &Work<'_>, place: &Place) -> Result<()> {
             for frame in table.frames {
                 let number = j as u64 * each + frame.number;
                 let scene = match scenes.get(&number) {
-                    // What one reference step comes to in samples is rounded anew for every grid.
+                    // The reference step in samples is rounded for every grid.
                     Some(full) => {
                         let here = Scene { dims: full.dims, step: full.step, ..frame.scene.clone() };
                         ensure!(here == *full, "{}: frame {} is another one", path.display(), frame.number);

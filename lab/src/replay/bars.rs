@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
 
-/// Rules that see past times only.
+/// Rules that use past times only.
 const REACTIVE: [ControllerKind; 9] = [
     ControllerKind::Olp,
     ControllerKind::Last,
@@ -26,7 +26,7 @@ const REACTIVE: [ControllerKind; 9] = [
 pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     let of = |kind: ControllerKind| {
         players.iter().position(|p| p.kind == kind).map(|i| &scores[i]).with_context(|| {
-            format!("the bars compare {} and it did not play; leave --controllers out", kind.name())
+            format!("the bars need {}, which did not play; leave out --controllers", kind.name())
         })
     };
     let ours = of(ControllerKind::Hybrid)?;
@@ -34,7 +34,7 @@ pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     for kind in ControllerKind::value_variants().iter().filter(|k| **k != ControllerKind::Hybrid) {
         others.push(of(*kind)?);
     }
-    // In calm phases whichever reactive rule is the best, for each figure another one.
+    // In calm phases the best reactive rule, which may differ from figure to figure.
     let reactive = REACTIVE.into_iter().map(&of).collect::<Result<Vec<_>>>()?;
     let calm_least =
         |figure: fn(&Three) -> f64| reactive.iter().map(|s| figure(&s.calm)).fold(f64::INFINITY, f64::min);
@@ -57,7 +57,7 @@ pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     ])
 }
 
-/// The bars of what was played: of this many paths all but those that are named.
+/// The bars of the played paths: number of paths without the named ones.
 pub fn played(paths: usize, unplayed: &[String]) -> Vec<Bar> {
     let mut out =
         vec![Bar::at_least("steer-paths-played", Some((paths - unplayed.len()) as f64), paths as f64)];

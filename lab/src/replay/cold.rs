@@ -1,4 +1,4 @@
-//! Sessions without a model that begin somewhere on a path: what a program meets that has nothing but its own times.
+//! Sessions without a model that start anywhere on a path: the case of a program that has only its own times.
 
 use super::{Replayable, Trial, replay};
 use crate::bars::Bar;
@@ -9,13 +9,13 @@ use entire_steer::control::{Hybrid, HybridOptions, Prior, Session, StepLimits};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use std::ops::Range;
 
-/// Frames between two sessions that begin on the way.
+/// Frames between the starts of two sessions.
 const EVERY: usize = 8;
 
-/// What is promised of the second frame: the share that stays inside the upper bound of its plan.
+/// Promise for the second frame: the share that stays below the upper bound of its plan.
 const PROMISED: f64 = 0.95;
 
-/// The frames of sessions of `frames` frames each that begin on a path of `n`.
+/// The frames of sessions of `frames` frames each that start along a path of `n`.
 pub fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usize>> {
     (0..(n + 1).saturating_sub(frames)).step_by(EVERY).map(move |start| start..start + frames)
 }
@@ -35,8 +35,8 @@ pub fn without_model(options: HybridOptions) -> Contender {
     hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
 }
 
-/// The bar of the cold start: of sessions without a model that begin along every trial, the share whose second
-/// frame took no more than the upper bound of its plan.
+/// The bar of the cold start: among sessions without a model that start along every trial, the share whose
+/// second frame took no more than the upper bound of its plan.
 ///
 /// # Errors
 /// When a prediction fails.

@@ -1,10 +1,10 @@
-//! How much others on a machine slow frames down, over time: recorded once, replayed under any controller.
+//! Slowdown of frames over time by other programs: recorded once, replayed under any controller.
 
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// One frame of a recording: from when on frames were how much slower.
+/// One frame of a recording: its start and its slowdown.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Slowdown {
     /// Seconds since the recording began.
@@ -13,13 +13,13 @@ pub struct Slowdown {
     pub slowdown: f64,
 }
 
-/// A recording of slowdowns, which begins anew when it ends.
+/// A recording of slowdowns, which repeats from the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Disturbance {
     /// Its name in tables.
     pub name: String,
     frames: Vec<Slowdown>,
-    /// Seconds from its beginning to its end.
+    /// Seconds from its start to its end.
     length: f64,
 }
 
@@ -27,8 +27,8 @@ impl Disturbance {
     /// Reads a table of `start_s` and `slowdown` (`entire-lab disturb`).
     ///
     /// # Errors
-    /// For a file that is not one, and for fewer than two frames, times that do not ascend from 0, and slowdowns
-    /// that are not positive.
+    /// For a file of another kind, fewer than two frames, times that do not ascend from 0, and slowdowns that
+    /// are not positive.
     pub fn open(file: &Path) -> Result<Self> {
         let place = || format!("{}", file.display());
         let mut reader = csv::Reader::from_path(file).with_context(place)?;
@@ -42,11 +42,7 @@ impl Disturbance {
     /// # Errors
     /// As [`Disturbance::open`].
     pub fn new(name: String, frames: Vec<Slowdown>) -> Result<Self> {
-        ensure!(
-            frames.len() >= 2,
-            "{} frames are no recording of slowdowns; at least 2 are needed",
-            frames.len()
-        );
+        ensure!(frames.len() >= 2, "a recording of slowdowns needs at least 2 frames, not {}", frames.len());
         ensure!(
             frames[0].start_s == 0.0 && frames.windows(2).all(|w| w[0].start_s < w[1].start_s),
             "the column start_s must ascend from 0"
@@ -66,7 +62,7 @@ impl Disturbance {
         self.length
     }
 
-    /// Wall seconds of a frame that begins at `start` and takes `seconds` where nobody disturbs it.
+    /// Wall seconds of a frame that starts at `start` and takes `seconds` without disturbance.
     pub fn wall(&self, start: f64, seconds: f64) -> f64 {
         let begin = start.rem_euclid(self.length);
         let mut i = self.frames.partition_point(|f| f.start_s <= begin).saturating_sub(1);
@@ -107,10 +103,10 @@ mod tests {
         };
         near(0.2, 0.5, 0.5);
         near(1.0, 0.5, 1.0);
-        // Half before the slow part, half within; and out of it again.
+        // Half before the slow part, half within it; and from within it to after it.
         near(0.5, 1.0, 1.5);
         near(2.5, 1.0, 0.5 + 0.75);
-        // Over the end, more than once.
+        // Across the end, more than once.
         near(4.0, 4.0 * 3.0 + 1.0, 5.0 * 3.0 + 1.0);
     }
 

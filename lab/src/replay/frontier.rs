@@ -1,12 +1,12 @@
-//! Step and image size chosen together by the quality model.
+//! Step and image size chosen together by the quality law.
 
 use super::Replayable;
 use crate::trace::{TRACE_SCALES, TracePoint};
 use entire_io::metrics::median;
 use entire_steer::calibrate::{FittedQuality, Picture, fit_quality};
 
-/// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to:
-/// mean structural similarity of what each way picks among settings that meet the target.
+/// Mean structural similarity of the settings that each rule picks among those that meet the target, on
+/// traces that the quality law was not fitted to.
 pub struct Frontier {
     pub(super) law: FittedQuality,
     frames: usize,
@@ -26,10 +26,9 @@ impl Frontier {
     }
 }
 
-/// Fits the quality model to every other trace and judges it by the others; `None` where there is nothing to
-/// choose.
+/// Fits the quality law to every other trace and tests it on the rest; `None` if there is nothing to choose.
 pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
-    // Frames that were drawn with both at once, and of those the points of that grid.
+    // Frames that were drawn with both coarsened, with the points of that grid.
     let points = |odd: bool| {
         traces
             .iter()
@@ -59,8 +58,8 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
         for (target, _) in targets {
             let seconds = |p: &TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
             let fitting: Vec<_> = frame.iter().copied().filter(|p| seconds(p) <= *target).collect();
-            // Only where there is something to choose: the reference setting does not fit, some full-size one
-            // does.
+            // Only frames with a choice: the reference setting misses the target, some full-size one meets
+            // it.
             let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));
             let (Some(full), false) = (full, fitting.iter().any(|p| p.scale == 1.0 && p.step <= 1.0)) else {
                 continue;

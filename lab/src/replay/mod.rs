@@ -1,4 +1,4 @@
-//! Replaying traces: controllers against recorded cost curves, scored beside an oracle that knows them.
+//! Replay of traces: controllers on recorded time curves, scored beside an oracle that knows them.
 
 mod bars;
 pub mod cold;
@@ -29,13 +29,13 @@ use serde::Serialize;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Frames from a change of anything but the camera on that are not calm, and frames at the start of a path.
+/// Frames after a change of anything but the camera that are not calm, and frames at the start of a path.
 pub const SETTLING: usize = 3;
 
 /// A trace that is ready to be replayed.
 #[derive(Clone)]
 pub struct Replayable {
-    /// As it was recorded.
+    /// The recording.
     pub trace: Trace,
     /// Its path, frame by frame.
     pub path: FlightPath,
@@ -46,17 +46,17 @@ pub struct Replayable {
     pub images: Option<Vec<Curve>>,
     /// Per volume.
     pub summaries: Vec<VolumeSummary>,
-    /// Frames at which something changes abruptly: a switch of the path, another volume, another image size.
+    /// Frames with an abrupt change: a switch of the path, another volume, another image size.
     pub switches: Vec<bool>,
-    /// Who else is on the machine while it is replayed; nobody where `None`.
+    /// Slowdown by other programs during the replay, if any.
     pub disturbance: Option<Arc<Disturbance>>,
 }
 
 impl Replayable {
-    /// Opens the volumes of a trace and works out its curves.
+    /// Opens the volumes of a trace and computes its curves.
     ///
     /// # Errors
-    /// When a volume is not there or the path is wrong.
+    /// When a volume is missing or the path is wrong.
     pub fn new(trace: Trace) -> Result<Self> {
         let path = trace.path.resolve()?;
         let curves = trace.frames.iter().map(|f| Curve::of(f)).collect();
@@ -73,7 +73,7 @@ impl Replayable {
         Ok(Self { trace, path, curves, images, summaries, switches, disturbance: None })
     }
 
-    /// The same path beside somebody else on the machine, who is part of its name.
+    /// The same path with a recorded slowdown by other programs, which becomes part of its name.
     #[must_use]
     pub fn disturbed(mut self, disturbance: &Arc<Disturbance>) -> Self {
         self.trace.name = format!("{}/{}", self.trace.name, disturbance.name);
@@ -81,10 +81,10 @@ impl Replayable {
         self
     }
 
-    /// What answers a controller's decisions, and what it may choose: its own range, as far as it was recorded.
+    /// Curves that answer a controller's decisions, and its limits: its own range, as far as it was recorded.
     ///
     /// # Errors
-    /// When the trace holds no smaller images and they are what the controller acts on.
+    /// When the controller acts on smaller images and the trace holds none.
     fn answers(&self, acts_on: ActsOn, of_step: StepLimits) -> Result<(&[Curve], StepLimits)> {
         let ActsOn::ImageResolution { .. } = acts_on else { return Ok((&self.curves, of_step)) };
         let images = self.images.as_deref().with_context(|| {
@@ -102,24 +102,24 @@ impl Replayable {
 /// One frame of a replay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Replayed {
-    /// Seconds that it should not have exceeded.
+    /// Target, seconds.
     pub target: f64,
-    /// Seconds that it took.
+    /// Measured seconds.
     pub seconds: f64,
-    /// Seconds that the controller expected; NaN where it expected nothing.
+    /// Expected seconds of the controller; NaN without a prediction.
     pub predicted: f64,
-    /// Its upper bound; NaN where there was none.
+    /// Its upper bound; NaN without one.
     pub upper: f64,
-    /// What was chosen: the ray step, or s of [`ActsOn::ImageResolution`].
+    /// Decision: the ray step, or s of [`ActsOn::ImageResolution`].
     pub step: f64,
-    /// The finest that could have been chosen instead, without noise: as the oracle's step, but of what the
-    /// controller acts on.
+    /// The finest possible decision without noise: as the oracle's step, but of the controller's own
+    /// quantity.
     pub finest_step: f64,
     /// The oracle's step.
     pub oracle_step: f64,
-    /// Seconds that the frame takes at the oracle's step, with the same noise.
+    /// Seconds of the frame at the oracle's step, with the same noise.
     pub oracle_seconds: f64,
-    /// Likeness to the reference picture, decibels.
+    /// PSNR against the reference picture, decibels.
     pub psnr: f64,
     /// The oracle's.
     pub oracle_psnr: f64,
@@ -127,22 +127,22 @@ pub struct Replayed {
     pub ssim: f64,
     /// The oracle's.
     pub oracle_ssim: f64,
-    /// Whether the coarsest step meets the target.
+    /// True if the coarsest step meets the target.
     pub feasible: bool,
-    /// Whether some allowed step takes exactly the target.
+    /// True if some allowed step takes exactly the target.
     pub reachable: bool,
-    /// Whether something, or the target, changed abruptly here.
+    /// True if something, or the target, changed abruptly here.
     pub switched: bool,
-    /// Whether nothing but the camera has changed in this frame and the [`SETTLING`] before, nor the path
-    /// begun.
+    /// True if only the camera changed in this frame and the [`SETTLING`] before, and the path did not start
+    /// there.
     pub calm: bool,
-    /// Why the step.
+    /// Reason for the step.
     #[serde(serialize_with = "reason_name")]
     pub reason: Reason,
 }
 
 impl Replayed {
-    /// The same frame as the oracle plays it: it knows the curve, but not the noise.
+    /// The same frame as played by the oracle, which knows the curve, but not the noise.
     pub fn by_oracle(&self) -> Self {
         Self {
             seconds: self.oracle_seconds,
@@ -161,7 +161,7 @@ fn reason_name<S: serde::Serializer>(reason: &Reason, s: S) -> std::result::Resu
     s.collect_str(reason)
 }
 
-/// A number that depends on two others and on nothing else.
+/// A hash of two numbers.
 fn mix(a: u64, b: u64) -> u64 {
     let mut h = a.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ b.wrapping_mul(0xd1b5_4a32_d192_ed03);
     h ^= h >> 29;
@@ -169,13 +169,13 @@ fn mix(a: u64, b: u64) -> u64 {
     h ^ (h >> 32)
 }
 
-/// Plays some frames of a trace against `targets` (one per frame of the trace); the session meets the first of
-/// them as its first. The noise of a frame is the same for every controller; `seed` picks which of the measured
-/// ones. `limits` are those of the ray step.
+/// Plays some frames of a trace with `targets` (one per frame of the trace); the session starts at the first
+/// of them. The noise of a frame is the same for every controller; `seed` selects which of the measured ones.
+/// `limits` are those of the ray step.
 ///
 /// # Errors
-/// When a prediction fails; names the frame. When the controller acts on image resolution and the trace holds no
-/// smaller images.
+/// When a prediction fails; names the frame. When the controller acts on image resolution and the trace holds
+/// no smaller images.
 pub fn replay(
     recorded: &Replayable,
     contender: &mut Contender,
@@ -196,7 +196,7 @@ pub fn replay(
     let mut out: Vec<Replayed> = Vec::with_capacity(frames.len());
     let mut shown = usize::MAX;
     let mut since_switch = 0;
-    // Frames follow each other without a pause; every round begins elsewhere in the recording of the neighbor.
+    // Frames follow each other without a pause; every round starts elsewhere in the recorded slowdown.
     let disturbance = recorded.disturbance.as_deref();
     let mut now = disturbance.map_or(0.0, |d| d.length() * (mix(seed, n as u64) % 1000) as f64 / 1000.0);
     for (index, at) in recorded.path.frames.iter().enumerate().take(frames.end).skip(start) {
@@ -252,8 +252,7 @@ pub fn replay(
     Ok(out)
 }
 
-/// A target that is worth playing on a trace: some allowed step meets it exactly in at least half of the
-/// frames.
+/// True for a useful target of a trace: some allowed step meets it exactly in at least half of the frames.
 pub fn worth_playing(recorded: &Replayable, target: f64, limits: StepLimits) -> bool {
     let (finest, coarsest) = (f64::from(limits.finest), f64::from(limits.coarsest));
     let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();

@@ -1,4 +1,4 @@
-//! Who plays, and what on.
+//! Players of a replay, and the quantities that they set.
 
 use super::Replayable;
 use clap::ValueEnum;
@@ -11,16 +11,15 @@ use entire_io::files::note;
 pub struct Player {
     /// Which.
     pub kind: ControllerKind,
-    /// What answers its decisions.
+    /// Curves that answer its decisions.
     pub acts_on: ActsOn,
 }
 
 impl Player {
-    /// The named controllers, everyone where none is named.
+    /// The named controllers; default: all.
     ///
-    /// Where a trace holds no smaller images, rules that act on image resolution are played on the ray step
-    /// instead, on all traces, so that each row of a table is about one thing; standard error and the tables
-    /// say so.
+    /// If a trace holds no smaller images, rules that act on image resolution act on the ray step instead, on
+    /// all traces, so that each row of a table has one meaning; standard error and the tables say so.
     pub fn all(kinds: &[ControllerKind], traces: &[Replayable]) -> Vec<Self> {
         let kinds = if kinds.is_empty() { ControllerKind::value_variants() } else { kinds };
         let without: Vec<&str> =
@@ -47,12 +46,12 @@ impl Player {
         players
     }
 
-    /// Whether it is played on the ray step in place of what it acts on.
+    /// True if it plays on the ray step instead of its own quantity.
     pub fn stands_in(&self) -> bool {
         self.acts_on != self.kind.acts_on()
     }
 
-    /// What it acts on, for tables.
+    /// Name of its quantity, for tables.
     pub const fn acts_on_name(&self) -> &'static str {
         match (self.acts_on, self.kind.acts_on()) {
             (ActsOn::RayStep, ActsOn::ImageResolution { .. }) => "ray step instead",

@@ -1,4 +1,4 @@
-//! What was replayed, as tables, charts and files.
+//! Output of a replay: tables, charts and files.
 
 use super::frontier::Frontier;
 use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial};
@@ -17,7 +17,7 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Everything that was played, for reports.
+/// Results of all replays, for reports.
 pub struct Results<'a> {
     /// Who played.
     pub players: &'a [Player],
@@ -25,7 +25,7 @@ pub struct Results<'a> {
     pub traces: &'a [Replayable],
     /// Against what.
     pub trials: &'a [Trial],
-    /// What came of each trial.
+    /// Outcome of each trial.
     pub outcomes: &'a [Outcome],
     /// Scores over all trials, per controller.
     pub scores: &'a [Score],
@@ -36,7 +36,7 @@ fn percent(v: f64) -> Option<String> {
 }
 
 impl Results<'_> {
-    /// What the oracle would score: misses are then the frames' noise alone.
+    /// Score of the oracle: its misses are the frames' noise alone.
     pub fn oracle(&self) -> Score {
         let mut total = Tally::default();
         for frames in self.outcomes.iter().filter_map(|o| o.frames.first()) {
@@ -252,8 +252,8 @@ impl Results<'_> {
         let mut page = Page::new(
             "Holding a frame time, beside an oracle",
             &format!(
-                "{} recorded paths over real volumes, {} trials, {frames} frames per controller. None of the \
-                 volumes was seen by the predictor before.",
+                "{} recorded paths over real volumes, {} trials, {frames} frames per controller. The \
+                 predictor was not trained on any of the volumes.",
                 self.traces.len(),
                 self.trials.len()
             ),
@@ -262,15 +262,15 @@ impl Results<'_> {
             &self.table(),
             &format!(
                 "T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets \
-                the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the \
-                target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every \
-                frame's cost curve, not its noise. Rules that act on image resolution draw with 1/s of the \
-                pixels at the reference step; s is their step, and their quality is the least s of their own \
-                range that meets the target over s. Calm: nothing but the camera has changed, without a cut, \
-                in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame \
-                before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper \
-                bound. SSIM: mean structural similarity to the picture at the reference step, over the \
-                oracle's. Best of each column in bold."
+                 the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the \
+                 target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every \
+                 frame's cost curve, not its noise. Rules that act on image resolution draw with 1/s of the \
+                 pixels at the reference step; s is their step, and their quality is the least s of their own \
+                 range that meets the target over s. Calm: nothing but the camera has changed, without a cut, \
+                 in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame \
+                 before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper \
+                 bound. SSIM: mean structural similarity to the picture at the reference step, over the \
+                 oracle's. Best of each column in bold."
             ),
         );
         let mut chart = Chart::new(
@@ -299,7 +299,7 @@ impl Results<'_> {
         page.chart(
             &chart,
             "A point per controller and target, over all traces on which the target was \
-            played. Up and left is better.",
+             played. Up and left is better.",
         );
         for (t, trace) in self.traces.iter().enumerate() {
             let of_trace: Vec<&Outcome> =
@@ -319,7 +319,7 @@ impl Results<'_> {
             };
             let law = f.law.quality;
             let chart = Chart::new(
-                "What a picture loses",
+                "Picture error over step and image size",
                 Axis::linear("step over the reference step, or full side over image side"),
                 Axis::linear("distance from full quality over that at twice the step").from(0.0),
             )
@@ -328,8 +328,8 @@ impl Results<'_> {
             .series(Series::new("smaller image", Mark::Line(curve(&|x| law.error(1.0, x)))));
             page.chart(
                 &chart,
-                "The quality law, fitted to 1 - SSIM of every other trace. Settings are tried in the \
-                order of its error; the first that is expected to meet the target is drawn.",
+                "The quality law, fitted to 1 - SSIM of every other trace. Settings are tried in the order \
+                 of its error; the first one whose expected time meets the target is drawn.",
             );
         }
         page.heading("Every trial");
@@ -337,8 +337,7 @@ impl Results<'_> {
         page.heading("Predictors");
         page.table(
             &candidates_table(&calibrated.candidates),
-            "Fitted to random scenes of other volumes on this machine, judged by scenes that were \
-             held out.",
+            "Fitted to random scenes of other volumes on this machine, tested on held-out scenes.",
         );
         page.chart(
             &ResponseCurve::new(samples, response).chart(),
@@ -346,12 +345,11 @@ impl Results<'_> {
         );
         page.heading("Where this comes from");
         page.paragraph(
-            "Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; \
-            a controller's step is answered by that frame's own curve between them, times the noise of one \
-            of its renderings: the same for every controller. What acts on image resolution is answered by the \
-            frame's curve over smaller images at the reference step, brought back to full size before pictures \
-            are compared. Changes of the transfer function and of \
-            volumes are not part of frame times.",
+            "Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; the time \
+             of a controller's step is interpolated on that frame's curve, times the noise of one of its \
+             renderings, which is the same for every controller. For rules that act on image resolution the \
+             curve is that of smaller images at the reference step, enlarged to full size before pictures are \
+             compared. Changes of the transfer function and of volumes are not part of frame times.",
         );
         let mut facts: Vec<(&str, String)> = Vec::new();
         for t in self.traces {
@@ -410,7 +408,7 @@ impl Results<'_> {
             .size(900.0, 260.0);
         page.chart(
             &draw(step, &|on| on == ActsOn::RayStep, &|r| r.step, Some(&|r| r.oracle_step)),
-            "Finer is better, as far as the target allows.",
+            "Finer is better while the target is met.",
         );
         let on_images = |on: ActsOn| on != ActsOn::RayStep;
         if self.players.iter().any(|p| shown.contains(&p.kind) && on_images(p.acts_on)) {

@@ -1,21 +1,21 @@
-//! How well a controller held its targets, beside the oracle.
+//! Scores of controllers against their targets, beside the oracle.
 
 use super::Replayed;
 use serde::Serialize;
 
-/// Three figures: how often, how far, how well.
+/// Three scores: misses, distance, quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Three {
     /// Share of the feasible frames that took over 1.1 targets.
     pub missed: f64,
     /// Mean |t − target| / target over the reachable frames.
     pub deviation: f64,
-    /// Mean over all frames of the finest step that could have been chosen (the oracle's, where the controller
-    /// acts on the ray step) over the step, at most 1.
+    /// Mean over all frames of the finest possible step (the oracle's, for controllers that act on the ray
+    /// step) over the step, at most 1.
     pub quality: f64,
 }
 
-/// Sums over frames, from which scores come; sums of several replays add up.
+/// Sums over frames, from which scores are computed; sums of several replays can be added.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tally {
     all: Sums,
@@ -89,9 +89,9 @@ pub struct Score {
     pub jumps: f64,
     /// Abrupt changes.
     pub switches: usize,
-    /// Share of them whose first frame stayed inside its upper bound; NaN from controllers without one.
+    /// Share of them whose first frame stayed below its upper bound; NaN from controllers without one.
     pub inside_bound: f64,
-    /// Mean |t − target| / target of their first frames, where reachable.
+    /// Mean |t − target| / target of their first frames, if reachable.
     pub first_frame_deviation: f64,
     /// Mean structural similarity to the reference pictures over the oracle's.
     pub ssim_ratio: f64,
@@ -104,7 +104,7 @@ pub struct Score {
 }
 
 impl Tally {
-    /// Of one replay.
+    /// From one replay.
     pub fn of(frames: &[Replayed]) -> Self {
         let mut t = Self::default();
         let mut run = 0;

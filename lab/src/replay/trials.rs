@@ -1,4 +1,4 @@
-//! Traces against targets, under every controller.
+//! Traces with targets, under every controller.
 
 use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
 use crate::fitted::Calibrated;
@@ -9,17 +9,17 @@ use entire_io::metrics::median;
 use entire_steer::control::Prior;
 use entire_steer::control::StepLimits;
 
-/// One trace against one target or series of targets.
+/// One trace with one target or a series of targets.
 pub struct Trial {
     /// Which trace.
     pub trace: usize,
-    /// The target, for people.
+    /// The target in reports.
     pub label: String,
-    /// Seconds that each frame should not exceed.
+    /// Target of each frame, seconds.
     pub targets: Vec<f64>,
 }
 
-/// What came of a trial, per controller.
+/// Outcome of a trial, per controller.
 pub struct Outcome {
     /// Which trial.
     pub trial: usize,
@@ -29,8 +29,8 @@ pub struct Outcome {
     pub tallies: Vec<Tally>,
 }
 
-/// The trials that are worth playing: every trace against every target that some allowed step meets in half
-/// of its frames, and against those targets in turn.
+/// The useful trials: every trace with every target that some allowed step meets in half of its frames, and
+/// with a series of those targets.
 pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {
@@ -49,9 +49,9 @@ pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits
     out
 }
 
-/// As [`trials`], with a target of its own for every trace that none of them is worth playing on: halfway, in
-/// ln(seconds), between its middle frame at the finest and at the coarsest step. And the names of those that not
-/// even that is worth playing on.
+/// As [`trials`], with one additional target for every trace that has no useful one: halfway, in ln(seconds),
+/// between the times of its middle frame at the finest and at the coarsest step. Also the names of those for
+/// which not even that is useful.
 pub fn trials_of_all(
     traces: &[Replayable],
     targets: &[(f64, &str)],
@@ -75,8 +75,8 @@ pub fn trials_of_all(
     (out, unplayed)
 }
 
-/// A target that follows from a trace alone: halfway, in ln(seconds), between what its middle frame takes at
-/// the finest allowed step and at the coarsest.
+/// A target from a trace alone: halfway, in ln(seconds), between the times of its middle frame at the finest
+/// allowed step and at the coarsest.
 fn own_target(trace: &Replayable, limits: StepLimits) -> Option<f64> {
     let middle = |step: f32| {
         let mut seconds: Vec<f64> = trace.curves.iter().map(|c| c.seconds(f64::from(step))).collect();
@@ -85,7 +85,7 @@ fn own_target(trace: &Replayable, limits: StepLimits) -> Option<f64> {
     Some((middle(limits.finest)? * middle(limits.coarsest)?).sqrt())
 }
 
-/// Plays a trial under every controller, so many rounds, each with other noise of the measured.
+/// Plays a trial under every controller, for several rounds, each with another draw of the measured noise.
 ///
 /// # Errors
 /// When a prediction fails.
@@ -102,7 +102,7 @@ pub fn play(
 ) -> Result<Outcome> {
     let chosen = &calibrated.chosen().fitted;
     let mean = trial.targets.iter().sum::<f64>() / trial.targets.len() as f64;
-    // The step that a user would set once: what the middle frame needs.
+    // The step that a user would set once: the one at which the middle frame meets the target.
     let middle = &trace.curves[trace.curves.len() / 2];
     let fixed = middle.oracle(mean, f64::from(limits.finest), f64::from(limits.coarsest)) as f32;
     let mut outcome =
@@ -145,7 +145,8 @@ mod tests {
     #[test]
     fn no_path_is_left_out_without_a_word() {
         let targets = [(1.0 / 30.0, "30fps"), (1.0 / 60.0, "60fps"), (1.0 / 90.0, "90fps")];
-        // Quicker than every target; one that they suit; one whose frames take what they take at any step.
+        // One that is faster than every target; one that they suit; one whose times do not depend on the
+        // step.
         let paths = [
             path("banana-resize", |_, s| s),
             path("castro-cuts", |_, s| s),

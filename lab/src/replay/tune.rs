@@ -1,16 +1,17 @@
-//! The controller's constants, chosen by a search over recorded paths.
+//! Search of the controller's constants on recorded paths.
 //!
-//! A path costs what the controller does wrong on it, in units of what is promised: the mean distance from the
-//! target (8 %), the share of frames over 1.1 targets (3 %), what its step is coarser than the oracle's (8 %),
-//! the share of frames that are coarser than full quality although that fits (8 %), and the share of calm frames
-//! at which the step jumps (8 %), summed over every target that is worth playing. All but the last are added for sessions without a model that begin somewhere on the path, over the frames
-//! after their first: these are what a program meets that has nothing but its own times. Such a program's
-//! renderer is not the recorded one, so those sessions are played on three: the recorded one, one whose time
-//! falls faster with the step, and one whose time falls more slowly ([`Law`]).
+//! The cost of a path is the sum of the controller's errors on it, each in units of its promise: the mean
+//! distance from the target (8 %), the share of frames over 1.1 targets (3 %), the excess of its step over
+//! the oracle's (8 %), the share of frames that are coarser than full quality although that fits (8 %), and
+//! the share of calm frames at which the step jumps (8 %), summed over every useful target. All but the last
+//! are added for sessions without a model that start anywhere on the path, over the frames after their first:
+//! the case of a program that has only its own times. The renderer of such a program is not the recorded one,
+//! so those sessions are played on three: the recorded one, one whose time falls faster with the step, and
+//! one whose time falls more slowly ([`Law`]).
 //!
-//! The search goes over the constants one at a time and tries a few multiples of each. It takes the best one
-//! whose cost is lower by more than two standard errors of the difference among paths, since dozens are tried,
-//! and ends when a whole round takes none.
+//! The search takes the constants one at a time and tries a few multiples of each. It takes the best one
+//! whose cost is lower by more than two standard errors of the difference among paths, since dozens are
+//! tried, and ends when a whole round takes none.
 
 use super::cold::{hybrid, starts, without_model};
 use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
@@ -27,19 +28,19 @@ const SURE: f64 = 2.0;
 /// Multiples of a constant that are tried.
 const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 
-/// What is promised of distance, quality and jumps, and of misses: the limits of the steering bars.
+/// Promises for distance, quality and jumps, and for misses: the limits of the steering bars.
 const PROMISED: f64 = 0.08;
 const PROMISED_MISSES: f64 = 0.03;
 
-/// Frames of a session that begins on the way.
+/// Frames of a session that starts on the way.
 const COLD_FRAMES: usize = 6;
 
-/// Everything that is searched for.
+/// All constants of the search.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Constants {
     /// The controller's.
     pub hybrid: HybridConstants,
-    /// Its online correction's.
+    /// Those of its online correction.
     pub correction: CorrectionConstants,
 }
 
@@ -62,7 +63,7 @@ impl Constants {
     }
 }
 
-/// Values with which a constant does nothing, or as little as its guards allow.
+/// Values at which a constant has no effect, or as little as its guards allow.
 const WITHOUT: [(&str, f64); 10] = [
     ("full", 0.0),
     ("damping", 10.0),
@@ -76,22 +77,22 @@ const WITHOUT: [(&str, f64); 10] = [
     ("clip_below", 3.0),
 ];
 
-/// What a constant is worth.
+/// Effect of a constant.
 #[derive(Clone, Debug, Serialize)]
 pub struct Removed {
     /// Which.
     pub name: &'static str,
     /// Its value.
     pub value: f64,
-    /// The value with which it does nothing, or as little as its guards allow.
+    /// The value at which it has no effect, or as little as its guards allow.
     pub without: f64,
-    /// Mean cost of the paths more, without it.
+    /// Increase of the paths' mean cost without it.
     pub more: f64,
     /// Standard error of that, among paths.
     pub standard_error: f64,
 }
 
-/// What each constant is worth: the paths' cost without it, the others as they are.
+/// Effect of each constant: the paths' cost without it, with the others unchanged.
 ///
 /// # Errors
 /// As [`Course::cost`].
@@ -111,14 +112,14 @@ pub fn removed(courses: &[Course<'_>], mut constants: Constants, now: &[Cost]) -
         .collect()
 }
 
-/// Another renderer than the recorded one.
+/// A renderer with another time curve than the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Law {
     /// The recorded one.
     Recorded,
-    /// Nine tenths of a frame's time at its coarsest step are gone: what is left falls nearly with 1 / step.
+    /// Nine tenths of a frame's time at its coarsest step are removed: the rest falls nearly with 1 / step.
     Steeper,
-    /// The time at the coarsest step is there three times: most of a frame does not depend on the step.
+    /// The time at the coarsest step is added twice: most of a frame does not depend on the step.
     Flatter,
 }
 
@@ -135,7 +136,7 @@ impl Law {
             Self::Flatter => 2.0,
         };
         for frame in &mut out.trace.frames {
-            // Far smaller images take less than what is taken off, and nobody plays on them.
+            // Far smaller images take less than the removed time; no controller uses them.
             frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
             let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
             for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
@@ -148,18 +149,18 @@ impl Law {
     }
 }
 
-/// A recorded path with what plays on it.
+/// A recorded path with its predictor and trials.
 pub struct Course<'a> {
     /// By the renderers of [`Law::ALL`].
     recorded: &'a [Replayable; 3],
-    /// Fitted to other volumes than the path shows.
+    /// Fitted to other volumes than those of the path.
     calibrated: &'a Calibrated,
     /// Of each renderer.
     trials: [Vec<Trial>; 3],
     limits: StepLimits,
 }
 
-/// What a path costs.
+/// Cost of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Cost {
     /// With a fitted predictor.
@@ -168,11 +169,11 @@ pub struct Cost {
     pub fitted_coarse: f64,
     /// Share of the calm frames at which its step jumps.
     pub jumps: f64,
-    /// Without a model, the frames after the first of sessions that begin on the way.
+    /// Without a model, the frames after the first of sessions that start on the way.
     pub cold: Three,
-    /// As `fitted_coarse`, of those frames.
+    /// As `fitted_coarse`, for those frames.
     pub cold_coarse: f64,
-    /// Share of the second frames of those sessions that stayed inside their upper bound.
+    /// Share of the second frames of those sessions that stayed below their upper bound.
     pub second_in_bound: f64,
 }
 
@@ -204,14 +205,14 @@ impl Coarse {
     }
 }
 
-/// A constant that was taken, and what that did.
+/// A changed constant, and the effect of the change.
 #[derive(Clone, Debug, Serialize)]
 pub struct Taken {
     /// Which.
     pub name: &'static str,
-    /// What it was.
+    /// Value before.
     pub from: f64,
-    /// What it is.
+    /// Value after.
     pub to: f64,
     /// Mean cost of the paths before and after.
     pub cost: [f64; 2],
@@ -220,7 +221,7 @@ pub struct Taken {
 }
 
 impl<'a> Course<'a> {
-    /// A path against every target that is worth playing on it.
+    /// A path with every useful target.
     pub fn new(
         recorded: &'a [Replayable; 3],
         calibrated: &'a Calibrated,
@@ -231,12 +232,12 @@ impl<'a> Course<'a> {
         Self { recorded, calibrated, trials, limits }
     }
 
-    /// Whether no target is worth playing on the path as it was recorded.
+    /// True if no target is met by an allowed step in half of the path's frames.
     pub fn is_empty(&self) -> bool {
         self.trials[0].is_empty()
     }
 
-    /// What the path costs with these constants.
+    /// Cost of the path with these constants.
     ///
     /// # Errors
     /// When a prediction fails.
@@ -283,7 +284,7 @@ impl<'a> Course<'a> {
     }
 }
 
-/// What every path costs with these constants.
+/// Cost of every path with these constants.
 ///
 /// # Errors
 /// As [`Course::cost`].
@@ -304,9 +305,9 @@ fn difference(before: &[Cost], after: &[Cost]) -> (f64, f64) {
     (m, (variance / n).sqrt())
 }
 
-/// Searches from `constants` on, which cost `now`, at most so many rounds over those of them that are to be `tried`
-/// (by their place): what was found, what it costs, and what was taken on the way. `done` is told of every value
-/// that was tried.
+/// Searches from `constants`, with the costs `now`, for at most `rounds` rounds over the constants `tried`
+/// (by index). Returns the constants, their costs, and the changes on the way. `done` is called after every
+/// tried value.
 ///
 /// # Errors
 /// As [`Course::cost`].
@@ -348,5 +349,5 @@ pub fn search(
     Ok((constants, now, taken))
 }
 
-/// How many values of a constant a round of the search tries.
+/// Number of values of a constant that a round of the search tries.
 pub const TRIED: usize = FACTORS.len();

@@ -1,4 +1,4 @@
-//! Scenes on a scripted clock: seconds = fixed + work · step^−0.9, and what the script does to it.
+//! Scenes on a scripted clock: seconds = fixed + work · step^−0.9, changed by the script.
 
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
@@ -12,7 +12,7 @@ const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;
 const COARSEST: f32 = 32.0;
 
-/// What a method hears of a frame's time.
+/// Time that a method is given for a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Heard {
     /// The truth.
@@ -28,12 +28,12 @@ enum Heard {
 /// A frame of a script.
 #[derive(Clone, Copy, Debug)]
 struct Shot {
-    /// Seconds that do not depend on the step, and seconds at step 1 beside them.
+    /// Seconds that do not depend on the step, and additional seconds at step 1.
     fixed: f64,
     work: f64,
-    /// Factor of the machine or of what nobody models.
+    /// Factor of the machine or of effects that no predictor models.
     speed: f64,
-    /// The predictor's factor and whether it knows of `fixed`.
+    /// The predictor's factor, and true if it knows `fixed`.
     wrong: f64,
     fixed_known: f64,
     changes: Changes,
@@ -66,7 +66,7 @@ const STEADY: Changes =
 const TRANSFER: Changes = Changes { transfer: true, ..STEADY };
 const MODE: Changes = Changes { mode: true, ..STEADY };
 
-/// A script: frame number and noise to shot, how many frames, how strong the machine's noise is.
+/// A script: a function of frame number and noise, the number of frames, the level of the machine's noise.
 struct Script<'a> {
     shot: &'a mut dyn FnMut(usize, &mut Noise) -> Shot,
     frames: usize,
@@ -91,7 +91,7 @@ struct Waiting {
     observed: Observed,
 }
 
-/// Plays a script. `last` sees every decision's reason.
+/// Plays a script. `last` gets the reason of every decision.
 fn play_script(
     controller: &mut dyn Controller,
     script: &mut Script<'_>,
@@ -158,7 +158,7 @@ fn play_script(
             if w.due > i {
                 return true;
             }
-            // As a session does: times that cannot be are refused before a controller hears of them.
+            // As in a session: impossible times are refused before they reach a controller.
             if w.observed.seconds > 0.0 && w.observed.seconds <= LONGEST_FRAME {
                 controller.observe(&w.observed);
             }
@@ -173,7 +173,7 @@ fn seen_of(method: ControllerKind, script: &mut Script<'_>, seed: u64) -> Vec<Se
     out
 }
 
-/// Errors of the prediction that wander along a path, and from scene to scene.
+/// Autocorrelated errors of the prediction, along a path and from scene to scene.
 struct Wrong {
     scene: f64,
     drift: f64,
@@ -189,7 +189,7 @@ impl Wrong {
     }
 }
 
-/// Plays a scene of this file; `None` where it is not one of them.
+/// Plays a scene of this file; `None` for other scenes.
 pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let (frames, spikes) = (400, 0.005);
@@ -263,7 +263,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
                     9 => Heard::Other(f64::NAN),
                     12 => Heard::Other(1e9),
                     15 => Heard::Other(f64::INFINITY),
-                    // A counter that wrapped: far too long, yet possible.
+                    // A counter overflow: far too long, yet possible.
                     18 => Heard::Other(4.29),
                     20 => Heard::Nothing,
                     _ if i % 4 == 0 => Heard::Late(3),
@@ -274,7 +274,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
             strict(0.05, 3, 0.8),
         ),
         20 => {
-            // The clock that is heard ticks once per display interval.
+            // The observed clock ticks once per display interval.
             let mut seen = Vec::new();
             let mut noise = Noise::new(20);
             let mut c = new(method);
@@ -344,7 +344,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
         24 => Some(resonance(method)),
         25 => go(
             &mut |i, n| {
-                // Half cropped away, back, an occluder, back: nobody says so.
+                // Half cropped away, back, an occluder, back, all unannounced.
                 let factor = match i / 60 {
                     1 => 0.5,
                     3 => 0.3,
@@ -403,14 +403,14 @@ fn clamps(method: ControllerKind) -> Verdict {
     }
     let under = at(275..320, &|s| s.seconds < 0.75 * s.target);
     if under > 0 {
-        broken.push(format!("wound up: {under} frames under 0.75 T after"));
+        broken.push(format!("integral windup: {under} frames under 0.75 T after"));
     }
     let coarse = at(340..400, &|s| s.step > 1.05);
     if coarse > 0 {
         broken.push(format!("not at the finest step in {coarse} of 60 slack frames"));
     }
     if method == ControllerKind::Hybrid && unsaid > 0 {
-        broken.push(format!("did not say that the target is unreachable in {unsaid} frames"));
+        broken.push(format!("did not report an unreachable target in {unsaid} frames"));
     }
     judge(22, method, &seen, Limits::missed(1.0), broken)
 }
@@ -453,7 +453,7 @@ fn paging(method: ControllerKind) -> Verdict {
             seen.iter().enumerate().filter(|(i, s)| s.part == part && *i >= skip).map(|(_, s)| s).collect();
         frames.iter().filter(|s| f(s)).count() as f64 / frames.len() as f64
     };
-    // A frame that only the coarsest step could save is still one that was missed.
+    // A frame that only the coarsest step could save still counts as missed.
     let over = |s: &Seen| s.seconds > 1.1 * s.target;
     let (inside, outside) = (share(1, 0, &over), share(0, 0, &over));
     if inside > 0.45 {
@@ -516,7 +516,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
         }
     });
     if strange > 0 {
-        broken.push(format!("{strange} plans that are no numbers or out of limits"));
+        broken.push(format!("{strange} plans are not finite or out of limits"));
     }
     let mut state = Vec::new();
     c.save(&mut state);
@@ -524,7 +524,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
         broken.push(format!("the state has {} bytes", state.len()));
     }
     if method == ControllerKind::Hybrid && new(method).load(&state).is_err() {
-        broken.push("the state is out of its own bounds".into());
+        broken.push("the state is out of bounds".into());
     }
     judge(27, method, &seen, Limits { missed: 0.05, run: 3, quality: 0.8, inside: 0.0 }, broken)
 }
@@ -544,7 +544,7 @@ fn bursts(method: ControllerKind) -> Verdict {
     let seen = seen_of(method, &mut script, 29);
     let ends: Vec<usize> = (1..seen.len() - 2).filter(|&i| slow[i - 1] && !slow[i]).collect();
     let begun = |end: usize| (0..end).rev().take_while(|&i| slow[i]).last().unwrap_or(end);
-    // The first frame after a burst cannot know of its end.
+    // The first frame after a burst cannot react to its end.
     let back = |&&end: &&usize| seen[end + 2].step <= 1.1 * seen[begun(end).saturating_sub(1)].step;
     let share = ends.iter().filter(back).count() as f64 / ends.len() as f64;
     let mut broken = Vec::new();

@@ -1,9 +1,9 @@
-//! Scenes in which methods of holding a frame time are known to break, each scripted, with a rule that says
-//! what passes.
+//! Stress scenes, in which methods of holding a frame time are known to fail: each is a script with a rule
+//! for passing.
 //!
 //! [`law`] has scenes whose frame times follow a law of the step that the script changes; [`world`] has
-//! scenes of real geometry, whose work the CPU twin of the raycaster counts. Both run on a scripted clock:
-//! the same in every run.
+//! scenes of real geometry, whose work is counted by the CPU version of the raycaster. Both run on a scripted
+//! clock, the same in every run.
 
 pub mod law;
 pub mod report;
@@ -20,13 +20,13 @@ use serde::Serialize;
 pub struct Scene {
     /// Its number in the list.
     pub number: usize,
-    /// What happens.
+    /// Description of the scene.
     pub title: &'static str,
-    /// What passes.
+    /// Rule for passing.
     pub rule: &'static str,
 }
 
-/// The scenes. The rules hold for every method alike, but for what only a method with a bound can keep.
+/// The scenes. The rules are the same for every method, except for parts that need an upper bound.
 pub const SCENES: [Scene; 31] = [
     Scene {
         number: 1,
@@ -188,10 +188,10 @@ pub const SCENES: [Scene; 31] = [
     },
 ];
 
-/// A frame as the judge sees it.
+/// A frame with the data that rules use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
-    /// Seconds that it should not have exceeded.
+    /// Target, seconds.
     pub target: f64,
     /// True seconds.
     pub seconds: f64,
@@ -199,23 +199,23 @@ pub struct Seen {
     pub clean: f64,
     /// Step chosen.
     pub step: f64,
-    /// The step that takes the target, clamped to the limits.
+    /// The step that meets the target, clamped to the limits.
     pub oracle: f64,
-    /// Whether the coarsest step meets the target.
+    /// True if the coarsest step meets the target.
     pub feasible: bool,
     /// Upper bound; NaN from methods without one.
     pub upper: f64,
-    /// What was expected; NaN from methods that expect nothing.
+    /// Expected seconds; NaN from methods that expect nothing.
     pub predicted: f64,
-    /// Whether it is the first frame of an announced change.
+    /// True if it is the first frame of an announced change.
     pub first: bool,
-    /// Whether the judge looks away (a pipeline is built, say).
+    /// True if the rule ignores the frame (a pipeline is built, say).
     pub excused: bool,
-    /// A part of the script, for rules that tell parts apart.
+    /// A part of the script, for rules that distinguish parts.
     pub part: usize,
 }
 
-/// What a rule may ask for.
+/// Limits of a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Largest share of feasible frames over 1.1 targets.
@@ -224,25 +224,25 @@ pub struct Limits {
     pub run: usize,
     /// Least mean of oracle step over step.
     pub quality: f64,
-    /// Least share of first frames inside their bound, where there is one.
+    /// Smallest share of first frames below their bound, for methods with one.
     pub inside: f64,
 }
 
 impl Limits {
-    /// Asks for misses alone.
+    /// Limits misses only.
     pub const fn missed(missed: f64) -> Self {
         Self { missed, run: usize::MAX, quality: 0.0, inside: 0.0 }
     }
 }
 
-/// What a method made of a scene.
+/// Result of a method in a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verdict {
     /// The scene's number.
     pub scene: usize,
     /// The method.
     pub method: &'static str,
-    /// What failed and how; empty where it passed.
+    /// Failures, in words; empty where it passed.
     pub failures: Vec<String>,
     /// Share of feasible frames over 1.1 targets.
     pub missed: f64,
@@ -255,18 +255,18 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Whether it is of our method; all others are rivals.
+    /// True if the method is entire's; all others are rivals.
     pub fn is_ours(&self) -> bool {
         self.method == ControllerKind::Hybrid.name()
     }
 
-    /// Whether it passed.
+    /// True if it passed.
     pub fn passed(&self) -> bool {
         self.failures.is_empty()
     }
 }
 
-/// Judges frames by limits. `broken` are failures that are known already.
+/// Applies limits to frames. `broken` are failures that are known already.
 pub fn judge(
     scene: usize,
     method: ControllerKind,
@@ -355,7 +355,7 @@ pub fn run(
     Ok(out)
 }
 
-/// Runs those of the scenes that make sense there on a real renderer with a real clock.
+/// Runs the scenes that can be played on a real renderer with a real clock.
 ///
 /// # Errors
 /// When a scene cannot be set up or the renderer fails.
@@ -378,7 +378,7 @@ pub fn run_real(
     Ok(out)
 }
 
-/// How many of these scenes ours passed, of all of them: one that was not played was not passed.
+/// Number of these scenes that entire passed, of all of them: a scene that was not played was not passed.
 fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
     let mut ours: Vec<&Verdict> = verdicts.iter().filter(|v| v.is_ours()).collect();
     ours.sort_by_key(|v| v.scene);
@@ -387,8 +387,8 @@ fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
     Bar::at_least(name, (!ours.is_empty()).then_some(passed as f64), all as f64)
 }
 
-/// What scripted verdicts say about all scenes: ours passes each of them, and each fails for at least one
-/// other method, or it tests nothing. A scene that was not played is passed by nobody and fails for nobody.
+/// Bars of scripted verdicts over all scenes: entire passes each of them, and each fails for at least one
+/// other method, or it tests nothing. A scene that was not played is passed by no method and fails for none.
 pub fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
     let harmless = harmless(verdicts);
     vec![
@@ -397,12 +397,12 @@ pub fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
     ]
 }
 
-/// What verdicts on a real renderer say about all scenes that make sense there.
+/// Bars of verdicts on a real renderer over all scenes that can be played there.
 pub fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
     vec![passed("stress-scenes-passed-on-device", verdicts, world::REAL.len())]
 }
 
-/// The scenes that no other method than ours was seen to fail.
+/// The scenes that no method but entire's fails.
 pub fn harmless(verdicts: &[Verdict]) -> Vec<usize> {
     let fails = |scene: usize| verdicts.iter().any(|v| v.scene == scene && !v.is_ours() && !v.passed());
     SCENES.iter().map(|s| s.number).filter(|n| !fails(*n)).collect()
@@ -431,7 +431,7 @@ mod tests {
     fn scenes_play_on_a_real_renderer_too() {
         let bar = indicatif::ProgressBar::hidden();
         let mut twin = CpuRaycaster::new();
-        // Real times of a shared machine pass or fail as they like; every number must be finite all the same.
+        // Real times of a shared machine may pass or fail; every number must be finite.
         let verdicts =
             run_real(&[1, 7, 28], &[ControllerKind::Hybrid], &mut twin, Clock::Auto, &bar).unwrap();
         assert_eq!(verdicts.len(), 1);
@@ -482,7 +482,8 @@ mod tests {
             .iter()
             .flat_map(|(scene, rival)| run(&[*scene], &[*rival], 1000, &progress).unwrap())
             .collect();
-        // Scene 28 is about files and states, which all methods read alike: none is known to fail it.
+        // Scene 28 is about files and states, which all methods read by the same code: none is known to fail
+        // it.
         assert_eq!(harmless(&verdicts), [28], "{verdicts:#?}");
         let lines: Vec<String> = bars(&verdicts).iter().map(ToString::to_string).collect();
         assert_eq!(

@@ -1,4 +1,4 @@
-//! The matrix of scenes and methods: what failed, and how.
+//! The matrix of scenes and methods, with all failures.
 
 use super::{SCENES, Verdict};
 use entire_cli::steering::contenders::ControllerKind;
@@ -38,7 +38,7 @@ pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
 
 /// The page.
 ///
-/// `real` are verdicts of scenes that were played again on a real renderer, under `real_methods`.
+/// `real` are verdicts of scenes that were also played on a real renderer, under `real_methods`.
 pub fn page(
     verdicts: &[Verdict],
     methods: &[ControllerKind],
@@ -46,14 +46,14 @@ pub fn page(
     device: &str,
 ) -> Page {
     let mut page = Page::new(
-        "Where methods break",
+        "Stress scenes",
         "Scenes in which methods of holding a frame time are known to fail, on a scripted clock that is the \
          same in every run, each with a rule that says what passes.",
     );
     page.table(
         &matrix(verdicts, methods),
-        "What failed first in each scene; ok where nothing did. T is the \
-        target; shares are of the frames in which the coarsest step meets it.",
+        "First failure in each scene; ok without failure. T is the target; shares are of the frames in which \
+         the coarsest step meets it.",
     );
     let names: Vec<String> = SCENES
         .iter()
@@ -93,18 +93,15 @@ pub fn page(
         misses = misses
             .series(Series::new(method.title(), Mark::Points(points(&|v| 100.0 * v.missed))).color(hue));
     }
-    page.chart(
-        &chart,
-        "The slowest frame of each scene over its target, per method: the worst case, not the mean.",
-    );
+    page.chart(&chart, "Time of the slowest frame of each scene over its target, per method.");
     page.chart(&misses, "Share of feasible frames over 1.1 targets.");
     if !real.is_empty() {
         page.heading("On a real renderer");
         page.table(
             &matrix(real, real_methods),
-            "The scenes that make sense there, with images four times as wide and high and a real clock. For \
-             its noise a twentieth more frames may be over 1.1 T, two more in a row, and quality may be a \
-             tenth lower than the rules below say.",
+            "The scenes that can be played on a real renderer, with images four times as wide and high and a \
+             real clock. For its noise a twentieth more frames may be over 1.1 T, two more in a row, and \
+             quality may be a tenth lower than the rules below say.",
         );
     }
     page.heading("Rules");
@@ -113,7 +110,7 @@ pub fn page(
         rules.row(vec![s.number.to_string().into(), s.title.into(), s.rule.into()]);
     }
     page.table(&rules, "");
-    page.heading("Everything that failed");
+    page.heading("All failures");
     let mut failed = Table::new(vec![Column::number("#"), Column::text("method"), Column::text("how")]);
     for v in verdicts.iter().filter(|v| !v.passed()) {
         failed.row(vec![v.scene.to_string().into(), v.method.into(), v.failures.join("; ").into()]);

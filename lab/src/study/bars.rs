@@ -1,4 +1,4 @@
-//! What a study says about its bars.
+//! Bars of a study.
 
 use super::description::SELECTED;
 use super::{CONSTANT, Findings, PROXY, SplitResult, Study, shipped};
@@ -7,10 +7,10 @@ use crate::bars::Bar;
 /// The paper's network, as the paper trains it.
 pub(super) const PAPER: &str = "paper";
 
-/// The paper's network where it is distilled from another predictor.
+/// The paper's network, distilled from another predictor.
 pub(super) const DISTILLED: &str = "distilled";
 
-/// The networks whose error with eight-bit weights is a bar: the paper's, and those that ship by name.
+/// The networks with a bar on their error with eight-bit weights: the paper's, and those that ship by name.
 pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> {
     let by_name = |name: &&str| ![PAPER, SELECTED].contains(name);
     std::iter::once(PAPER).chain(study.ship.iter().map(|s| s.predictor.as_str()).filter(by_name))
@@ -29,7 +29,7 @@ fn best<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a Spl
     models(found, set, split).min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
 }
 
-/// The predictor that the rule selects; the best on the test frames where it selects none.
+/// The predictor that the rule selects; the best on the test frames if it selects none.
 fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a SplitResult> {
     match shipped(study, found, set, SELECTED) {
         Some(name) => found.of(set, split, name),
@@ -37,9 +37,8 @@ fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) 
     }
 }
 
-/// What a study says about its bars: one for every limit of its sets, short where what it is about is
-/// missing. Most are about the predictor that the rule selects, about the best on the test frames where it selects
-/// none.
+/// Bars of a study: one for every limit of its sets, short where it could not be measured. Most are about the
+/// predictor that the rule selects, or about the best on the test frames where it selects none.
 pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();
     let mut at_most = |name: String, value: Option<f64>, limit: f64| {
@@ -71,7 +70,7 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
                 at_most(name(&format!("{network}-rmse-eight-bit-over-stored")), ratio, 1.02);
             }
         }
-        // The paper's network as the paper trains it and, where the study has it, distilled from another
+        // The paper's network as the paper trains it and, if the study has it, distilled from another
         // predictor.
         let distilled = study.predictors.iter().any(|p| p.name == DISTILLED).then_some(DISTILLED);
         for network in std::iter::once(PAPER).chain(distilled) {
@@ -111,7 +110,7 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
             let tuned = ours.and_then(|r| {
                 found.calibrated.iter().find(|t| t.set == s && t.split == p && t.predictor == r.predictor)
             });
-            // Seven percent, or twice the noise where that is more.
+            // Seven percent, or twice the noise if that is more.
             let limit = (2.0 * found.noise_mdape(s, p)).max(0.07);
             at_most(name("mdape-after-100-frames"), tuned.map(|t| t.metrics.mdape), limit);
             at_most(name("one-less-r2-log-after-100-frames"), tuned.map(|t| 1.0 - t.metrics.r2_log), 0.015);

@@ -1,4 +1,4 @@
-//! Bars and the rule of selection on findings that are made up.
+//! Bars and the rule of selection on synthetic findings.
 
 use super::report::fits_table;
 use super::rule::by_rule;
@@ -96,7 +96,7 @@ fn the_rule_takes_the_smallest_of_the_good_ones_and_looks_at_no_test_frame() {
     let rule = |good: f64| {
         let study = study_of(&all, "{}");
         let mut found = Findings::default();
-        // Measured 1, 2, 4; predictions off by a factor. The test frames say the opposite.
+        // Measured 1, 2, 4; predictions wrong by a factor. The test frames suggest the opposite.
         for (name, off, numbers) in
             [("large", 1.10, 900), ("good", good, 19), ("small", 1.30, 2), ("t", 1.01, 1)]
         {
@@ -157,7 +157,7 @@ fn bars_are_about_the_selected_predictor_where_the_rule_selects_one() {
     assert!((value(&found, "best-mdape").0.unwrap() - 0.04).abs() < 1e-12);
     let (ratio, ok) = value(&found, "paper-rmse-over-constant");
     assert!((ratio.unwrap() - 0.2 / 0.6).abs() < 1e-12 && !ok);
-    // A selected predictor that was not judged is not stood for by another one.
+    // A selected predictor without test results is not replaced by another one.
     let gone = Findings { results: found.results[1..].to_vec(), ..found.clone() };
     assert_eq!(value(&gone, "best-mdape"), (None, false));
     // Without cross-validation, the best predictor on the test frames counts.

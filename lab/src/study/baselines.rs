@@ -1,5 +1,4 @@
-//! The baselines that predictors are beside: the mean of some frames of each volume, and a low-resolution
-//! proxy.
+//! Baselines: the mean of some frames of each volume, and a low-resolution proxy.
 
 use super::data::OnSet;
 use super::findings::judge;
@@ -12,7 +11,7 @@ use entire_train::evaluation::probe_means;
 use entire_train::split::TimedFrames;
 use std::collections::BTreeMap;
 
-/// The mean time of a share of each volume's frames, for all of them.
+/// The mean time of a share of each volume's frames, as the prediction of all of them.
 pub(super) fn constant(on: &OnSet<'_>, out: &mut Findings) {
     let set = on.set;
     for (split, part) in set.splits.iter().zip(&on.data.splits) {
@@ -82,10 +81,10 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut
     Ok(())
 }
 
-/// Seconds of the frames' twins on 64³ voxels, by table and frame number; empty where the set names none.
+/// Seconds of the same frames on 64³ voxels, by table and frame number; empty if the set names none.
 ///
 /// # Errors
-/// When a table cannot be read, or one of its frames shows another scene than the frame of its number.
+/// When a table cannot be read, or the frames of one number have different scenes.
 pub(super) fn low_resolution(
     set: &Set,
     tables: &[Table],
@@ -103,12 +102,11 @@ fn file_name(table: &Table) -> String {
     table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Seconds of a table's frames by another table, which holds them on fewer voxels, by the table's place and
+/// Seconds of a table's frames from another table, which holds them on fewer voxels, by the table's index and
 /// the frame's number.
 ///
 /// # Errors
-/// When the other table cannot be read, or one of its frames shows another scene than the frame of its
-/// number.
+/// When the other table cannot be read, or the frames of one number have different scenes.
 pub(crate) fn twins(
     (index, table): (usize, &Table),
     path: &std::path::Path,
@@ -120,7 +118,7 @@ pub(crate) fn twins(
     let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
     for f in &table.frames {
         let Some(twin) = by_number.get(&f.number) else { continue };
-        // All but the number of voxels.
+        // Everything but the number of voxels must be equal.
         let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
         ensure!(
             as_large == f.scene,

@@ -1,4 +1,4 @@
-//! What a study made before: told apart by all that it was made of, and taken again.
+//! Cache of a study's models: a model is used again if all its inputs are the same.
 
 use anyhow::{Context, Result};
 use entire_core::model::ModelFile;
@@ -11,15 +11,15 @@ use entire_train::fit::Recipe;
 use entire_train::split::TimedFrames;
 use std::path::{Path, PathBuf};
 
-/// The metadata key under which a kept model says what it was made of.
+/// The metadata key under which a stored model keeps the hash of its inputs.
 pub(super) const STUDY_KEY: &str = "entire.study_key";
 
-/// Counts up whenever the same recipe makes something else of the same frames.
+/// Version of the fits: raised whenever the same recipe gives another model for the same frames.
 const MADE_AS: u32 = 2;
 
-/// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that
-/// it starts from, and the frames of each part with their seconds (which tell the clock) and the bytes of
-/// their tables and kept features. Where files lie does not count.
+/// Identity of a model: a hash of the program's version, the recipe, the bytes of the model files that it
+/// starts from, and the frames of each part with their seconds (which depend on the clock) and the bytes of
+/// their tables and feature tables. Paths of files do not count.
 pub(super) fn identity(
     recipe: &Recipe,
     tables: &[Table],
@@ -60,15 +60,14 @@ pub(super) fn identity(
     Ok(format!("{:016x}", fnv1a(text.as_bytes())))
 }
 
-/// Where a predictor of this key and identity is kept.
+/// Path of a predictor with this key and identity.
 pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
     let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
     let name: String = key.chars().map(plain).collect();
     models.join(format!("{name}-{}.safetensors", &identity[..8]))
 }
 
-/// The model that is kept there, where it is of this identity; its upper bound is brought to `upper` where
-/// that is given.
+/// The stored model, if it has this identity; its upper bound is updated to `upper` if that is given.
 ///
 /// # Errors
 /// When the file is damaged or cannot be written.

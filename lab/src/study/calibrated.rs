@@ -15,13 +15,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::BTreeSet;
 
-/// The seed by which volumes of other data are parted: to calibrate to, and to judge by.
+/// The seed of the split of volumes into calibration and test.
 const HALVES_SEED: u64 = 11;
-/// The seed by which frames to calibrate to are taken.
+/// The seed of the choice of calibration frames.
 const FRAMES_SEED: u64 = 13;
 
-/// Calibrates a predictor to [`CALIBRATION_FRAMES`] of one half of the set's calibration split, judges it on the other
-/// half, and the other way round. Nothing for sets without such a split and for models that no calibration starts from.
+/// Calibrates a predictor to [`CALIBRATION_FRAMES`] of one half of the set's calibration split, tests it on
+/// the other half, and vice versa. Nothing for sets without such a split and for models that cannot be a
+/// prior.
 ///
 /// # Errors
 /// When the model cannot be calibrated or predict.
@@ -55,9 +56,8 @@ pub(super) fn calibrated(
     Ok(())
 }
 
-/// Frames of other data in two parts that share no ensemble member, or no volume where there are no two
-/// members: what is adapted to one is judged on the other, so that nothing is judged on data that it was
-/// adapted to. `None` where there are fewer than two volumes.
+/// Frames of other data in two parts without a common ensemble member, or a common volume if there are no two
+/// members, so that no model is tested on data that it was adapted to. `None` with fewer than two volumes.
 fn halves<'a>(all: &TimedFrames<'a>) -> Option<[TimedFrames<'a>; 2]> {
     let by = all.groups_at_least(2);
     let groups: BTreeSet<String> = all.frames.iter().map(|f| by.group(&f.scene)).collect();

@@ -1,4 +1,4 @@
-//! The frames of a set: what is learned from, what bounds follow from, what is judged on.
+//! The frames of a set: for training, for upper bounds, and for testing.
 
 use super::{Set, Study};
 use anyhow::{Result, ensure};
@@ -8,14 +8,14 @@ use entire_train::split::{GroupBy, TimedFrames};
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// Members from which on a tenth of them is held out rather than a tenth of the volumes. Of fewer, one alone
-/// would be far more than a tenth of the frames to learn from, and what training loses by that is more than
-/// what a better moment to stop gains: the frames that a study is judged on are of other members in any case.
+/// Minimum number of members for holding out a tenth of them rather than a tenth of the volumes. With fewer,
+/// one member would be far more than a tenth of the training frames, and the loss of training data outweighs
+/// the better stopping criterion: the test frames are of other members in any case.
 pub(super) const MEMBERS: usize = 10;
 
-/// A set's tables, read, and which are what.
+/// A set's tables in memory, with their roles.
 pub(super) struct SetTables {
-    /// All of them; frames name theirs by its place here.
+    /// All of them; frames refer to theirs by its index here.
     pub(super) tables: Vec<Table>,
     training: Range<usize>,
     bounds: Range<usize>,
@@ -42,7 +42,7 @@ impl SetTables {
     }
 }
 
-/// Frames to learn from: all, and apart those that decide when training stops.
+/// Training frames, and among them those that decide when training stops.
 pub(super) struct Learned<'a> {
     /// All of them.
     pub(super) all: TimedFrames<'a>,
@@ -54,25 +54,25 @@ pub(super) struct Learned<'a> {
 
 /// The parts of a cross-validation: ensemble members, or volumes, some of which are left out together.
 pub(super) struct Folds {
-    /// What a group is.
+    /// Kind of the groups.
     pub(super) by: GroupBy,
     /// The groups of each part.
     pub(super) groups: Vec<BTreeSet<String>>,
 }
 
 impl Folds {
-    /// Parts of some frames; none where there are too few groups.
+    /// Parts of some frames; none if there are too few groups.
     pub(super) fn of(frames: &TimedFrames<'_>) -> Self {
         let (by, groups) = frames.folds();
         Self { by, groups }
     }
 
-    /// Those of the frames that are of a part.
+    /// The frames of a part.
     pub(super) fn part<'a>(&self, k: usize, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
         frames.parted(|f| self.groups[k].contains(&self.by.group(&f.scene))).0
     }
 
-    /// What is learned from without the parts that are held out: training and validation frames.
+    /// Frames to learn from without the held-out parts: training and validation frames.
     pub(super) fn without<'a>(
         &self,
         held: &[usize],
@@ -86,7 +86,7 @@ impl Folds {
         (training, validation)
     }
 
-    /// The key of what is made without some parts.
+    /// The key of a predictor that is trained without some parts.
     pub(super) fn key(of_all: &str, held: &[usize]) -> String {
         held.iter().fold(format!("{of_all}-without"), |key, k| format!("{key}-{}", k + 1))
     }
@@ -94,22 +94,22 @@ impl Folds {
 
 /// A set's frames with their seconds.
 pub(super) struct SetData<'a> {
-    /// Of the training tables.
+    /// Frames of the training tables.
     pub(super) one_step: Learned<'a>,
-    /// Of the training tables and those at other ray steps, for predictors that know the step.
+    /// Frames of the training tables and of those at other ray steps, for predictors that know the step.
     pub(super) every_step: Learned<'a>,
-    /// Those that upper bounds follow from.
+    /// Frames that upper bounds follow from.
     pub(super) bounds: TimedFrames<'a>,
-    /// Those that are judged on, by split.
+    /// Test frames, by split.
     pub(super) splits: Vec<TimedFrames<'a>>,
     training_tables: usize,
 }
 
 impl<'a> SetData<'a> {
-    /// The frames that have a time by the clock.
+    /// From the frames with a time by the clock.
     ///
     /// # Errors
-    /// When none of the training tables' has.
+    /// When no training frame has one.
     pub(super) fn new(set: &Set, tables: &'a SetTables, clock: Clock) -> Result<Self> {
         let all = tables.frames(&tables.training, clock);
         ensure!(
@@ -133,13 +133,13 @@ impl<'a> SetData<'a> {
         })
     }
 
-    /// Those of the frames that are of the training tables.
+    /// The frames of the training tables.
     pub(super) fn of_training_tables(&self, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
         frames.parted(|f| f.table < self.training_tables).0
     }
 }
 
-/// A set at work: what it is of, its frames, and what fitting needs.
+/// Context of a set: its frames, and the inputs of fitting.
 #[derive(Clone, Copy)]
 pub(super) struct OnSet<'a> {
     /// The study.
@@ -148,15 +148,15 @@ pub(super) struct OnSet<'a> {
     pub(super) set: &'a Set,
     /// Its frames.
     pub(super) data: &'a SetData<'a>,
-    /// What fitting works with.
+    /// Context of fitting.
     pub(super) context: &'a FitContext<'a>,
 }
 
 impl<'a> OnSet<'a> {
-    /// What a recipe learns from. The paper's inputs say nothing of the step.
+    /// Training frames of a recipe. The paper's inputs do not contain the step.
     ///
     /// # Errors
-    /// For inputs that are not known.
+    /// For unknown inputs.
     pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
         Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
     }

@@ -1,4 +1,4 @@
-//! What a study is asked for: its JSON file.
+//! Description of a study: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::dataset::Clock;
@@ -8,20 +8,20 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The description, as its file holds it. Paths are relative to the file's folder.
+/// Contents of a description file. Paths are relative to the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Study {
     /// Title of the report.
     pub title: String,
-    /// Whose seconds count.
+    /// Clock of the frame times.
     #[serde(default = "cpu")]
     pub clock: String,
     /// Data sets: a shading mode, or a renderer.
     pub sets: Vec<Set>,
     /// Predictors, each made for every set.
     pub predictors: Vec<Named>,
-    /// What `entire-lab study --ship` writes for every set.
+    /// Files that `entire-lab study --ship` writes for every set.
     #[serde(default)]
     pub ship: Vec<Ship>,
     /// Volume on which latencies are measured, and its enlargement.
@@ -32,7 +32,7 @@ fn cpu() -> String {
     Clock::Cpu.name().into()
 }
 
-/// What [`Ship`] calls the predictor that the rule selects.
+/// Name of the selected predictor in [`Ship`].
 pub(crate) const SELECTED: &str = "selected";
 
 /// A predictor to ship.
@@ -41,7 +41,7 @@ pub(crate) const SELECTED: &str = "selected";
 pub struct Ship {
     /// Its name, or `selected` for the one that the rule selects.
     pub predictor: String,
-    /// How its weights are stored.
+    /// Storage format of its weights.
     #[serde(default)]
     pub dtype: DtypeChoice,
 }
@@ -52,28 +52,29 @@ pub struct Ship {
 pub struct Set {
     /// Its name.
     pub name: String,
-    /// Tables to learn from; a tenth of their ensemble members decides when training stops (of their volumes,
-    /// where there are fewer than ten members).
+    /// Training tables; a tenth of their ensemble members decides when training stops (of their volumes, if
+    /// there are fewer than ten members).
     pub training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
     pub other_steps: Vec<PathBuf>,
-    /// Tables whose frames set the upper bounds and are used for nothing else, of predictors that are not
-    /// cross-validated; the validation frames where there are none.
+    /// Tables whose frames only determine the upper bounds of predictors that are not cross-validated;
+    /// default: the validation frames.
     #[serde(default)]
     pub bounds: Vec<PathBuf>,
-    /// Tables to test on, by split.
+    /// Test tables, by split.
     pub splits: Vec<SplitTables>,
     /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
     pub low_resolution: BTreeMap<String, PathBuf>,
-    /// The split that predictors are calibrated to a hundred frames of.
+    /// The split to a hundred frames of which predictors are calibrated.
     #[serde(default)]
     pub calibration_split: Option<String>,
-    /// Sets of one shading mode on several machines: what ships must be the smallest good one on all of them.
+    /// Group of sets of one shading mode on several machines: the shipped predictor must be the smallest good
+    /// one on all of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<String>,
-    /// Limits of the bars; there are no bars for limits that are left away.
+    /// Limits of the bars; a missing limit means no bar.
     #[serde(default)]
     pub limits: Limits,
 }
@@ -86,24 +87,24 @@ pub struct SplitTables {
     pub name: String,
     /// Its tables.
     pub tables: Vec<PathBuf>,
-    /// Whether the main bars are about it.
+    /// True if the main bars are about it.
     #[serde(default)]
     pub main: bool,
 }
 
-/// What the bars ask for.
+/// Limits of the bars.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
     /// Largest RMSE/SD of the best predictor on the main split.
     pub rmse_over_sd: Option<f64>,
-    /// Least ratio of the constant baseline's RMSE to that of the predictor `paper`.
+    /// Smallest ratio of the constant baseline's RMSE to that of the predictor `paper`.
     pub constant_over_paper: Option<f64>,
-    /// Least ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
+    /// Smallest ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
     pub proxy_over_paper: Option<f64>,
-    /// Whether the bars of the calibration split apply.
+    /// True if the bars of the calibration split apply.
     pub modality: bool,
-    /// Whether the bars on latency apply.
+    /// True if the bars on latency apply.
     pub latency: bool,
 }
 
@@ -111,43 +112,42 @@ pub struct Limits {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Named {
-    /// Its name in every table; `paper` has bars of its own.
+    /// Its name in every table; there are bars on `paper` in particular.
     pub name: String,
-    /// How it is made.
+    /// Recipe of the predictor.
     #[serde(default)]
     pub recipe: Recipe,
-    /// Whether it is boosted trees on the recipe's inputs instead: a yardstick that no model file holds.
+    /// True for boosted trees on the recipe's inputs: a reference that no model file can hold.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trees: bool,
-    /// Sets that it is made for; all unless given.
+    /// Sets for which it is trained; default: all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sets: Vec<String>,
-    /// Another recipe in the sets of these names: what suits one shading mode is not what suits another.
+    /// Other recipes for some sets, by name: shading modes need different ones.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub in_set: BTreeMap<String, Recipe>,
-    /// Which table it belongs to: `main`, `ablation`, `architecture`.
+    /// Its table: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub panel: String,
-    /// Whether it is made again without one ensemble member after another, to be judged on that member: which
-    /// predictor is selected and what its upper bound is follow from these errors. For the table `main`
-    /// alone.
+    /// True if it is trained again without one ensemble member after another and evaluated on that member:
+    /// the selection and the upper bounds follow from these errors. For the table `main` only.
     #[serde(default = "yes")]
     pub cross_validated: bool,
 }
 
 impl Named {
-    /// True for a set that it is made for.
+    /// True for a set for which it is trained.
     pub fn is_of(&self, set: &str) -> bool {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }
 
-    /// How it is made for a set.
+    /// Recipe for a set.
     pub fn recipe_for(&self, set: &str) -> &Recipe {
         self.in_set.get(set).unwrap_or(&self.recipe)
     }
 }
 
-/// The panel that predictors are on unless another is named.
+/// The default table of predictors.
 pub(super) fn main_panel() -> String {
     "main".into()
 }
@@ -159,11 +159,11 @@ fn yes() -> bool {
 /// Reads a study.
 ///
 /// # Errors
-/// When the file cannot be read or says something that it may not.
+/// When the file cannot be read or holds an invalid value.
 pub fn read(path: &Path) -> Result<Study> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut study: Study =
-        serde_json::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
+        serde_json::from_str(&text).with_context(|| format!("{} is no study file", path.display()))?;
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();
     let place = |p: &mut PathBuf| *p = folder.join(&*p);
     place(&mut study.latency_volume.0);
@@ -178,13 +178,13 @@ pub fn read(path: &Path) -> Result<Study> {
         }
         if let Some(other) = p.in_set.keys().chain(&p.sets).find(|n| study.sets.iter().all(|s| s.name != **n))
         {
-            bail!("{}: {} names the set {other:?}, which is none", path.display(), p.name);
+            bail!("{}: {} names the set {other:?}, which does not exist", path.display(), p.name);
         }
     }
     let mut names: Vec<&str> = study.predictors.iter().map(|p| p.name.as_str()).collect();
     names.sort_unstable();
     if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
-        bail!("{}: the predictor {:?} stands there twice", path.display(), twice[0]);
+        bail!("{}: the predictor {:?} appears twice", path.display(), twice[0]);
     }
     for Ship { predictor: name, .. } in &study.ship {
         ensure!(
@@ -199,7 +199,7 @@ pub fn read(path: &Path) -> Result<Study> {
 /// The clock by its name.
 ///
 /// # Errors
-/// For a name that is none.
+/// For an unknown name.
 pub fn clock(name: &str) -> Result<Clock> {
     [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu]
         .into_iter()

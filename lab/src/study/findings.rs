@@ -1,4 +1,4 @@
-//! What a study found: errors, latencies and curves, by set, split and predictor.
+//! Results of a study: errors, latencies and curves, by set, split and predictor.
 
 use crate::latency::Latency;
 use entire_io::dataset::{NoiseFloor, TimedFrame};
@@ -12,14 +12,14 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Rounds behind every interval.
+/// Number of bootstrap rounds of every interval.
 const ROUNDS: usize = 200;
 
-/// Share of the draws that an interval holds.
+/// Share of the rounds inside an interval.
 pub const LEVEL: f64 = 0.9;
 
-/// Intervals over volumes drawn anew with replacement, [`LEVEL`] of the draws within each: how much an error
-/// owes to which volumes it was taken on.
+/// Bootstrap intervals over volumes at the level [`LEVEL`]: dependence of an error on the choice of test
+/// volumes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Intervals {
     /// Of RMSE/SD.
@@ -29,13 +29,13 @@ pub struct Intervals {
 }
 
 impl Intervals {
-    /// Of predictions of some frames; `None` where those are of one volume.
+    /// From predictions of some frames; `None` if those are of one volume.
     pub(crate) fn of(predicted: &[f64], measured: &[f64], frames: &[&TimedFrame]) -> Option<Self> {
         let volumes: Vec<String> = frames.iter().map(|f| GroupBy::Volume.group(&f.scene)).collect();
         Self::by(predicted, measured, &volumes)
     }
 
-    /// As [`Intervals::of`], by the volume of each frame.
+    /// As [`Intervals::of`], with the volume of each frame.
     pub(crate) fn by(predicted: &[f64], measured: &[f64], volumes: &[String]) -> Option<Self> {
         let both = |m: &Metrics| [m.rmse_over_sd, m.mdape];
         intervals_by_group(predicted, measured, volumes, (ROUNDS, LEVEL), both)
@@ -57,23 +57,23 @@ impl Intervals {
     }
 }
 
-/// How a predictor did on the frames that it was made of, and on those of the training tables when it was
-/// made without their ensemble member.
+/// Errors of a predictor on its training frames, and on frames of the training tables when trained without
+/// their ensemble member.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fit {
     /// Set and predictor.
     pub set: String,
     /// See `set`.
     pub predictor: String,
-    /// On the frames that it was made of.
+    /// On its training frames.
     pub seen: Metrics,
     /// Intervals of these.
     pub seen_intervals: Option<Intervals>,
-    /// On frames of members that it was made without.
+    /// On frames of members that it was trained without.
     pub crossed: Option<Metrics>,
     /// Intervals of these.
     pub crossed_intervals: Option<Intervals>,
-    /// How often.
+    /// Number of folds.
     pub folds: usize,
     /// Numbers that were fitted: weights, biases, and unit costs.
     pub numbers: usize,
@@ -81,7 +81,7 @@ pub struct Fit {
     pub probe_side: usize,
 }
 
-/// How a predictor did on a split.
+/// Errors of a predictor on a split.
 #[derive(Clone, Debug, Serialize)]
 pub struct SplitResult {
     /// Set, split and predictor.
@@ -90,21 +90,21 @@ pub struct SplitResult {
     pub split: String,
     /// See `set`.
     pub predictor: String,
-    /// See [`super::Named::panel`]; `baseline` for those that have no model file.
+    /// See [`super::Named::panel`]; `baseline` for those without a model file.
     pub panel: String,
     /// Errors.
     pub metrics: Metrics,
     /// Intervals of RMSE/SD and of the median error.
     pub intervals: Option<Intervals>,
-    /// The upper bound, where there is one.
+    /// The upper bound, if there is one.
     pub bound: Option<BoundMetrics>,
-    /// By what a frame is like: image size, camera inside.
+    /// By kind of frame: image size, camera inside.
     pub parts: Vec<(String, Metrics)>,
     /// ln(predicted / measured) at the 1st, 5th, 25th, 50th, 75th, 95th and 99th percentile.
     pub log_errors: [f64; 7],
 }
 
-/// Error of a predictor on other data that it was calibrated to a hundred frames of.
+/// Error of a predictor on other data after calibration to a hundred frames of it.
 #[derive(Clone, Debug, Serialize)]
 pub struct CalibratedResult {
     /// Set and split.
@@ -113,7 +113,7 @@ pub struct CalibratedResult {
     pub split: String,
     /// The predictor.
     pub predictor: String,
-    /// Errors on volumes that it was not calibrated to.
+    /// Errors on volumes that were not used for calibration.
     pub metrics: Metrics,
 }
 
@@ -124,7 +124,7 @@ pub struct Findings {
     pub results: Vec<SplitResult>,
     /// Errors on the training tables.
     pub fits: Vec<Fit>,
-    /// By set and predictor.
+    /// Latencies by set and predictor.
     pub latencies: Vec<(String, String, Latency)>,
     /// RMSE with eight-bit weights over that with the file's, on the main split, by set and predictor.
     pub eight_bit: Vec<(String, String, f64)>,
@@ -134,7 +134,7 @@ pub struct Findings {
     pub selected: BTreeMap<String, String>,
     /// Errors after a calibration.
     pub calibrated: Vec<CalibratedResult>,
-    /// Predictors that could not be made, and why.
+    /// Predictors that could not be trained, with the reason.
     pub left_out: Vec<(String, String, String)>,
     /// Model file by set and predictor.
     #[serde(skip)]
@@ -157,22 +157,22 @@ impl Findings {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
     }
 
-    /// What repeats leave as median absolute relative error of a predictor that knows the truth: 0.6745
-    /// standard deviations of a frame's median.
+    /// Median absolute relative error of a perfect predictor, due to the noise of repeats: 0.6745 standard
+    /// deviations of a frame's median.
     pub fn noise_mdape(&self, set: &str, split: &str) -> f64 {
         self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| n.2.mdape())
     }
 }
 
-/// Frames after which the bars on calibration are taken.
+/// Number of frames of the calibrations in bars.
 pub const CALIBRATION_FRAMES: usize = 100;
 
-/// The name of the baseline of probes.
+/// The name of the constant baseline.
 pub const CONSTANT: &str = "constant (mean of 15 % probes)";
 /// The name of the low-resolution proxy.
 pub const PROXY: &str = "LVRP (64³ render, linear fit)";
 
-/// Judges predictions on a split; `None` where it has no frames.
+/// Measures predictions on a split; `None` if it has no frames.
 pub(super) fn judge(
     set: &str,
     split: &str,

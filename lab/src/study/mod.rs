@@ -1,6 +1,6 @@
-//! Studies: data sets, splits and predictors by name in one JSON file; every predictor made on every set's
-//! training tables and judged on every split. What is made is kept, so that a study that was stopped goes on
-//! where it was.
+//! Studies: data sets, splits and predictors by name in one JSON file; every predictor is trained on every
+//! set's training tables and tested on every split. Results are stored, so that a stopped study can be
+//! continued.
 
 mod bars;
 #[cfg(test)]

@@ -10,11 +10,11 @@ use entire_io::metrics::BoundMetrics;
 use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::Path;
 
-/// What intervals are of.
+/// Definition of the intervals.
 pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement: a few \
                                     frames carry most of the squared error.";
 
-/// Errors, bounds and latencies of every predictor on a split; of one panel alone where one is named.
+/// Errors, bounds and latencies of every predictor on a split; of one panel only if it is named.
 pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
@@ -70,15 +70,15 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
     table
 }
 
-/// Errors on frames that a predictor was made of, on members that it was made without, and on those of the
-/// main split, each with its interval over volumes.
+/// Errors on training frames, on members that the predictor was trained without, and on the main split, each
+/// with its interval over volumes.
 pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
-        Column::number("RMSE/SD (90 %), frames learned from"),
+        Column::number("RMSE/SD (90 %), training frames"),
         Column::number("… cross-validated"),
         Column::number("… test"),
-        Column::number("MdAPE % (90 %), frames learned from"),
+        Column::number("MdAPE % (90 %), training frames"),
         Column::number("… cross-validated"),
         Column::number("… test"),
         Column::number("fitted numbers"),
@@ -105,7 +105,7 @@ pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Ta
     table
 }
 
-/// Accuracy against latency with its frontier, and what each predictor on it gains per microsecond.
+/// Accuracy against latency with its frontier, and the gain of each predictor on it per microsecond.
 fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
     let mut points: Vec<(f64, f64, f64, String)> = models(found, set, split)
         .filter_map(|r| {
@@ -124,7 +124,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             front.push(p);
         }
     }
-    // Others lie too close to be named.
+    // Other points are too close to be labeled.
     let named = |p: &(f64, f64, f64, String)| {
         let name = front.iter().any(|f| f.3 == p.3) || [PAPER, DISTILLED].contains(&p.3.as_str());
         (p.0, p.2, if name { p.3.clone() } else { String::new() })
@@ -148,7 +148,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
         Column::number("cold µs"),
         Column::number("RMSE/SD"),
         Column::number("MdAPE, %"),
-        Column::number("RMSE/SD gained per µs more"),
+        Column::number("RMSE/SD gained per additional µs"),
     ]);
     let mut before: Option<&(f64, f64, f64, String)> = None;
     for p in front {
@@ -233,12 +233,10 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
     let mut page = Page::new(
         study.title.as_str(),
         &format!(
-            "Every predictor is made from the training tables of a data set alone and judged on splits that \
-             it never saw. A frame's \
-             time is the median of its repeats by the clock {:?}. Latency: one thread, caches evicted before \
-             every call, scene \
-             features included; what is done once per volume is not, and what is done once per transfer \
-             function has a column of its own.",
+            "Every predictor is trained on the training tables of a data set only and tested on other \
+             splits. A frame's time is the median of its repeats by the clock {:?}. Latency: one thread, \
+             caches evicted before every call, scene features included; work per volume is not, and work per \
+             transfer function has its own column.",
             study.clock
         ),
     );
@@ -246,7 +244,7 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
     page.table(&crate::bars::table(&bars(study, found)), "");
     for set in &study.sets {
         if let Some(split) = set.splits.iter().find(|s| s.main) {
-            page.heading(&format!("{}: frames learned from, cross-validation, test", set.name));
+            page.heading(&format!("{}: training frames, cross-validation, test", set.name));
             page.table(
                 &fits_table(study, found, &set.name, &split.name),
                 &format!(
@@ -260,7 +258,7 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.heading(&format!("{s}: split by {p}"));
             if let Some((_, _, n, frames)) = found.noise.iter().find(|n| n.0 == s && n.1 == p) {
                 page.paragraph(&format!(
-                    "{frames} frames. Noise floor: {}; knowing the truth would leave an MdAPE of about \
+                    "{frames} frames. Noise floor: {}; perfect predictions would have an MdAPE of about \
                      {:.1} %.",
                     n.describe(),
                     100.0 * found.noise_mdape(s, p)
@@ -273,7 +271,7 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             )?;
             page.chart(
                 &chart,
-                "Lower left is better. The frontier joins predictors that no quicker one beats.",
+                "Lower left is better. The frontier joins predictors that are better than all faster ones.",
             );
             page.table(&knee, "");
             page.table(&main_table(found, s, p, Some("main")), INTERVALS);
@@ -313,7 +311,7 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             }
             page.table(
                 &table,
-                "Judged on volumes that the calibration did not see: half of the volumes each.",
+                "Tested on volumes that the calibration did not use: half of the volumes each.",
             );
         }
     }

@@ -1,4 +1,5 @@
-//! The rule that selects a predictor. It sees errors of cross-validation on the training tables, and no test frame.
+//! The rule that selects a predictor. It uses errors of cross-validation on the training tables, and no test
+//! frame.
 
 use super::description::{SELECTED, main_panel};
 use super::{Findings, Named, Study};
@@ -6,7 +7,7 @@ use entire_core::model::Model;
 use entire_core::scene::Shading;
 use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 
-/// Ratio of two errors of cross-validation from which on the larger predictor is worth its size.
+/// Ratio of two errors of cross-validation above which the larger predictor is worth its size.
 const WORTH: f64 = 0.95;
 
 /// The rule in a sentence.
@@ -14,7 +15,7 @@ pub(crate) const SENTENCE: &str = "Selected: the predictor with the fewest fitte
      rays) that no other one beats by more than 5 % on every machine's tables, by the geometric mean of median error and \
      RMSE/SD in cross-validation by ensemble member; no test frame has a say.";
 
-/// A predictor, as the rule sees it.
+/// A predictor with the data that the rule uses.
 #[derive(Clone, Debug)]
 struct Contender {
     /// Error of cross-validation on the tables of each machine.
@@ -23,15 +24,15 @@ struct Contender {
     size: (usize, usize),
 }
 
-/// The rule; the first of several that are as small. `None` without any.
+/// The rule; the first of several equally small ones. `None` without any.
 fn choose(contenders: &[Contender]) -> Option<usize> {
     let beats = |a: &Contender, b: &Contender| a.errors.iter().zip(&b.errors).all(|(a, b)| *a < WORTH * b);
     let good = |c: &&(usize, &Contender)| !contenders.iter().any(|other| beats(other, c.1));
     contenders.iter().enumerate().filter(|c| good(&c)).min_by_key(|c| c.1.size).map(|c| c.0)
 }
 
-/// Whether the rule may choose it in a set: it is cross-validated, a model file holds it, and it was made
-/// from the set's training frames alone.
+/// True if the rule may select it in a set: it is cross-validated, a model file can hold it, and it was
+/// trained on the set's training frames only.
 fn may_choose(named: &Named, set: &str) -> bool {
     named.cross_validated
         && named.is_of(set)
@@ -67,13 +68,13 @@ pub fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a 
     choose(&contenders).map(|place| named[place])
 }
 
-/// The name of the predictor that ships under a name of the study's list: `selected` is what the rule selects.
+/// The predictor that ships under a name in the study's list: `selected` is the one that the rule selects.
 pub fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &'a str) -> Option<&'a str> {
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }
 
-/// Numbers in a model that frames of a shading mode were fitted by: weights and biases of its network, and unit costs of
-/// work that such frames hold.
+/// Number of fitted numbers in a model for a shading mode: weights and biases of its network, and unit costs
+/// of work that occurs in such frames.
 pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
     let held = |quantity: &str| match quantity {
         "local_samples" | "far_local_samples" => shading == Shading::Local,
@@ -106,7 +107,7 @@ mod tests {
             };
             values.iter().map(contender).collect::<Vec<_>>()
         };
-        // The network is a tenth better on one machine alone.
+        // The network is a tenth better on one machine only.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.98], 400, 11)])), Some(0));
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.94], 400, 11)])), Some(1));
         // Of as many numbers, the fewest rays that are good enough.

@@ -1,4 +1,4 @@
-//! Makes every predictor of a study on every set and judges it.
+//! Trains every predictor of a study on every set and tests it.
 
 use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
@@ -28,9 +28,9 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// What an upper bound follows from.
+/// Frames that an upper bound follows from.
 pub(crate) enum Bounds<'a> {
-    /// Frames; the validation frames where there are none.
+    /// Frames; default: the validation frames.
     Frames(&'a TimedFrames<'a>),
     /// Frames that were predicted without their group.
     Crossed(&'a Crossed),
@@ -53,7 +53,7 @@ impl Crossed {
     }
 }
 
-/// A model that is kept in a file.
+/// A model stored in a file.
 pub(super) struct KeptModel {
     model: Model,
     file: ModelFile,
@@ -62,7 +62,7 @@ pub(super) struct KeptModel {
 
 /// A predictor of a study.
 pub(super) enum StudyPredictor {
-    /// One with a model file.
+    /// A predictor with a model file.
     Model(Box<KeptModel>),
     /// The yardstick.
     Trees(Box<Trees>),
@@ -99,20 +99,20 @@ impl StudyPredictor {
     }
 }
 
-/// What a study works with besides its description.
+/// Context of a study besides its description.
 pub struct Runner<'a> {
     /// Threads.
     pub pool: &'a rayon::ThreadPool,
-    /// Where models are kept.
+    /// Folder of stored models.
     pub models: PathBuf,
     /// Progress over all trainings.
     pub bar: &'a ProgressBar,
-    /// Asked all the time.
+    /// Called often; true stops.
     pub stop: &'a dyn Fn() -> bool,
 }
 
 impl Runner<'_> {
-    /// Makes a predictor, or takes the one that was made of the same data and recipe before.
+    /// Trains a predictor, or reads the one that was trained on the same data by the same recipe.
     pub(crate) fn made(
         &self,
         key: &str,
@@ -133,7 +133,7 @@ impl Runner<'_> {
         }
         self.bar.set_message(key.to_owned());
         let fitted = recipe.make(context, training.timed(), validation.timed())?;
-        ensure!(!(self.stop)(), "stopped; what was made is kept in {}", self.models.display());
+        ensure!(!(self.stop)(), "stopped; finished results are in {}", self.models.display());
         let mut file = fitted.file;
         let judged = if judged.frames.is_empty() { validation } else { judged };
         if let Some(upper) = upper {
@@ -178,8 +178,8 @@ impl Runner<'_> {
         Ok(StudyPredictor::Model(Box::new(KeptModel { model: file.to_model()?, file, path })))
     }
 
-    /// Predicts every frame of `judged` with a predictor that was made of those frames of `all` that are of
-    /// other groups. `None` where there are too few groups.
+    /// Predicts every frame of `judged` with a predictor that was trained on the frames of `all` of other
+    /// groups. `None` if there are too few groups.
     pub(super) fn crossed(
         &self,
         key: &str,
@@ -229,7 +229,7 @@ impl Runner<'_> {
                     out.noise.push((set.name.clone(), split.name.clone(), noise, part.frames.len()));
                 }
             }
-            // Read before anything is made: a table that does not fit is said at once.
+            // Read before any training, so that a table that does not fit is reported at once.
             let low = low_resolution(set, &tables.tables, clock)?;
             let mut bench = Bench::new(&volume, data.one_step.all.frames[0].scene.shading)?;
             let on = OnSet { study, set, data: &data, context: &context };
@@ -249,7 +249,7 @@ impl Runner<'_> {
         Ok(out)
     }
 
-    /// Makes a predictor and judges it on every split. One that cannot be made is left out.
+    /// Trains a predictor and tests it on every split. A predictor that cannot be trained is left out.
     ///
     /// # Errors
     /// When it was stopped.
@@ -271,8 +271,8 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// Makes a predictor for a set, cross-validated where it is to be; its upper bound, and how it fits what
-    /// it learned from.
+    /// Trains a predictor for a set, cross-validated if required; also its upper bound and its errors on the
+    /// training frames.
     fn on_set(
         &self,
         on: &OnSet<'_>,
@@ -312,7 +312,7 @@ impl Runner<'_> {
         Ok((made, upper, fit))
     }
 
-    /// Judges a predictor on every split, takes its latency, and calibrates it to other data.
+    /// Tests a predictor on every split, measures its latency, and calibrates it to other data.
     fn judge(
         &self,
         on: &OnSet<'_>,
@@ -349,7 +349,7 @@ impl Runner<'_> {
     }
 }
 
-/// What eight-bit weights add to a network's error on the main split.
+/// Error that eight-bit weights add on the main split.
 fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> Result<()> {
     let OnSet { set, data, context, .. } = *on;
     for (split, part) in set.splits.iter().zip(&data.splits).filter(|(split, _)| split.main) {

@@ -1,4 +1,4 @@
-//! Cross-validation, what is kept, and the proxy's twins.
+//! Cross-validation, stored models, and frames of the proxy.
 
 use super::baselines::low_resolution;
 use super::cache::identity;
@@ -14,7 +14,7 @@ use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use serde_json::json;
 
-/// A frame of a volume that is nowhere.
+/// A frame of a volume that does not exist.
 pub(super) fn scene(volume: &str, member: &str) -> Scene {
     Scene {
         volume: volume.into(),
@@ -44,7 +44,7 @@ pub(super) fn table(volumes: &[(&str, &str)]) -> Table {
     Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
 }
 
-/// Frames of members whose seconds are their own, nothing that another member tells.
+/// Frames of members with unrelated seconds, which no other member can predict.
 pub(super) fn telling() -> Table {
     let frames: Vec<(String, String)> =
         (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
@@ -60,7 +60,7 @@ pub(super) fn telling() -> Table {
 
 #[test]
 fn what_is_cross_validated_was_not_learned_from() {
-    // A predictor that had seen a member's seconds would know them.
+    // Only a predictor trained on a member's seconds could know them.
     let t = telling();
     let part = TimedFrames::of(&t.frames, Clock::Cpu);
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The file of a trace: what it holds, and the reader that checks it.
+//! The file format of a trace, and its checked reader.
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
@@ -22,12 +22,12 @@ pub struct TraceVolume {
     pub file: PathBuf,
     /// Enlargement at load.
     pub enlarge: usize,
-    /// Identities of its files; empty where that was not kept.
+    /// Identities of its files; empty if they were not stored.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub files: Vec<Identity>,
 }
 
-/// How frames were drawn.
+/// Settings of drawing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TraceDraw {
@@ -41,7 +41,7 @@ pub struct TraceDraw {
     pub skipping: String,
     /// Opacity at which rays stop.
     pub termination: f32,
-    /// The clock that counts.
+    /// The clock of frame times.
     pub clock: String,
 }
 
@@ -55,7 +55,7 @@ pub struct TracePoint {
     pub scale: f32,
     /// Seconds of every repeat.
     pub seconds: Vec<f64>,
-    /// Likeness to the picture at the reference step and scale 1, decibels.
+    /// PSNR against the picture at the reference step and scale 1, decibels.
     pub psnr: f64,
     /// Structural similarity of their luma, 0 to 1 (MSSIM).
     pub ssim: f64,
@@ -73,14 +73,14 @@ pub struct Trace {
     pub volumes: Vec<TraceVolume>,
     /// The path.
     pub path: PathFile,
-    /// Frames that each volume is shown for; 0 where there is one.
+    /// Frames per volume; 0 for a single volume.
     pub hold: u32,
-    /// From which frame on images have which scale of their full size.
+    /// Image scales relative to the full size, each from a frame on.
     pub scales: Vec<(u32, f32)>,
-    /// How frames were drawn.
+    /// Settings of drawing.
     pub draw: TraceDraw,
-    /// Per frame, every point of the grid; scale 1 first, steps ascending. Smaller images beside them where they
-    /// were recorded.
+    /// Per frame, every point of the grid; scale 1 first, steps ascending. Then smaller images, if they were
+    /// recorded.
     pub frames: Vec<Vec<TracePoint>>,
     /// Machine, device, commit and date.
     pub provenance: serde_json::Value,
@@ -90,7 +90,7 @@ impl TraceDraw {
     /// Clock, shading and skipping.
     ///
     /// # Errors
-    /// When one is not known.
+    /// When one is unknown.
     pub fn modes(&self) -> Result<(Clock, Shading, Skipping)> {
         fn known<T: ValueEnum>(name: &str, what: &'static str) -> Result<T> {
             T::from_str(name, true).map_err(anyhow::Error::msg).context(what)
@@ -107,7 +107,7 @@ impl Trace {
     /// Reads and checks a trace, gzip-compressed where the name ends in `.gz`.
     ///
     /// # Errors
-    /// Names the file and what is wrong in it.
+    /// Names the file and the error in it.
     pub fn open(path: &Path) -> Result<Self> {
         let trace = Self::open_begun(path)?;
         ensure!(
@@ -121,7 +121,7 @@ impl Trace {
         Ok(trace)
     }
 
-    /// Reads and checks a trace that may hold the first frames of its path only.
+    /// Reads and checks a trace that may hold only the first frames of its path.
     ///
     /// # Errors
     /// As [`Trace::open`].
@@ -145,10 +145,10 @@ impl Trace {
         }
     }
 
-    /// Reads and checks a trace's text, which may hold the first frames of its path only.
+    /// Reads and checks a trace's text, which may hold only the first frames of its path.
     ///
     /// # Errors
-    /// What is wrong, with line and column where it is the JSON.
+    /// The error in the text, with line and column where it is in the JSON.
     pub fn parse(text: &str) -> Result<Self> {
         let trace: Self = serde_json::from_str(text)?;
         trace.check()?;
@@ -196,7 +196,7 @@ impl Trace {
         Ok(())
     }
 
-    /// Whether every frame of the path was recorded.
+    /// True if every frame of the path was recorded.
     pub fn is_complete(&self) -> bool {
         self.frames.len() == self.path.frames as usize
     }

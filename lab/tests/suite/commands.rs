@@ -1,4 +1,4 @@
-//! `entire-lab` as a process: help, usage, and what it refuses before any work.
+//! `entire-lab` as a process: help, usage, and checks before any work.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -32,7 +32,7 @@ fn record_says_where_it_cannot_write_before_anything_is_drawn() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("file");
     std::fs::write(&file, "x").unwrap();
-    // Holds for every user: what should be the folder is a file.
+    // Works for every user: the folder's path is a file.
     let out = file.join("trace.json");
     let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
         .args([
@@ -89,15 +89,15 @@ fn tune_says_what_recorded_paths_cost() {
         }
     }
     for (traces, targets, why) in [
-        (&both[..1], "45fps", "one path has no standard error"),
-        (&both[..], "3600s", "no target is worth playing on train-orbit"),
+        (&both[..1], "45fps", "a standard error needs several paths"),
+        (&both[..], "3600s", "train-orbit has no target that an allowed step meets"),
     ] {
         let output = tune(traces, targets, &["--rounds", "0"]);
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(1));
         assert!(said.contains(why), "{said}");
     }
-    // From elsewhere, and one constant alone.
+    // From another start, and only one constant.
     let more = ["--set", "damping=0.4", "--only", "damping", "--rounds", "1", "--out", out.to_str().unwrap()];
     let output = tune(&both, "45fps,60fps", &more);
     assert!(output.status.success(), "{}", text(&output.stderr));
@@ -108,7 +108,7 @@ fn tune_says_what_recorded_paths_cost() {
         found["without"].as_array().unwrap().len(),
         HybridConstants::NAMES.len() + CorrectionConstants::NAMES.len()
     );
-    // Beside a neighbor that takes a core all the time, the same path costs more.
+    // Beside another program that takes a core all the time, the same path costs more.
     let more = [
         "--rounds",
         "0",
@@ -126,7 +126,7 @@ fn tune_says_what_recorded_paths_cost() {
     for (option, value, why) in [
         ("--only", "dead-band", "no constant is named dead-band; there are full, damping"),
         ("--set", "far", "far is no NAME=VALUE"),
-        ("--set", "far=-1", "far is to be -1; it must be a finite number and not negative"),
+        ("--set", "far=-1", "far is -1; it must be a finite number and not negative"),
     ] {
         let output = tune(&both, "45fps", &[option, value]);
         let said = text(&output.stderr);

@@ -1,4 +1,4 @@
-//! The constants of the controller: what the book says of them, and what recorded paths do.
+//! The constants of the controller: their table in the book, and assumptions about recorded paths.
 
 use entire_lab::trace::{Curve, Trace};
 use entire_steer::control::{CorrectionConstants, HybridConstants};
@@ -25,7 +25,7 @@ fn the_book_lists_every_constant_with_its_value() {
     assert_eq!(listed, rows, "docs/src/steering.md lists constants that are not searched");
 }
 
-/// What the probe's ladder takes for granted (`TURN`, `APPROACH`).
+/// Assumptions of the adaptive probe (`TURN`, `APPROACH`).
 #[test]
 fn frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_granted() {
     const FRAMES: usize = 4;

@@ -38,7 +38,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         (output.status.code(), text + &String::from_utf8_lossy(&output.stderr))
     };
-    // What repeats say of each other is told beside every method.
+    // The limit by noise is printed with every method.
     let (code, text) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
     assert_eq!(code, Some(0), "{text}");
     for word in [
@@ -58,7 +58,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         let cells: Vec<&str> = row.split(',').collect();
         assert!(cells[1].parse::<f64>().unwrap() > 0.0 && cells[2].parse::<f64>().unwrap() > 0.0, "{row}");
     }
-    // The list that was saved is one that farms are planned and compared from.
+    // The saved task list can be planned and compared.
     assert_eq!(entire_farm::read_tasks(Path::new(&list)).unwrap().len(), 16);
     let output = lab(&["farm", &list, "--report", &report, "--bars"]);
     let text = String::from_utf8_lossy(&output.stdout);
@@ -84,7 +84,8 @@ fn a_simulated_farm_does_all_tasks_and_pays_for_bundles() {
     };
     let plain = run(&["--arrival"]);
     assert_eq!(plain["lower_bound_s"], 24.0);
-    // Ones and twos in turn on four slots, without bundles: the queue ends at the bound or a task later.
+    // Tasks of 1 s and 2 s in turn on four slots, without bundles: the queue ends at the bound or a task
+    // later.
     let plain = plain["makespan_s"].as_f64().unwrap();
     assert!((24.0..=25.0).contains(&plain), "{plain}");
     let paid = run(&["--arrival", "--latency", "0.5", "--overhead", "0"]);

@@ -1,4 +1,5 @@
-//! Rules that act on image resolution are answered by smaller images, rules that act on the ray step by steps.
+//! Rules that act on image resolution get times of smaller images, rules that act on the ray step those of
+//! steps.
 
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::play::ActsOn;
@@ -9,7 +10,7 @@ use entire_steer::control::{Prior, StepLimits};
 use entire_steer::predict::AnalyticModel;
 use std::path::Path;
 
-/// A trace that was recorded before smaller images were.
+/// A trace without smaller images.
 fn recorded() -> Replayable {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut trace = Trace::open(&here.join("tests/data/nyx-switches.json")).unwrap();
@@ -19,7 +20,7 @@ fn recorded() -> Replayable {
     Replayable::new(trace).unwrap()
 }
 
-/// Seconds and likeness of an image with 1 / s of the pixels: none that a ray step has.
+/// Seconds and PSNR of an image with 1 / s of the pixels, different from those of any ray step.
 fn seconds(s: f64) -> f64 {
     0.2 / s
 }
@@ -71,11 +72,11 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
         let frames = play(&recorded, player, 0.02).unwrap();
         for (index, (f, curve)) in frames.iter().zip(&recorded.curves).enumerate() {
             let place = format!("{} at {index}: {f:?}", player.kind.name());
-            // The oracle is on the step, and with it what can be met.
+            // The oracle, and so feasibility, is about the step.
             assert_eq!(f.oracle_step, curve.oracle(0.02, 1.0, 12.0), "{place}");
             assert!(close(f.oracle_ssim, curve.ssim(f.oracle_step)), "{place}");
             assert_eq!(f.feasible, curve.seconds(12.0) <= 0.02, "{place}");
-            // One noise of a frame for all.
+            // All controllers get the same noise of a frame.
             let noise = f.oracle_seconds / curve.seconds(f.oracle_step);
             match player.acts_on {
                 ActsOn::RayStep => {
@@ -85,12 +86,12 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
                     assert_eq!(f.finest_step, f.oracle_step, "{place}");
                 }
                 ActsOn::ImageResolution { coarsest } => {
-                    // Its own range, as far as images were recorded, whatever the limits of the step.
+                    // Its own range, as far as images were recorded, independent of the step's limits.
                     let coarsest = f64::from(coarsest).min(16.0);
                     assert!((1.0..=1.0001 * coarsest).contains(&f.step), "{place}");
                     assert!(close(f.seconds, noise * seconds(f.step)), "{place}");
                     assert!(close(f.psnr, recorded.images.as_ref().unwrap()[index].psnr(f.step)), "{place}");
-                    // A tenth of the work meets the target; Unreal and Filament go as far as a fourth.
+                    // A tenth of the work meets the target; Unreal and Filament reach at most a fourth.
                     assert!(close(f.finest_step, coarsest.min(10.0)), "{place}");
                 }
             }
@@ -98,7 +99,7 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
         let last = frames.last().unwrap();
         match player.kind {
             // As published: the first frame at half the largest distance, here that of the recorded images,
-            // then what the last frame's time asks for.
+            // then by the last frame's time.
             ControllerKind::VtkFixedPoint => {
                 assert!(close(frames[0].step, 16.0) && frames[20].step > 7.0, "{:?}", frames[20]);
                 assert!(close(last.ssim, recorded.images.as_ref().unwrap()[0].ssim(last.step)));
@@ -121,7 +122,7 @@ fn traces_without_images_open_and_rules_for_them_are_played_on_the_step_and_said
     for f in play(&both[0], players[0], 0.02).unwrap() {
         assert!((1.0..=12.0).contains(&f.step) && f.finest_step == f.oracle_step);
     }
-    // Not in silence.
+    // With a note.
     let filament = Player { kind: ControllerKind::Filament, acts_on: ControllerKind::Filament.acts_on() };
     let refused = play(&both[0], filament, 0.02).unwrap_err().to_string();
     assert!(refused.contains("without smaller images") && refused.contains("record it again"), "{refused}");

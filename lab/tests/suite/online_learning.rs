@@ -1,5 +1,5 @@
-//! Observation alone, on frames that a real renderer was timed at (software Vulkan, process-CPU time): a
-//! session without any model file comes to know a renderer that it was never told of.
+//! Learning from observations only, on recorded times of a real renderer (software Vulkan, process-CPU time):
+//! a session without any model file learns the costs of an unknown renderer.
 
 use clap::Parser;
 use entire_cli::commands::train;
@@ -17,7 +17,7 @@ use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::load;
 use std::path::Path;
 
-/// `entire train` as its options stand on a command line.
+/// Options of `entire train` on a command line.
 #[derive(Parser)]
 struct Train {
     #[command(flatten)]
@@ -28,7 +28,7 @@ fn recorded(name: &str) -> Replayable {
     slower(name, 1.0)
 }
 
-/// A path as a renderer would have drawn it that takes so many times as long.
+/// A path as drawn by a renderer that is slower by a factor.
 fn slower(name: &str, times: f64) -> Replayable {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut trace = Trace::open(&here.join("tests/data").join(name)).unwrap();
@@ -46,7 +46,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 #[test]
 fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
-    // Far from the renderer whose costs a session starts from.
+    // Factor between the test's renderer and the default costs of a session.
     const TIMES: f64 = 3.0;
     for (name, fps) in [("nyx-switches.json", 30.0), ("castro-cuts.json", 45.0)] {
         let recorded = slower(name, TIMES);
@@ -70,13 +70,13 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
             let (before, after, score) = errors(seed);
             assert!(after <= 0.10, "{name}: {after}");
             assert!(before > 2.0 * after, "{name}: there was nothing to learn: {before} {after}");
-            // And the target is held with it.
+            // With it, the target is held.
             assert!(score.all.missed < 0.15 && score.all.quality > 0.8, "{name}: {score:?}");
         }
     }
 }
 
-/// One rendering of a recorded frame as a row of a timing table: `law` turns recorded seconds into this
+/// One rendering of a recorded frame as a row of a timing table: `law` converts recorded seconds to this
 /// machine's.
 fn row(recorded: &Replayable, index: usize, point: usize, law: impl Fn(f64) -> f64) -> (Scene, Timing) {
     let (trace, at) = (&recorded.trace, &recorded.path.frames[index]);
@@ -121,8 +121,8 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
         }
         file
     };
-    // Frames 3 of 8 are judged by, the others make the network and, on a slower machine, the log of what was
-    // drawn: one step per frame.
+    // Three of eight frames are for testing, the others train the network and, on a slower machine, are the
+    // log of drawn frames: one step per frame.
     let slower = |t: f64| 0.004 + 2.2 * t;
     let made_on = table("made.csv", &|i, p| i % 8 != 3 && p % 2 == 0, &|t| t);
     let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);

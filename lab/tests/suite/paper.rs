@@ -1,4 +1,4 @@
-//! `entire-lab paper` end to end on the project's own volumes, as small as it gets.
+//! `entire-lab paper` end to end on the project's own volumes, with the smallest settings.
 
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -9,7 +9,7 @@ fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The committed description, cut to two data sets, a few small frames and tiny networks.
+/// The committed description, reduced to two data sets, a few small frames and tiny networks.
 fn description(to: &Path) {
     let text = std::fs::read_to_string(repository().join("data/timings/paper.json")).unwrap();
     let mut d: Value = serde_json::from_str(&text).unwrap();
@@ -90,7 +90,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let at = folder.path();
     description(&at.join("paper.json"));
 
-    // Stopped at once: what is there is kept and the message says how to go on.
+    // Stopped at once: existing results are kept and the message names the command that continues.
     let (output, said) = paper(at, "collect", &["--budget", "0.00001"]);
     assert!(!output.status.success() && said.contains("the same command goes on"), "{said}");
     let table = at.join("out/tables/castro_blast-none.csv");
@@ -102,7 +102,8 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     std::fs::write(&table, text).unwrap();
     let (output, said) = paper(at, "collect", &[]);
     assert!(output.status.success(), "{said}");
-    // Five volumes; the test volume of each split is learned from in the other one, but for those of both.
+    // Five volumes; the test volume of each split is a training volume of the other one, except those of
+    // both.
     let rows = lines(&table) - 1;
     assert!((5 * 4..=5 * 8).contains(&rows) && rows.is_multiple_of(4), "{rows}");
     assert_eq!(lines(&at.join("out/tables/castro_blast-none-low.csv")) - 1, 5 * 4);
@@ -113,7 +114,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     assert!(paper(at, "collect", &[]).0.status.success());
     assert_eq!(std::fs::read(&table).unwrap(), before);
 
-    // The report of nothing names every label and measures none.
+    // A report without results names every label as not measured.
     let (output, _) = paper(at, "report", &["--bars"]);
     assert_eq!(output.status.code(), Some(1));
     let bars = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -164,14 +165,14 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let uniform = balanced["facts"].as_array().unwrap().iter().filter(|f| f["name"] == "GT");
     assert!(uniform.clone().count() > 0 && uniform.into_iter().all(|f| f["values"]["slowest"] == 1.0));
 
-    // Nothing is made twice.
+    // Nothing is computed twice.
     let models = files(&at.join("out/models"));
     let (output, said) = paper(at, "train", &["--only", "overall,ablation,varied,samples,depth,tuning"]);
     assert!(output.status.success(), "{said}");
     assert_eq!(files(&at.join("out/models")), models);
     assert_eq!(files(&at.join("out/results")), results);
 
-    // Recorded paths lie in the repository and name its volumes as seen from there.
+    // Recorded paths are in the repository and name its volumes relative to it.
     assert!(!results.contains_key(&at.join("out/results/steering-castro_blast-none.json")));
     std::os::unix::fs::symlink(repository().join("data"), at.join("data")).unwrap();
     let (output, said) = paper(at, "train", &["--only", "steering"]);
@@ -214,7 +215,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let html = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(html.contains("Not measured.") && html.contains("tab:prednet_select_1") && html.contains("<svg"));
 
-    // What was kept makes the same rows without the folder.
+    // The kept results give the same rows without the folder.
     let (_, said) = paper(at, "report", &["--out", "elsewhere", "--kept", "kept.json.gz"]);
     let again: Vec<Value> = serde_json::from_str(
         &std::fs::read_to_string(at.join("elsewhere/rows.json")).unwrap_or_else(|e| panic!("{e} {said}")),
@@ -233,7 +234,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
 fn the_books_page_is_what_the_kept_results_make() {
     let folder = tempfile::tempdir().unwrap();
     let (pages, made) = (repository().join("docs/src"), folder.path().join("book"));
-    // Pictures that the book has already are linked, not written again.
+    // Pictures that the book already has are linked, not written again.
     std::fs::create_dir_all(made.join("images")).unwrap();
     for entry in std::fs::read_dir(pages.join("images")).unwrap().map(Result::unwrap) {
         if entry.path().is_file() {

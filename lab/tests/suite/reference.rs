@@ -1,4 +1,4 @@
-//! `docs/src/options-lab.md` tells of every option, as the source does, and helps have examples that work.
+//! `docs/src/options-lab.md` has every option, and help texts have examples that work.
 
 use crate::page::{check_examples, check_page};
 use entire_lab::command_line::command;

@@ -1,4 +1,4 @@
-//! `entire-lab study` end to end on a study cut small from the committed timing tables.
+//! `entire-lab study` end to end on a small part of the committed timing tables.
 
 use entire_io::dataset::feature_table::FeatureTable;
 use entire_io::dataset::{Table, Writer};
@@ -9,7 +9,7 @@ fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Every so many frames of a committed table, with their features.
+/// Every n-th frame of a committed table, with their features.
 fn cut(name: &str, every: usize, folder: &Path) {
     let whole = Table::read(&repository().join("data/timings").join(name), 0).unwrap();
     let path = folder.join(name.strip_suffix(".gz").unwrap());
@@ -82,8 +82,8 @@ fn a_small_study_goes_from_tables_to_bars() {
     std::fs::write(at.join("study.json"), description.to_string()).unwrap();
 
     let (output, text) = study(at, &["--bars"]);
-    // One limit is about a predictor and tables that the study does not have: that bar is short, and so is
-    // the status.
+    // One limit is about a predictor and tables that the study lacks: that bar is short, and so is the
+    // status.
     assert_eq!(output.status.code(), Some(1), "{text}");
     let bars: Vec<Vec<&str>> =
         text.lines().filter(|l| l.starts_with("bar ")).map(|l| l.split(' ').collect()).collect();
@@ -96,8 +96,8 @@ fn a_small_study_goes_from_tables_to_bars() {
         let (value, limit): (f64, f64) = (b[2].parse().unwrap(), b[3].parse().unwrap());
         assert_eq!(b[4] == "ok", value <= limit, "{b:?}");
     }
-    // An analytic model with a factor beats the mean of probes by far, even after eight epochs on two hundred
-    // frames.
+    // An analytic model with a factor is far better than the constant baseline, even after eight epochs on
+    // two hundred frames.
     assert!(bar("small/member/best-rmse-over-sd")[2].parse::<f64>().unwrap() < 0.5, "{text}");
 
     let found: serde_json::Value =
@@ -110,21 +110,21 @@ fn a_small_study_goes_from_tables_to_bars() {
     let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(report.contains("small/member/paper-rmse-over-lvrp") && report.contains("<svg"));
 
-    // What was made is taken again: not a byte changes. Without --bars the status tells that it ran.
+    // Kept models are used again: not a byte changes. Without --bars the status only says that the study ran.
     let before = models(at);
     assert!(!before.is_empty());
     let (output, _) = study(at, &[]);
     assert_eq!(output.status.code(), Some(0));
     assert_eq!(models(at), before);
 
-    // The models that the rule selects ship.
+    // The models that the rule selects are shipped.
     let (output, text) = study(at, &["--ship", "models"]);
     assert_eq!(output.status.code(), Some(0), "{text}");
     let card = std::fs::read_to_string(at.join("models/small-selected.md")).unwrap();
     let selected = text.lines().find_map(|l| l.strip_prefix("small: selected by the rule: ")).unwrap();
     assert!(card.contains(&format!("The rule selects `{selected}`")), "{card}");
 
-    // Kept features of a table that has changed since are refused.
+    // Stored features of a table that has changed since are refused.
     std::fs::copy(at.join("none-members.csv"), at.join("none-train.csv")).unwrap();
     let (output, _) = study(at, &[]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();

@@ -7,7 +7,7 @@ import argparse
 import os
 import sys
 
-# ParaView's modules before those of another VTK, where they are not installed but unpacked somewhere.
+# ParaView's modules before those of another VTK, if they are not installed but unpacked somewhere.
 if os.environ.get("PARAVIEW_MODULES"):
     sys.path.insert(0, os.environ["PARAVIEW_MODULES"])
 
@@ -27,7 +27,7 @@ options = parser.parse_args(given.split() if given else None)
 
 
 def say(text):
-    # The graphical client keeps what scripts print to itself.
+    # The graphical client does not print the output of scripts.
     with open(os.path.join(options.folder, f"{options.name}.txt"), "a") as file:
         file.write(text + "\n")
     print(text, flush=True)

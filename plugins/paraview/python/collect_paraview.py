@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of ParaView's volume rendering, as `entire collect` writes them of its own raycaster.
+"""Timing tables of ParaView's volume rendering, in the format of `entire collect`.
 
     xvfb-run -a pvbatch collect_paraview.py --out paraview.csv --max-size 256 VOLUME.nrrd...
     entire train --data paraview.csv --clock cpu --out paraview.safetensors
@@ -62,7 +62,7 @@ class ParaViewRenderer:
         self.colors = GetColorTransferFunction("scalar")
         self.colors.RGBPoints = [0, 0.1, 0.2, 0.6, 128, 0.9, 0.5, 0.2, 255, 1.0, 1.0, 0.9]
         self.opacity = GetOpacityTransferFunction("scalar")
-        # The step that the mappers lock to: half the mean spacing, finer for small volumes.
+        # The step of locked mappers: half the mean spacing, finer for small volumes.
         mean = float(np.prod(volume.dims)) ** 0.333
         self.step = sum(volume.spacing) / 6.0 * (0.01 + 0.99 * mean / 100 if mean < 100 else 1.0)
 

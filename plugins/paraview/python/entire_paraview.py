@@ -35,7 +35,7 @@ class FrameTime:
         self.proxy.TargetFrameTime = target
         self.proxy.ModelFileName = model
         self.proxy.UpdateVTKObjects()
-        # The proxy is read in the client; this one where a server draws.
+        # The proxy is read in the client; this one if a server draws.
         self._remote = servermanager._getPyProxy(manager.SMProxyManager.NewProxy("entire", "EntireSteeringReadOut"))
         self._remote.SMProxy.GetProperty("Source").SetProxy(0, proxy)
         self._remote.UpdateVTKObjects()
@@ -43,7 +43,7 @@ class FrameTime:
         self._drawn_by = self.proxy
 
     def read(self):
-        """The read-outs of the last frame, of the process that drew it; with several servers, of the first."""
+        """The read-outs of the last frame, from the process that drew it; with several servers, from the first."""
         found = {}
         for proxy in (self.proxy, self._remote):
             proxy.SMProxy.UpdatePropertyInformation()
@@ -55,12 +55,12 @@ class FrameTime:
         return found[self._drawn_by]
 
     def save(self, path):
-        """Writes what was learned, where rendering happens."""
+        """Writes the learned state, on the process that renders."""
         self.proxy.SMProxy.GetProperty("Save").SetElement(0, path)
         self.proxy.SMProxy.UpdateProperty("Save", 1)
 
     def release(self):
-        """Lets go of the view."""
+        """Releases the view."""
         self._remote.SMProxy.GetProperty("Source").SetNumberOfProxies(0)
         self._remote.UpdateVTKObjects()
         self.proxy.SMProxy.GetProperty("View").SetNumberOfProxies(0)

@@ -24,7 +24,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
-# The very volume, path and functions of `make bars-vtk`.
+# The same volume, path and functions as `make bars-vtk`.
 sys.path[:0] = [str(HERE.parent / "tests"), str(ROOT / "plugins/vtk/python"), str(ROOT / "lab/scripts")]
 from bar_lines import Bars  # noqa: E402
 
@@ -36,7 +36,7 @@ try:
 except ImportError as error:
     MISSING = f"{error} (make bars-python makes an environment that has it)"
 
-# What the model of `calibrated` is made from; the path goes around noise.
+# Volumes that the model of `calibrated` is made from; the path goes around noise.
 OTHER = ROOT / "data/nyx_cosmology/m01/t0010.nrrd"
 SWITCHES = (50, 100, 150)
 
@@ -75,7 +75,7 @@ class Path200:
 
 
 def calibrated(options):
-    """A model of 60 random frames of another volume than the one that is scored, enlarged to as many voxels."""
+    """A model of 60 random frames of another volume than the scored one, enlarged to as many voxels."""
     import entire.vtk
     from timing_table import read_nrrd, resampled
 
@@ -290,7 +290,7 @@ def still_pictures(options, bars):
 
 
 VIEWS = {"": 0.5, "-other-bits": 0}
-# What measures which bars, and their limits.
+# Measurements, each with its bars and their limits.
 MEASURES = {
     "lines": (three_lines, {"lines": 3, "wheel": 15}),
     "still": (still_pictures, {"still-bytes-differing": 0}),

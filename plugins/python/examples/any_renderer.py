@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A renderer of one's own in a session: here NumPy adds up samples along z, and is told how many to take.
+"""Your own renderer in a session: here NumPy sums samples along z, with the number of samples from the plan.
 
 python any_renderer.py
 """

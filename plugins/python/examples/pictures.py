@@ -15,7 +15,7 @@ from PIL import Image
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
-# Colors of a picture, and the most bytes of its file.
+# Colors of a picture, and the maximum number of bytes of its file.
 COLORS = 160
 MOST = 60_000
 
@@ -33,7 +33,7 @@ def save(out, name, pixels):
 
 
 def drag(plotter, frames=24, at=(90, 300)):
-    """Turns the scene as a mouse does, and leaves off with the button down."""
+    """Turns the scene as a mouse does, and stops with the button down."""
     plotter.show(auto_close=False, interactive=False)
     interactor = plotter.render_window.GetInteractor()
     interactor.SetEventInformation(*at, 0, 0)
@@ -71,7 +71,7 @@ def vtk(out):
 
 
 def trame(out):
-    """What the server sends to the browser while the browser's mouse turns the scene."""
+    """Pictures that the server sends to the browser while the browser's mouse turns the scene."""
     import io
 
     from trame_vtk.modules.vtk.protocols.publish_image_delivery import vtkWebPublishImageDelivery
@@ -79,7 +79,7 @@ def trame(out):
 
     example = importlib.import_module("trame_hold")
     window, steering = example.pl.render_window, example.steering
-    # As trame sets it up.
+    # With trame's settings.
     application = vtkWebApplication()
     application.SetImageEncoding(vtkWebApplication.ENCODING_NONE)
     application.SetImageCompression(vtkWebApplication.COMPRESSION_JPEG)
@@ -150,7 +150,7 @@ def napari(out):
         app.process_events()
     if example.holder.status:
         sys.exit(f"not steered: {example.holder.status}")
-    # The whole window, as it stands.
+    # The whole window in its current state.
     grabbed = viewer.window._qt_window.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     bits = grabbed.constBits()
     bits.setsize(grabbed.sizeInBytes())

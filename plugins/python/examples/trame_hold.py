@@ -17,7 +17,7 @@ wave = np.sin(12 * np.sqrt(x**2 + y**2 + z**2)) * np.cos(9 * x) * np.cos(9 * y)
 
 pl = pv.Plotter(off_screen=True, window_size=(480, 360))
 pl.add_volume((127 * (1 + wave)).astype(np.uint8), opacity="sigmoid", show_scalar_bar=False)
-# In trame the plotter has an interactor: the browser's mouse decides what is a still frame.
+# In trame the plotter has an interactor: the browser's mouse determines still frames.
 steering = pl.entire.hold(fps=20, overlay=True)
 
 server = get_server()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Holds a volume of plain VTK to 20 ms off screen and writes how it went: history.svg.
+"""Holds a volume of plain VTK to 20 ms off screen and writes its history to history.svg.
 
 pip install entire[vtk]
 xvfb-run -a python vtk_hold.py

@@ -117,9 +117,9 @@ impl Calibration {
 
     /// Adds a picture that was compared with the same view at full quality.
     ///
-    /// The model then states what coarser steps and smaller images cost this renderer's pictures
-    /// (:meth:`Session.set_quality`), where at least 3 scenes were drawn at the same settings, full quality,
-    /// steps alone, images alone and both among them.
+    /// The model then states a law of the picture error over ray step and image size
+    /// (:meth:`Session.set_quality`), if at least 3 scenes were drawn at the same settings: full quality,
+    /// steps alone, images alone and both.
     ///
     /// Parameters
     /// ----------
@@ -156,7 +156,7 @@ impl Calibration {
         Ok(self.0.lock(py)?.len())
     }
 
-    /// Fits the model: the bytes of its file and what is known of it.
+    /// Fits the model: the bytes of its file and its report.
     ///
     /// Parameters
     /// ----------
@@ -178,7 +178,7 @@ impl Calibration {
 /// A model file's bytes, and its calibration's report.
 pub(crate) type Fitted<'py> = (Bound<'py, PyBytes>, Bound<'py, PyDict>);
 
-/// What a calibration made, for Python.
+/// Result of a calibration, for Python.
 pub(crate) fn as_python<'py>(py: Python<'py>, bytes: &[u8], fitted: &Calibrated) -> PyResult<Fitted<'py>> {
     let report = PyDict::new(py);
     report.set_item("frames", fitted.frames)?;

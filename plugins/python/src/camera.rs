@@ -1,4 +1,4 @@
-//! Where the volume is seen from.
+//! Cameras: positions from which a volume is seen.
 
 use crate::errors::raise;
 use crate::volume::Volume;
@@ -7,9 +7,9 @@ use glam::{DMat3, DMat4, DVec3, Mat4, Vec3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Where a volume is seen from. Made by :meth:`arcball`, :meth:`look_at`, :meth:`view` or :meth:`scene`.
+/// Camera of a view of a volume. Made by :meth:`arcball`, :meth:`look_at`, :meth:`view` or :meth:`scene`.
 ///
-/// Lengths are kept relative to the volume's bounding sphere, so a camera belongs to volumes of one size.
+/// Lengths are relative to the volume's bounding sphere, so a camera belongs to volumes of one size.
 #[pyclass(frozen, from_py_object, module = "entire")]
 #[derive(Clone, PartialEq)]
 pub(crate) struct Camera {
@@ -17,17 +17,17 @@ pub(crate) struct Camera {
     lens: Lens,
 }
 
-/// How a camera projects.
+/// Projection of a camera.
 #[derive(Clone, Copy, PartialEq)]
 enum Lens {
     /// Vertical field of view, degrees.
     Perspective(f32),
-    /// Half of the height that is seen, bounding-sphere radii.
+    /// Half of the visible height, bounding-sphere radii.
     Parallel(f32),
 }
 
 impl Lens {
-    /// `scale` is half of the height that a parallel projection shows, in units of which the bounding-sphere
+    /// `scale` is half of the visible height of a parallel projection, in units in which the bounding-sphere
     /// radius is `radius`.
     fn new(fov: f32, scale: Option<f64>, radius: f32) -> Self {
         scale.map_or(Self::Perspective(fov), |scale| Self::Parallel((scale / f64::from(radius)) as f32))
@@ -58,7 +58,7 @@ pub(crate) fn from_view(
     fov: f32,
     scale: Option<f64>,
 ) -> PyResult<Camera> {
-    // Moved to the center in double precision: worlds far from their origin lose digits otherwise.
+    // Moved to the center in double precision: coordinates far from the origin would lose digits.
     let view = matrix(rows) * DMat4::from_translation(DVec3::from_array(volume.0.center()));
     let radius = volume.0.radius();
     Camera::new(
@@ -71,11 +71,11 @@ pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32, scale: Option<f6
     Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, Lens::new(fov, scale, 1.0))
 }
 
-/// Whether a renderer that goes from one camera to another jumps: see [`Camera::jumps_from`].
+/// True if a renderer that goes from one camera to another jumps: see [`Camera::jumps_from`].
 pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
     let (now, then) = (camera.view(), before.view());
     let turned = (now.row(2) - then.row(2)).abs();
-    // Of parallel cameras the scale; 0 for perspective ones.
+    // The scale of parallel cameras; 0 for perspective ones.
     let scales = [camera, before].map(|c| c.ray_basis(1, 1).0[2].length());
     let ratio = match scales {
         [0.0, 0.0] => now.w_axis.z / then.w_axis.z,
@@ -84,12 +84,12 @@ pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
     turned.x.max(turned.y).max(turned.z) > 0.5 || !(ratio > 0.67 && ratio < 1.5)
 }
 
-/// Where a volume stands in a scene that may move, turn and scale it.
+/// Placement of a volume in a scene that may move, turn and scale it.
 pub(crate) struct Placement {
     to_world: DMat4,
-    /// Its columns are the directions of the volume's axes before that.
+    /// Its columns are the directions of the volume's axes before the placement.
     direction: DMat3,
-    /// Middle of the volume's voxels before that.
+    /// Middle of the volume's voxels before the placement.
     center: DVec3,
     radius: f32,
 }
@@ -125,7 +125,7 @@ impl Placement {
                 "the volume's matrix shears the volume; rotations, translations and scales can be predicted",
             ));
         }
-        // A rotation as exact as single precision needs; a mirrored volume counts as its mirror image.
+        // A rotation to single precision; a mirrored volume is replaced by its mirror image.
         let z = x.cross(y).normalize();
         let y = z.cross(x).normalize();
         let eye = to_eye.transform_point3(self.center) / scale;
@@ -274,7 +274,7 @@ impl Camera {
         Placement::new(volume, &to_world, &direction, center).camera(&to_eye, fov, parallel_scale)
     }
 
-    /// A camera from the one matrix that takes the world to the picture, as OpenGL, vispy and others have it.
+    /// A camera from the single matrix that maps the world to the picture, as in OpenGL, vispy and others.
     ///
     /// Parameters
     /// ----------
@@ -300,7 +300,7 @@ impl Camera {
             let back = x.cross(y).normalize_or_zero();
             let half = (matrix[3][3] / y.length()).abs();
             (fov, scale) = (f64::from(DEFAULT_FOV_Y_DEGREES), Some(half));
-            // The point of the volume's depth that the picture's middle shows, and an eye before the volume.
+            // The point in the picture's middle at the volume's depth, and an eye before the volume.
             let at = (x / x.length_squared()) * (-matrix[0][3] - x.dot(center))
                 + (y / y.length_squared()) * (-matrix[1][3] - y.dot(center));
             forward = if back.dot(z) > 0.0 { back } else { -back };
@@ -326,7 +326,7 @@ impl Camera {
         from_view(volume, rows, fov as f32, scale)
     }
 
-    /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
+    /// True if a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
     /// angle, changes its distance (or its scale) by half, or its projection.
     ///
     /// Parameters

@@ -1,9 +1,9 @@
-//! Long calls without the interpreter's lock, calls into Python that may let go of it, and the interpreter's end
-//! while some are running.
+//! Long calls without the interpreter's lock, calls into Python that may release it, and the interpreter's
+//! end while some are running.
 //!
-//! A thread that asks for the lock of an interpreter that ends is unwound by force, which Rust frames end with an
-//! abort. So once the interpreter is about to end, such threads do not ask for it again: they stay where they are
-//! until the process is over. Only daemon threads come to that; others are waited for by Python.
+//! A thread that asks for the lock of an ending interpreter is unwound by force, which Rust frames turn into
+//! an abort. So once the interpreter is about to end, such threads do not ask for it again: they block until
+//! the process is over. This concerns only daemon threads; Python waits for others.
 
 use pyo3::prelude::*;
 use std::sync::OnceLock;
@@ -11,31 +11,31 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
-/// The thread that ends the interpreter, once it is about to end. Changes under its lock.
+/// The thread that ends the interpreter, once it is about to end. Written under the lock.
 static ENDING: OnceLock<ThreadId> = OnceLock::new();
 /// Threads in long calls or in Python's code that will ask for the lock.
 static AWAY: AtomicUsize = AtomicUsize::new(0);
 
-/// How long the end waits for threads that are just about to ask for the lock.
+/// Time that the end waits for threads that are about to ask for the lock.
 const GRACE: Duration = Duration::from_millis(500);
 
-/// Whether the interpreter is about to end, by another thread than this one.
+/// True if another thread is about to end the interpreter.
 fn is_ending() -> bool {
     ENDING.get().is_some_and(|by| *by != std::thread::current().id())
 }
 
-/// Stays here until the process is over.
+/// Blocks until the process is over.
 fn stay() -> ! {
     loop {
         std::thread::park();
     }
 }
 
-/// A thread that will ask for the lock, as long as this lives.
+/// Counts a thread that will ask for the lock, during its lifetime.
 struct Away;
 
 impl Away {
-    /// Where another thread is about to end the interpreter, this one goes no further.
+    /// If another thread is about to end the interpreter, this one blocks.
     fn new(py: Python<'_>) -> Self {
         if is_ending() {
             py.detach(|| stay());
@@ -64,7 +64,7 @@ pub(crate) fn detached<T: Send>(py: Python<'_>, call: impl FnOnce() -> T + Send)
     })
 }
 
-/// Calls Python code, which may let go of the interpreter's lock and ask for it again.
+/// Calls Python code, which may release the interpreter's lock and ask for it again.
 pub(crate) fn calling<T>(py: Python<'_>, call: impl FnOnce() -> T) -> T {
     let _away = Away::new(py);
     call()

@@ -1,12 +1,12 @@
-//! Files, whole or absent.
+//! Files that are written whole or not at all.
 
 use crate::detach::detached;
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// Writes a file, whole or not at all: under a name beside it that nobody can foresee, flushed to the disk,
-/// then put in its place.
+/// Writes a file, whole or not at all: under an unpredictable name beside it, flushed to the disk, then
+/// renamed.
 ///
 /// Parameters
 /// ----------
@@ -23,7 +23,7 @@ pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResul
         .map_err(|error| PyOSError::new_err(format!("{error:#}")))
 }
 
-/// The file of this machine's model, as `entire calibrate` left it in the user's data folder.
+/// The file of this machine's model that `entire calibrate` stored in the user's data folder.
 ///
 /// Parameters
 /// ----------

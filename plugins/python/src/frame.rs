@@ -1,4 +1,4 @@
-//! Frames and cameras as Python hands them in.
+//! Frames and cameras from Python's arguments.
 
 use crate::camera::{Camera, from_arcball, from_view};
 use crate::errors::raise;
@@ -8,7 +8,7 @@ use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-/// What a frame is beside its camera.
+/// Parameters of a frame besides its camera.
 #[derive(Clone, Copy)]
 pub(crate) struct Shape {
     pub(crate) size: (u32, u32),
@@ -49,7 +49,7 @@ impl Shape {
         Ok(Self { size: sides(size), step, shading, skipping, termination })
     }
 
-    /// With another size, and another step where one is given.
+    /// The same with another size, and another step if one is given.
     pub(crate) fn at(self, size: (i64, i64), step: Option<f32>) -> Self {
         Self { size: sides(size), step: step.unwrap_or(self.step), ..self }
     }

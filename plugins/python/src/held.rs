@@ -1,4 +1,4 @@
-//! A volume as an adapter holds it.
+//! A volume that an adapter steers.
 
 use crate::camera::Placement;
 use crate::frame::Shape;
@@ -8,8 +8,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-/// What changes seldom of a volume that is held to a frame time: where it stands in its scene, and how it is
-/// drawn. For :meth:`Session.steer`.
+/// Parameters of a held volume that seldom change: its place in the scene and its rendering. For
+/// :meth:`Session.steer`.
 ///
 /// Parameters
 /// ----------

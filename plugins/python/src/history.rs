@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-/// How many frames are kept.
+/// Number of frames that are kept.
 pub(crate) const KEPT: usize = 4096;
 
 /// One observed frame.
@@ -19,7 +19,7 @@ pub(crate) struct Entry {
     pub(crate) verdict: &'static str,
 }
 
-/// Observed frames, oldest first; the oldest give way.
+/// Observed frames, oldest first; the oldest are dropped.
 #[derive(Default)]
 pub(crate) struct History(VecDeque<Entry>);
 

@@ -1,4 +1,4 @@
-//! A lock that neither stalls the interpreter nor survives a fork in a state that nobody can leave.
+//! A lock that neither blocks the interpreter nor stays locked for ever after a fork.
 
 use crate::detach::detached;
 use pyo3::exceptions::PyRuntimeError;
@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-/// A mutex that knows which process locked it last.
+/// A mutex that stores the process that locked it last.
 pub(crate) struct Guarded<T> {
     value: Mutex<T>,
     process: AtomicU32,
@@ -17,11 +17,11 @@ impl<T: Send> Guarded<T> {
         Self { value: Mutex::new(value), process: AtomicU32::new(0) }
     }
 
-    /// Locks. Where another thread holds the lock, the interpreter is let go of while waiting for it.
+    /// Locks. If another thread holds the lock, the interpreter lock is released while waiting.
     ///
     /// # Errors
-    /// `RuntimeError` where the lock was held by a thread of the parent when this process was forked, or
-    /// where a call under it has panicked.
+    /// `RuntimeError` if the lock was held by a thread of the parent when this process was forked, or if a
+    /// call under it has panicked.
     pub(crate) fn lock<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, T>> {
         let guard = match self.value.try_lock() {
             Ok(guard) => guard,
@@ -42,7 +42,7 @@ impl<T: Send> Guarded<T> {
     }
 }
 
-/// A guard on its way out of a closure that ran on this very thread.
+/// A guard that is returned from a closure that ran on this very thread.
 struct SendGuard<'a, T>(MutexGuard<'a, T>);
 
 // SAFETY: `Python::detach` runs its closure on the thread that called it, so the guard never changes threads.

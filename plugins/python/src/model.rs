@@ -36,12 +36,12 @@ impl Loaded {
         Ok(Box::new(ModelPredictor::with_net(net.clone(), &self.file).map_err(raise)?))
     }
 
-    /// The model as a file that can be changed.
+    /// The model as a file that can be modified.
     pub(crate) fn model_file(&self) -> PyResult<ModelFile> {
         ModelFile::from_bytes(&self.bytes).map_err(raise)
     }
 
-    /// VolumeNet's output for a volume, where predictions take it.
+    /// VolumeNet's output for a volume, if predictions use it.
     pub(crate) fn features_of(&self, py: Python<'_>, volume: &Data) -> PyResult<Option<Vec<f32>>> {
         if self.file.input_size(GroupKind::VolumeFeatures).is_none() {
             return Ok(None);

@@ -1,10 +1,10 @@
-//! What a session answers.
+//! Answers of a session.
 
 use entire_steer::control::Plan as CorePlan;
 use entire_steer::predict::{Prediction as CorePrediction, Source};
 use pyo3::prelude::*;
 
-/// What to draw, and what to expect of it.
+/// Settings of a frame to draw, and its expected time.
 #[pyclass(frozen, get_all, module = "entire")]
 pub(crate) struct Plan {
     /// int : Names this plan in :meth:`Session.observe`.

@@ -38,8 +38,8 @@ impl Session {
         self.state.lock(py)
     }
 
-    /// Takes up another volume; scanned and encoded with the interpreter let go of, before the session is
-    /// locked.
+    /// Sets another volume; it is scanned and encoded with the interpreter lock released, before the session
+    /// is locked.
     fn take_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
         volume.0.summary(py)?;
         let model = self.model.lock(py)?.clone();
@@ -50,7 +50,7 @@ impl Session {
         self.state(py)?.take_volume(py, &volume.0, features.as_deref())
     }
 
-    /// A frame, and the state with its transfer function taken up.
+    /// A frame, and the state with its transfer function set.
     fn begin(
         &self,
         py: Python<'_>,
@@ -62,7 +62,7 @@ impl Session {
         Ok((frame, self.taking(py, tf)?))
     }
 
-    /// The state, with a transfer function taken up.
+    /// The state with a transfer function set.
     fn taking(&self, py: Python<'_>, tf: Option<&TransferFunction>) -> PyResult<MutexGuard<'_, State>> {
         let mut state = self.state(py)?;
         if let Some(tf) = tf {
@@ -109,9 +109,9 @@ impl Session {
         Ok(made)
     }
 
-    /// Sets the volume. Its first use scans its voxels once; a model that takes volume features encodes them.
-    /// With the next time step of the volume that is set (:meth:`Volume.next`) the transfer function stays,
-    /// and what was learned of the scene.
+    /// Sets the volume. Its first use scans its voxels once; a model with volume features encodes them. With
+    /// the next time step of the current volume (:meth:`Volume.next`) the transfer function stays, and so
+    /// does the learned state of the scene.
     ///
     /// Parameters
     /// ----------
@@ -139,7 +139,7 @@ impl Session {
         self.state(py)?.take_transfer(tf)
     }
 
-    /// Sets the steps that may be chosen.
+    /// Sets the allowed steps.
     ///
     /// Parameters
     /// ----------
@@ -174,8 +174,8 @@ impl Session {
         self.state(py)?.core.set_max_image_sample_distance(coarsest, step_alone).map_err(raise)
     }
 
-    /// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
-    /// shows less.
+    /// Sets the law of the picture error of this renderer, so that plans coarsen step or image, whichever
+    /// adds less error.
     ///
     /// A picture's distance from full quality goes as ``(s - 1)**step_exponent + image_weight *
     /// (d - 1)**image_exponent`` and its time as ``(ray_share + (1 - ray_share) / s) / d**2``, for a step of s
@@ -217,7 +217,7 @@ impl Session {
         Ok(known.map(|q| (q.image_weight, q.step_exponent, q.image_exponent, q.ray_share)))
     }
 
-    /// Switches steering off (every plan answers the frame's own step: for screenshots and still frames) or
+    /// Switches steering off (every plan returns the frame's own step: for screenshots and still frames) or
     /// on again.
     ///
     /// Parameters
@@ -228,8 +228,8 @@ impl Session {
         Ok(())
     }
 
-    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot
-    /// see.
+    /// Announces that the next frame does not follow smoothly on the one before, in ways that the session
+    /// cannot see.
     ///
     /// Parameters
     /// ----------
@@ -245,7 +245,7 @@ impl Session {
         Ok(())
     }
 
-    /// Chooses what to draw next, so that the frame takes at most `target` seconds.
+    /// Chooses the next frame's settings, so that it takes at most `target` seconds.
     ///
     /// Parameters
     /// ----------
@@ -296,7 +296,7 @@ impl Session {
         Ok(state.plan(&frame, target)?.0)
     }
 
-    /// For adapters: learns from the frame before and plans the next one of a held volume, in one call. Marks
+    /// For adapters: learns from the last frame and plans the next one of a held volume, in one call. Marks
     /// the camera's jumps by itself.
     ///
     /// Parameters
@@ -354,7 +354,7 @@ impl Session {
     ) -> PyResult<(Plan, f32, f32)> {
         let mut state = self.state(py)?;
         if let Some(due) = due {
-            // Rejected times are documented to teach nothing.
+            // Rejected times are documented to have no effect.
             let _ = state.observe(due.id(), seconds as f32, ObserveFlags { unusual: false, cancelled });
         }
         let frame = held.frame(to_eye, fov, parallel_scale, size, step)?;
@@ -414,7 +414,7 @@ impl Session {
         Ok((index, state.note(plan, (drawn.width, drawn.height), target)))
     }
 
-    /// Hears how long a planned frame took.
+    /// Observes the time of a planned frame.
     ///
     /// Parameters
     /// ----------
@@ -527,7 +527,7 @@ impl Session {
         Ok(PyArray1::from_vec(py, Result::<Vec<f32>, _>::map_err(seconds, raise)?))
     }
 
-    /// Forgets every observation, plan and the history; volume and transfer function stay.
+    /// Resets the session: observations, plans and history are dropped; volume and transfer function stay.
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
         let mut state = self.state(py)?;
         state.core.reset();
@@ -535,9 +535,9 @@ impl Session {
         Ok(())
     }
 
-    /// Keeps planned and observed frames from now on, for :meth:`calibrate`. What was kept before is
-    /// forgotten. Observations that are unusual or cancelled do not count, nor does the first frame of all,
-    /// nor the first of a volume.
+    /// Starts recording planned and observed frames for :meth:`calibrate`. Earlier recorded frames are
+    /// dropped. Unusual or cancelled observations do not count, nor does the first frame of all, nor the
+    /// first of a volume.
     ///
     /// Parameters
     /// ----------
@@ -559,16 +559,16 @@ impl Session {
         self.state(py)?.core.record(prior.as_ref(), frames).map_err(raise)
     }
 
-    /// How many frames are kept since :meth:`record`; ``None`` before it.
+    /// Number of frames kept since :meth:`record`; ``None`` before it.
     #[getter]
     fn recorded(&self, py: Python<'_>) -> PyResult<Option<usize>> {
         Ok(self.state(py)?.core.recorded())
     }
 
-    /// Fits a model to the recorded frames: the bytes of its file and what is known of it.
+    /// Fits a model to the recorded frames: the bytes of its file and its report.
     fn calibrate_bytes<'py>(&self, py: Python<'py>) -> PyResult<Fitted<'py>> {
         let mut state = self.state(py)?;
-        // Exclusive: predictors are not made to be shared.
+        // Exclusive access: predictors cannot be shared.
         let core = &mut state.core;
         let fitted = detached(py, move || {
             let fitted = core.calibrate(Executor::Serial)?;
@@ -601,13 +601,13 @@ impl Session {
         Ok(())
     }
 
-    /// Names the renderer whose frames are observed and the clock that times them. What was learned of one
-    /// does not hold for another: saved states carry both names, and :meth:`load_state` refuses those of
-    /// others. Sessions start with empty names.
+    /// Names the renderer of the observed frames and their clock. A learned state of one does not hold for
+    /// another: saved states carry both names, and :meth:`load_state` refuses those of others. Sessions start
+    /// with empty names.
     ///
-    /// A clock named "cpu", "wall" or "device" is compared with the model's (:attr:`model_clock`). Where they
-    /// differ, the session keeps what the model says of scenes against each other and learns the factor from
-    /// the first frames; what was learned before is forgotten.
+    /// A clock named "cpu", "wall" or "device" is compared with the model's (:attr:`model_clock`). If they
+    /// differ, the session keeps the model's ratios between scenes and learns the factor between the clocks
+    /// from the first frames; its earlier state is dropped.
     ///
     /// Parameters
     /// ----------
@@ -636,12 +636,12 @@ impl Session {
         Ok(self.state(py)?.core.model_clock().map(Into::into))
     }
 
-    /// What was learned, as bytes for :meth:`load_state`.
+    /// The learned state, as bytes for :meth:`load_state`.
     fn save_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &self.state(py)?.core.save_state()))
     }
 
-    /// Takes up what an earlier session learned; on an error nothing changes.
+    /// Loads a saved state; on an error nothing changes.
     ///
     /// Parameters
     /// ----------

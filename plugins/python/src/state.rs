@@ -1,4 +1,4 @@
-//! What a session keeps between calls.
+//! State of a session between calls.
 
 use crate::errors::{NotReadyError, raise};
 use crate::history::{Entry, History};
@@ -12,7 +12,7 @@ use entire_steer::features::Changes;
 use pyo3::prelude::*;
 use std::sync::Arc;
 
-/// A session of the core, what it was given last, and the frames it has seen.
+/// A session of the core, its current inputs, and its observed frames.
 pub(crate) struct State {
     pub(crate) core: Core,
     pub(crate) volume: Option<Arc<Data>>,
@@ -35,7 +35,7 @@ impl State {
         }
     }
 
-    /// Takes up a volume or its next time step, with VolumeNet's output for it where the model takes one.
+    /// Sets a volume or its next time step, with VolumeNet's output for it if the model uses that.
     pub(crate) fn take_volume(
         &mut self,
         py: Python<'_>,
@@ -54,7 +54,7 @@ impl State {
         Ok(())
     }
 
-    /// Takes up a transfer function, where it is another one.
+    /// Sets a transfer function, if it differs.
     pub(crate) fn take_transfer(&mut self, transfer: &TransferFunction) -> PyResult<()> {
         if self.transfer.as_ref().is_some_and(|t| Arc::ptr_eq(t, &transfer.0)) {
             return Ok(());
@@ -70,7 +70,7 @@ impl State {
         Ok(())
     }
 
-    /// Marks a jump where the camera comes from somewhere else.
+    /// Marks a jump of the camera.
     pub(crate) fn follow(&mut self, camera: CoreCamera) {
         if self.camera.is_some_and(|before| crate::camera::jumps(&before, &camera)) {
             self.core.mark(Changes { camera: true, ..Changes::default() });
@@ -78,7 +78,7 @@ impl State {
         self.camera = Some(camera);
     }
 
-    /// Plans a frame and keeps the plan for its observation.
+    /// Plans a frame and stores the plan for its observation.
     pub(crate) fn plan(&mut self, frame: &Frame, target: f32) -> PyResult<(Plan, CorePlan)> {
         let plan = self.core.plan(frame, target).map_err(raise)?;
         let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
@@ -86,13 +86,13 @@ impl State {
         Ok((self.note(plan, size, target), plan))
     }
 
-    /// Keeps a plan for its observation.
+    /// Stores a plan for its observation.
     pub(crate) fn note(&mut self, plan: CorePlan, size: (u32, u32), target: f32) -> Plan {
         self.plans[slot(plan.id)] = Some((plan, target));
         Plan::new(plan, size, target)
     }
 
-    /// Learns from the time of a planned frame, and keeps it in the history.
+    /// Observes the time of a planned frame, and stores it in the history.
     pub(crate) fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> PyResult<Verdict> {
         let verdict = self.core.observe(id, seconds, flags).map_err(raise)?;
         if let Some((plan, target)) = self.plans[slot(id)]

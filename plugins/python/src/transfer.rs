@@ -1,4 +1,4 @@
-//! What is opaque, and in which color.
+//! Transfer functions: opacity and color.
 
 use crate::errors::raise;
 use crate::volume::{Data, asarray, astype};
@@ -65,7 +65,7 @@ fn made(
         (distance, None) => Unit::ReferenceSteps(distance.unwrap_or(1.0)),
     };
     let table = description.to_table().map_err(raise)?;
-    // What is wrong with the unit is said here rather than where a volume is met.
+    // An invalid unit is reported here rather than where a volume is used.
     let (Unit::ReferenceSteps(length) | Unit::World(length)) = unit;
     table.clone().with_unit_distance(length).map_err(raise)?;
     Ok(TransferFunction(Arc::new(Transfer { description, table, unit })))
@@ -141,8 +141,8 @@ impl TransferFunction {
         made(Description::Points(points.collect()), unit_distance, unit_length)
     }
 
-    /// Nodes as VTK and ParaView have them, evaluated as ``vtkPiecewiseFunction`` and
-    /// ``vtkColorTransferFunction`` do.
+    /// Nodes as in VTK and ParaView, evaluated like ``vtkPiecewiseFunction`` and
+    /// ``vtkColorTransferFunction``.
     ///
     /// Parameters
     /// ----------

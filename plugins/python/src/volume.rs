@@ -14,24 +14,24 @@ use pyo3::sync::PyOnceLock;
 use pyo3::types::PyDict;
 use std::sync::{Arc, OnceLock};
 
-/// A volume's voxels, or the part of them that prediction needs.
+/// A volume's voxels, or the summary that prediction needs.
 pub(crate) struct Data {
     view: VolumeView<'static>,
     origin: [f64; 3],
     summary: OnceLock<VolumeSummary>,
     copied: bool,
-    /// Values that stand for voxels without data.
+    /// Fill values, which mark voxels without data.
     fill: Vec<f32>,
     /// Axes of the array along x, y, z.
     order: [usize; 3],
-    /// What time steps share, and the number of this one.
+    /// State that time steps share, and the number of this one.
     series: Arc<Guarded<Series>>,
     step: u64,
-    /// Keeps the memory alive that `view` looks at.
+    /// Keeps the memory of `view` alive.
     owner: Py<PyAny>,
 }
 
-/// What is kept of the time step that was made last.
+/// Data of the time step that was made last.
 #[derive(Default)]
 struct Series {
     kept: Option<Box<SummarySeries>>,
@@ -43,7 +43,7 @@ impl Data {
         &self.view
     }
 
-    /// What prediction keeps of the voxels; scanned at the first call, with the interpreter let go of.
+    /// Summary of the voxels; scanned at the first call, with the interpreter lock released.
     pub(crate) fn summary(&self, py: Python<'_>) -> PyResult<&VolumeSummary> {
         if let Some(summary) = self.summary.get() {
             return Ok(summary);
@@ -53,7 +53,7 @@ impl Data {
         Ok(self.summary.get_or_init(|| summary))
     }
 
-    /// Whether this is another time step of a volume.
+    /// True if this is another time step of a volume.
     pub(crate) fn follows(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.series, &other.series) && self.step != other.step
     }
@@ -73,7 +73,7 @@ impl Data {
     }
 }
 
-/// A scalar volume on a regular grid, looked at where it lies in memory.
+/// A scalar volume on a regular grid, read in place from memory.
 ///
 /// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` in the machine's byte order are neither copied
 /// nor changed, whatever their strides, as long as no stride is negative; the array is kept alive. ``bool``
@@ -152,7 +152,7 @@ fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, P
     Ok(made?.cast_into::<PyUntypedArray>()?)
 }
 
-/// How an array of this type is kept: as it is, or as another type.
+/// Type in which an array is stored: its own, or another one.
 fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'static str>)> {
     let dtype = array.dtype();
     let native = dtype.is_native_byteorder() != Some(false);
@@ -171,13 +171,13 @@ fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'
     }
 }
 
-/// Values that stand for voxels without data, as Python gives them.
+/// Fill values, as Python gives them.
 pub(crate) enum Fill {
-    /// To be found.
+    /// To be detected.
     Auto,
     /// These; none for `None`.
     Values(Vec<f32>),
-    /// Those of an earlier time step, for which they were said.
+    /// Those of an earlier time step.
     Known(Vec<f32>),
 }
 
@@ -212,8 +212,8 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// A copy of an array in which voxels under a mask, and those of the values, hold the least of all others; and how
-/// many they are.
+/// A copy of an array in which voxels under a mask, and those with the values, get the minimum of all others;
+/// and their number.
 fn hide<'py>(
     array: &Bound<'py, PyAny>,
     mask: Option<&Bound<'py, PyAny>>,
@@ -223,7 +223,7 @@ fn hide<'py>(
     let numpy = py.import("numpy")?;
     calling(py, || {
         let copy = numpy.call_method1("array", (asarray(array)?,))?;
-        // As they are compared in a file: rounded to 32-bit floats.
+        // Compared as in a file: rounded to 32-bit floats.
         let narrow = copy.call_method1("astype", ("float32",))?;
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {
@@ -243,13 +243,13 @@ fn hide<'py>(
     })
 }
 
-/// Says something to whoever calls, once for each place.
+/// Warns the caller, once for each place.
 fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
     let text = std::ffi::CString::new(text)?;
     PyErr::warn(py, &py.get_type::<pyo3::exceptions::PyUserWarning>(), &text, 1)
 }
 
-/// A slice over everything that an array's strides reach.
+/// A slice over all elements within an array's strides.
 ///
 /// # Safety
 /// `at` points at the first element of an array of `T` whose memory lives as long as the result is used, and
@@ -358,7 +358,7 @@ impl Volume {
                      low end; fill=None takes it as data"
                 ),
             )?;
-            // Voxels below the range count as its low end as they are.
+            // Voxels below the range clamp to its low end without conversion.
             if found.iter().any(|f| *f > high) {
                 let (hidden, _) = hide(array, None, &found)?;
                 let none = Fill::Values(Vec::new());
@@ -367,7 +367,7 @@ impl Volume {
                 return Ok(data);
             }
         }
-        // What is said to be data counts in the range, however far it lies.
+        // Declared values count in the range, however far they lie.
         let view = match (range, fill) {
             (None, Fill::Values(_)) if !matches!(scalars, Scalars::U8(_)) => {
                 let options = VolumeOptions { range: Some(detached(py, || view.own_range())), ..options };
@@ -421,9 +421,9 @@ impl Volume {
     }
 
     /// The next time step: another array of the same shape and type, or the same one after it was written to.
-    /// Spacing, origin, axes and range are this volume's. What changed is found in one pass over the voxels,
-    /// much faster than the scan of a volume, and only that is scanned again; the first time step is scanned
-    /// whole. :meth:`Session.set_volume` with it keeps what was learned of the scene.
+    /// Spacing, origin, axes and range are this volume's. Changes are found in one pass over the voxels, much
+    /// faster than the scan of a volume, and only changed cells are scanned again; the first time step is
+    /// scanned whole. :meth:`Session.set_volume` with it keeps the learned state of the scene.
     ///
     /// Parameters ---------- array : array_like, 3-D Voxels of the next time step. changed : ((int, int),
     /// (int, int), (int, int)), optional Where the caller knows what changed: first index and end along each
@@ -458,7 +458,7 @@ impl Volume {
         let mut data = Self::look_at(py, array, spacing, before.origin, before.order, range, &fill)?;
         data.series = before.series.clone();
         let mut series = before.series.lock(py)?;
-        // What changed since another time step nobody said.
+        // Changes since another time step were not given.
         let changed = changed.filter(|_| before.step == series.step || series.kept.is_none());
         let changed = changed.map(|axes| before.order.map(|axis| axes[axis].0..axes[axis].1));
         let mut kept = match series.kept.take() {

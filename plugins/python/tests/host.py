@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Runs pytest with the VTK of the Python at hand (a distribution's, ParaView's), and with the wheel and pytest of an environment.
+"""Runs pytest with the VTK of the running Python (a distribution's, ParaView's), and with the wheel and pytest of an
+environment.
 
 PYTHON host.py SITE_PACKAGES ARGUMENT...
 """
 
 import sys
 
-# Behind what the Python at hand has.
+# After the running Python's own folders.
 sys.path = [folder for folder in sys.path if folder] + [sys.argv[1]]
 
 import pytest  # noqa: E402

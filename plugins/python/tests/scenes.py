@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Volumes in a VTK window, made of the parts that the tests of the C++ class use."""
+"""Volumes in a VTK window, from the parts of the C++ class's tests."""
 
 import math
 
@@ -64,5 +64,5 @@ class View:
             self.window.Render()
 
     def pixels(self):
-        """What the window shows, as [y, x, rgb] bytes, without drawing it again."""
+        """Pixels of the window, as [y, x, rgb] bytes, without drawing it again."""
         return pixels(self.window)

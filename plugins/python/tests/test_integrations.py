@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""trame, yt and the examples: each drawn for real, and what cannot be steered says why."""
+"""trame, yt and the examples with real drawing; refusals name their reason."""
 
 import asyncio
 import re
@@ -34,7 +34,7 @@ def test_example_of_vtk(tmp_path):
 
 
 def test_examples_of_pyvista_and_trame(tmp_path):
-    """Each in the midst of a motion, steered; the script fails where one is not."""
+    """Each is steered in the middle of a motion; the script fails if one is not."""
     for needed in ("pyvista", "trame_pyvista", "trame_vuetify"):
         pytest.importorskip(needed)
     example("pictures.py", "--environment", "test", "--only", "pyvista,trame", "--out", tmp_path)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The tutorial runs from top to bottom and shows what it says."""
+"""The tutorial runs from top to bottom with the outputs that its text states."""
 
 from pathlib import Path
 

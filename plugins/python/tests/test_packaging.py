@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What is said of the package in more than one place agrees."""
+"""Statements about the package agree wherever they stand."""
 
 import re
 from importlib import metadata

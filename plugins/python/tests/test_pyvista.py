@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""PyVista: three lines, widgets, several renderers, pictures that are kept."""
+"""PyVista: three lines, widgets, several renderers, kept pictures."""
 
 import numpy as np
 import pytest

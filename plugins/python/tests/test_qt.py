@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""vispy and napari in windows of Qt: drawn for real, and what cannot be steered says why."""
+"""vispy and napari in windows of Qt with real drawing; refusals name their reason."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ pytest.importorskip("vispy")
 
 import entire
 
-# No machine draws a frame within this, however fast it is: steering has something to save everywhere.
+# A target that no machine meets, however fast it is, so that steering must coarsen everywhere.
 TOO_LITTLE = 1e-6
 
 
@@ -41,7 +41,7 @@ def canvas(voxels):
 
 
 def test_examples_of_vispy_and_napari(tmp_path):
-    """Each in the midst of a motion, steered; the script fails where one is not."""
+    """Each is steered in the middle of a motion; the script fails if one is not."""
     script = Path(__file__).parent.parent / "examples" / "pictures.py"
     run = subprocess.run(
         [sys.executable, script, "--environment", "qt", "--out", tmp_path],
@@ -79,7 +79,7 @@ def test_vispy(canvas):
     assert len(holder.history) >= 15
     assert holder.step > 1
     assert holder.reason not in ("still", "fallback")
-    # What is rendered to an image is at full quality, also between steered frames.
+    # A rendering to an image is at full quality, also between steered frames.
     view.camera.azimuth = 0
     assert np.array_equal(made.render()[..., :3], plain[..., :3])
     assert visual.relative_step_size == own

@@ -10,7 +10,7 @@ CAMERA = entire.Camera.arcball(20, 30, 2.5)
 
 
 def drawn(plan, speed=1.0):
-    """A renderer whose time goes with the samples that a plan asks for."""
+    """A renderer whose time is proportional to the samples of the plan."""
     return speed * (1e-3 + 2e-7 * plan.size[0] * plan.size[1] / plan.step)
 
 
@@ -62,7 +62,7 @@ def test_what_was_learned_is_kept(voxels, tf, tmp_path):
         plan = first.plan(entire.Camera.arcball(20, 7 * i, 2.5), tf, (640, 480), target=0.01)
         first.observe(plan, drawn(plan, speed=20))
     first.save(tmp_path / "learned")
-    # Whole, under its own name, with nothing beside it; elsewhere nothing is left and the file is named.
+    # The file is whole, under its own name, without a temporary one beside it; a failure leaves no file and names it.
     assert [p.name for p in tmp_path.iterdir()] == ["learned"]
     assert (tmp_path / "learned").read_bytes() == first.save_state()
     with pytest.raises(OSError, match="nowhere"):
@@ -165,7 +165,7 @@ def test_a_model_of_another_clock_is_brought_to_this_one(voxels, tf):
     model = entire.Session(volume, model="unshaded-selected")
 
     def second(clock):
-        """What is expected of the second frame over what it takes, where each takes a quarter of the model's time."""
+        """Expected over measured time of the second frame, where each takes a quarter of the model's time."""
         session = entire.Session(volume, model="unshaded-selected")
         session.set_timing_source("a renderer", clock)
         session.set_limits(1, 1)
@@ -188,7 +188,7 @@ def test_parallel_cameras_agree(voxels, tf):
     assert straight.fov is None and straight.parallel_scale == pytest.approx(0.9)
     assert entire.Camera.arcball(0, 0, 2.5).parallel_scale is None
     cameras = [straight]
-    # Nothing depends on the distance.
+    # The distance has no effect.
     for distance in (2.5, 40):
         eye = center + distance * radius * np.array((0, 0, 1))
         view = np.eye(4)
@@ -200,12 +200,12 @@ def test_parallel_cameras_agree(voxels, tf):
                 volume, view.ravel(), np.eye(4).ravel(), np.eye(3).ravel(), center, 45.0, 0.9 * radius
             ),
         ]
-    # The matrix that OpenGL has: half of the height is 0.9 radii, the width is by 100 : 80.
+    # OpenGL's matrix: half of the height is 0.9 radii, the width is by 100 : 80.
     clip = np.diag([1 / (0.9 * radius * 1.25), 1 / (0.9 * radius), -0.01, 1.0]) @ view
     cameras.append(entire.Camera.projection(volume, clip))
     times = [seconds(camera) for camera in cameras]
     assert np.allclose(times, times[0], rtol=1e-3), times
-    # A narrow lens far away sees nearly the same.
+    # A narrow field of view far away sees nearly the same.
     angle = 2 * np.degrees(np.arctan(0.9 / 300))
     assert seconds(entire.Camera.arcball(0, 0, 300, angle)) == pytest.approx(times[0], rel=0.02)
     # Jumps are those of the scale and of the projection.
@@ -346,7 +346,7 @@ def test_calibration_finds_the_renderer(voxels, tf):
     truth = entire.Session(volume)
 
     def renderer(camera, size, step):
-        # A machine of its own: 40 times the untrained model's seconds and a cost per frame.
+        # Another machine: 40 times the untrained model's seconds and a fixed cost per frame.
         return 2e-3 + 40 * truth.predict(camera, tf, size, step=step).seconds
 
     calibration = entire.Calibration()

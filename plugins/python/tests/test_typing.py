@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Stubs agree with the module, users' code with the stubs, examples in docstrings with what happens."""
+"""Stubs agree with the module, users' code with the stubs, examples in docstrings with their outputs."""
 
 import doctest
 import importlib
@@ -20,7 +20,7 @@ HERE = Path(__file__).parent
 def mypy(*arguments):
     pytest.importorskip("mypy")
     command = [sys.executable, "-m", *arguments]
-    # The package that is installed, not a folder that happens to be the current one.
+    # The installed package, not a folder that happens to be the current one.
     return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=HERE.parent)
 
 

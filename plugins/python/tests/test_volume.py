@@ -38,8 +38,7 @@ def test_other_types_are_converted_to_the_same_values(voxels, dtype, tf):
     assert volume.copied is (dtype != "bool")
     expected = entire.Volume(plain.astype(np.float32), range=(0, 127))
     assert np.array_equal(np.asarray(volume.array, np.float32), np.asarray(expected.array))
-    # The type itself enters the cost of a sample, so times may differ a little; which voxels are visible may
-    # not.
+    # The type itself affects the cost of a sample, so times may differ a little; the visible voxels may not.
     assert np.allclose(seconds(volume, tf), seconds(expected, tf), rtol=0.6)
 
 
@@ -152,7 +151,7 @@ def test_time_steps_are_as_volumes_of_their_own(voxels, dtype, axes, tf):
         alone = entire.Volume(array.copy(), (1, 2, 3), axes=axes, range=(0, 255))
         assert volume.range == (0, 255) and volume.spacing == (1, 2, 3) and volume.shape == alone.shape
         assert np.array_equal(seconds(volume, tf), seconds(alone, tf))
-    # From an earlier step on, what changed is found, whatever was said of it.
+    # From an earlier step on, changes are found, whatever the caller declared.
     array[20:] = 0
     branch = first.next(array, ((0, 1), (0, 1), (0, 1)))
     assert np.array_equal(seconds(branch, tf), seconds(entire.Volume(array.copy(), (1, 2, 3), axes=axes, range=(0, 255)), tf))
@@ -201,7 +200,7 @@ def test_fill_values_do_not_decide_the_range(fill):
     assert entire.Volume(array, fill=None).range == (min(fill, expected.min()), max(np.float32(fill), expected.max()))
     with pytest.warns(UserWarning, match="hidden by a mask or a fill value"):
         assert entire.Volume(array, fill=fill).range == volume.range
-    # The next time step hides the same values, and says nothing.
+    # The next time step hides the same values, without a warning.
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert volume.next(array).range == volume.range

@@ -69,10 +69,10 @@ def test_frames_are_held(voxels, kind):
     leaf = steering.leaves[0]
     assert leaf.sample_distance > 1.0 or leaf.image_sample_distance > 1.0 or kind == "smart"
     history = steering.history
-    # Times belong to benchmarks; that it coarsens about as far as it has to is visible on any machine.
+    # Times are for benchmarks; that it coarsens to about the right extent is visible on any machine.
     late = np.asarray(history.measured)[20:] / target
     assert 0.3 < np.median(late) < 1.6
-    # Between frames the mapper is as the application left it.
+    # Between frames the mapper has the application's settings.
     assert settings(volume.GetMapper()) == (before if kind != "smart" else settings(volume.GetMapper()))
     steering.detach()
     assert volume.GetMapper() is mapper
@@ -169,7 +169,7 @@ def test_several_volumes_share_the_time(voxels):
     assert all(leaf.reason not in ("", "still", "fallback") for leaf in steering.leaves)
     steps = [leaf.sample_distance * leaf.image_sample_distance**2 for leaf in steering.leaves]
     assert min(steps) > 1
-    # A volume that is added later joins, one that is removed leaves as it came.
+    # A volume that is added later is steered, a removed one gets its settings back.
     later = add_volume(view.renderer, voxels[:16])
     view.draw(3)
     assert len(steering.leaves) == 3
@@ -179,7 +179,7 @@ def test_several_volumes_share_the_time(voxels):
     assert settings(left.GetMapper())[0] == 1.0
     assert not left.GetMapper().HasObserver("VolumeMapperRenderStartEvent")
     assert later in [leaf.volume for leaf in steering.leaves]
-    # One that is gone is forgotten: another may come to lie at its address.
+    # A deleted volume is forgotten: another may get its address.
     address = later.__this__
     view.renderer.RemoveVolume(later)
     del later
@@ -230,7 +230,7 @@ def test_scene_changes_are_followed(voxels):
     view.draw(3)
     assert steering.status == ""
     assert not mapper.HasObserver("VolumeMapperRenderStartEvent")
-    # An own setting of the application that it makes meanwhile is kept.
+    # A setting that the application makes meanwhile is kept.
     other.SetAutoAdjustSampleDistances(0)
     other.SetSampleDistance(0.5)
     view.draw(2)
@@ -243,7 +243,7 @@ def test_scene_changes_are_followed(voxels):
     other.SelectScalarArray("dose")
     view.draw(2)
     assert steering.status == ""
-    # Lighting is no new transfer function, a point of one is.
+    # Changed lighting is no new transfer function, a changed point is one.
     leaf, prop = steering.leaves[0], volume.GetProperty()
     read = leaf._tf
     prop.SetAmbient(0.4)
@@ -273,7 +273,7 @@ def test_only_other_functions_are_new(voxels, kind):
         change()
         view.draw(1)
         assert steering.status == ""
-        # Looked at once either way.
+        # Read once either way.
         assert leaf._tf_key == entire.vtk._scene.transfer_key(prop)
         return leaf._tf is not read
 
@@ -292,7 +292,7 @@ def test_only_other_functions_are_new(voxels, kind):
         lambda: prop.GetRGBTransferFunction(0).AddRGBPoint(100, 0.2, 0.9, 0.2),
         lambda: prop.SetScalarOpacityUnitDistance(3.5),
         lambda: prop.SetScalarOpacity(opacity_function(TRANSPARENT)),
-        # Its functions are to be given to the session again.
+        # Its functions must be given to the session again.
         lambda: volume.GetMapper().SetInputData(image_data(voxels[:30])),
     ):
         assert is_new(other)
@@ -318,7 +318,7 @@ def test_voxels_that_change_in_place_are_read_again(voxels, kind):
         read = leaf._grid
         view.draw(1)
         assert leaf._grid is read
-    # The scalars' own range is as old as what they say of themselves.
+    # The scalars' own range is as old as their modification time.
     assert leaf._grid.range == (0.0, 69.0)
     assert steering.status == ""
 
@@ -335,7 +335,7 @@ def test_a_producer_that_exchanges_its_output_is_followed(voxels, kind):
     view.draw(3)
     leaf, told = steering.leaves[0], mapper.GetMTime()
     assert leaf._grid.volume.shape == (48, 48, 48)
-    # Neither the mapper nor the image before tells of it.
+    # Neither the mapper nor the earlier image shows the change.
     producer.SetOutput(other)
     assert mapper.GetMTime() == told
     view.draw(2)
@@ -351,9 +351,9 @@ def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
     waits, wait = [], view.window.WaitForCompletion
     view.window.__dict__["WaitForCompletion"] = lambda: (waits.append(0), wait())
     try:
-        # One rule measures frames that are steered and those that a model is fitted to.
+        # Steered frames and calibration frames are timed by the same rule.
         entire.vtk.calibrate(view.renderer, volume, frames=10)
-        # Twelve frames that are fitted to, then four scenes at twelve settings, each drawn twice.
+        # Twelve frames for the fit, then four scenes at twelve settings, each drawn twice.
         assert len(waits) == (2 * (12 + 4 * 12 * 2) if kind == "gpu" else 0)
         waits.clear()
         entire.vtk.hold(view.renderer, volume, 100.0)
@@ -555,7 +555,7 @@ def test_a_model_of_another_clock_is_said_once(voxels):
     assert steering.status == ""
     session = steering.leaves[0].session
     assert (session.clock, session.model_clock) == ("wall", "cpu")
-    # A model of this clock, or of none, is no matter.
+    # A model of this clock, or without a clock, causes no warning.
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=".*clock")
         same = entire.vtk.hold(view.renderer, volume, 0.004, model="unshaded-selected", clock="cpu")
@@ -563,7 +563,7 @@ def test_a_model_of_another_clock_is_said_once(voxels):
         none = entire.vtk.hold(view.renderer, volume, 0.004)
         assert (none.clock, none.model_clock) == ("wall", None)
         assert "wall clock" in repr(none)
-        # An error of it leaves the scene as it is.
+        # A warning as an error leaves the scene unchanged.
         with pytest.raises(UserWarning, match="cpu clock"):
             entire.vtk.hold(view.renderer, volume, 0.004, model="unshaded-selected")
     assert none.leaves
@@ -578,7 +578,7 @@ def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
     learned = leaf.session
     steering.save(state)
     steering.load(state)
-    # Another mapper of the class goes on with it, one of another class begins.
+    # Another mapper of the class continues with it, one of another class starts from scratch.
     for kind, same in (("gpu", True), ("fixed", False)):
         mapper = MAPPERS[kind]()
         mapper.SetInputData(image_data(voxels))
@@ -586,14 +586,14 @@ def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
         view.draw(2)
         assert steering.status == ""
         assert (leaf.session is learned) == same
-    # What load() was given is the GPU mapper's.
+    # The state given to load() is the GPU mapper's.
     assert any("renderer" in note for note in steering.notes)
     with pytest.raises(entire.ModelError, match="renderer"):
         steering.load(state)
     timed = entire.vtk.hold(view.renderer, add_volume(view.renderer, voxels), 0.004, clock="cpu")
     with pytest.raises(entire.ModelError, match="clock"):
         timed.load(state)
-    # Of several volumes those take it up that it belongs to.
+    # Of several volumes, those to which the state belongs load it.
     timed.detach()
     both = entire.vtk.hold(view.renderer, seconds=0.004)
     assert len(both.leaves) == 2
@@ -640,7 +640,7 @@ def test_picking_is_left_alone(voxels, kind):
     view = View()
     volume = add_volume(view.renderer, voxels, kind)
     mapper = volume.GetMapper()
-    # No machine draws a frame within this.
+    # No machine meets this target.
     steering = entire.vtk.hold(view.renderer, volume, 1e-6)
     view.draw(4)
     assert steering.sample_distance > 1.5
@@ -658,14 +658,14 @@ def test_picking_is_left_alone(voxels, kind):
     selector.SetArea(0, 0, 199, 199)
     selector.SetFieldAssociation(vtkDataObject.FIELD_ASSOCIATION_CELLS)
     selector.Select()
-    # It is drawn as the application has it, is no frame, and teaches nothing.
+    # It is drawn with the application's settings, is no frame, and is not observed.
     assert seen and all(each == own for each in seen)
     assert told == []
     assert counted() == before
     assert steering.sample_distance == distance
     assert steering.leaves[0].session is session
     assert session.save_state() == state
-    # Where a frame does.
+    # A frame does.
     seen.clear()
     view.draw(1)
     mapper.RemoveObserver(tag)

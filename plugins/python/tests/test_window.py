@@ -26,7 +26,7 @@ def test_a_stereo_frame_has_one_budget_for_both_eyes(voxels, kind):
     view.draw(14)
     leaf = held.leaves[0]
     assert leaf._passes == 2
-    # Each eye has half of what is left to both.
+    # Each eye gets half of the time for both.
     assert held._share(leaf) == pytest.approx(0.5 * held._left)
     assert held.steered_frames == 2 * held.frames
 
@@ -44,7 +44,7 @@ def test_no_viewport_is_empty_however_coarse(voxels, kind):
     view.draw(1)
     full = view.pixels()[:, 100:].mean()
     assert full > 1
-    # A target that nothing meets: both are as coarse as they may be.
+    # A target that cannot be met: both are as coarse as allowed.
     held = entire.vtk.hold(other, seconds=1e-5, clock="cpu")
     view.draw(8)
     assert held.sample_distance > 2

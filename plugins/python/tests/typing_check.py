@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Code of users as type checkers see it; never run."""
+"""Users' code for type checkers; never run."""
 
 from __future__ import annotations
 

@@ -46,8 +46,8 @@ struct SpacingMembers : vtkVolumeMapper
   }
 };
 
-// Those of vtkMultiBlockVolumeMapper are private and nothing gives them out. An explicit instantiation may
-// name private members; this one hands out the pointer to the member.
+// Those of vtkMultiBlockVolumeMapper are private without an accessor. An explicit instantiation may name private
+// members; this one returns the pointer to the member.
 template <typename Tag, typename Tag::Type Member>
 struct MemberOf
 {
@@ -94,7 +94,7 @@ void Keep(T& own, const T& now, const T& written)
   }
 }
 
-// Mappers that are steered at the moment, and by whom: few.
+// Mappers that are being steered, and their steerings: few.
 std::mutex ClaimsMutex;
 std::vector<std::pair<const vtkVolumeMapper*, const void*>>& Claims()
 {

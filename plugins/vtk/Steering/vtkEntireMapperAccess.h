@@ -27,14 +27,14 @@ struct LeafMapper
 // steered.
 void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& found);
 
-// The sample distance that a mapper takes where it is locked to the spacing of its input.
+// The sample distance of a mapper that is locked to the spacing of its input.
 double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* image);
 
 // The settings of a mapper that steering changes. `gpu` is that of its LeafMapper.
 //
-// They are written to the members themselves: nobody is told, and the mapper's MTime stays. They are the mapper's
-// for one frame only, and the GPU mapper, which looks at its distances in every frame, composes its shader again
-// where its MTime has moved.
+// They are written to the members directly, without an event, and the mapper's MTime stays: the GPU mapper would
+// compose its shader again if it moved, and reads its distances in every frame anyway. They are the mapper's for one
+// frame only.
 struct MapperSettings
 {
   float SampleDistance = 1.0f;
@@ -44,12 +44,12 @@ struct MapperSettings
 
   static MapperSettings Read(vtkVolumeMapper* mapper, bool gpu);
   void Write(vtkVolumeMapper* mapper, bool gpu) const;
-  // These settings, but those of `now` that are not as they were `written`: somebody else changed them since.
+  // These settings, except those of `now` that differ from `written`: another caller has changed them since.
   MapperSettings Keeping(const MapperSettings& now, const MapperSettings& written) const;
 };
 
-// The settings of a smart mapper that would undo those of the fixed-point mapper inside it. Written as those of
-// mappers are.
+// The settings of a smart mapper that would override those of the fixed-point mapper inside it. Written like those of
+// mappers.
 struct SmartSettings
 {
   vtkTypeBool AutoAdjust = 0;
@@ -61,8 +61,7 @@ struct SmartSettings
   SmartSettings Keeping(const SmartSettings& now, const SmartSettings& written) const;
 };
 
-// The settings of a mapper are changed by one at a time: false where another than `who` has claimed the
-// mapper.
+// Claims a mapper for one steering: false if another than `who` has claimed it.
 bool ClaimMapper(const vtkVolumeMapper* mapper, const void* who);
 void ReleaseClaim(const void* who);
 }

@@ -321,7 +321,7 @@ std::string ReadCamera(
   {
     return "the volume's matrix shears the volume; rotations, translations and scales can be predicted";
   }
-  // A rotation as exact as single precision needs; a mirrored volume counts as its mirror image.
+  // A rotation to single precision; a mirrored volume is replaced by its mirror image.
   double across[3];
   vtkMath::Cross(axes[0], axes[1], across);
   vtkMath::Normalize(across);

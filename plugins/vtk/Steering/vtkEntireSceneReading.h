@@ -22,13 +22,13 @@ class vtkVolumeProperty;
 
 namespace vtkEntire
 {
-// What a session's volume was made from. Reading it again is needed when one of these changes.
+// Inputs of a session's volume. Reading it again is needed when one of these changes.
 struct VolumeKey
 {
   // Compared only; the array may be gone.
   const vtkDataArray* Array = nullptr;
-  // Of the whole image: an application that changes voxels in place may tell the image alone, and VTK's mappers
-  // load an image again where this moved.
+  // The MTime of the whole image: an application that changes voxels in place may modify only the image, and VTK's
+  // mappers load an image again if this moved.
   vtkMTimeType Time = 0;
   int Component = 0;
   std::array<int, 3> Dimensions{ { 0, 0, 0 } };
@@ -43,22 +43,22 @@ struct VolumeKey
   }
 };
 
-// What a session's transfer function was made from.
+// Inputs of a session's transfer function.
 struct TransferNodes
 {
   std::vector<entire_opacity_node> Opacities;
-  // None where the volume is gray.
+  // Empty if the volume is gray.
   std::vector<entire_color_node> Colors;
   bool Clamping = true;
   // Scalar opacity's unit distance.
   float Unit = 1;
-  // Of the scalars.
+  // Range of the scalars.
   std::array<double, 2> Range{ { 0, 0 } };
 
   bool operator==(const TransferNodes& o) const;
 };
 
-// Where a mapper's voxels lie.
+// Position of a mapper's voxels.
 struct VoxelGrid
 {
   VolumeKey Key;
@@ -71,7 +71,7 @@ struct VoxelGrid
   double Reference = 1;
 };
 
-// When what ReadGrid() reads was changed last. Times are never given twice, so equal stamps are of one state.
+// Time of the last change of ReadGrid()'s inputs. Times are unique, so equal stamps mean the same state.
 struct GridStamp
 {
   const vtkImageData* Image = nullptr;
@@ -91,8 +91,8 @@ struct GridStamp
 std::string ReadGrid(
   vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
 
-// The voxels of the grid's box. The volume borrows them where the library reads their type: use it before the
-// scene changes. `range` receives the least and the largest scalar value.
+// The voxels of the grid's box. The volume borrows them if the library reads their type: use it before the scene
+// changes. `range` receives the minimum and maximum scalar value.
 std::string ReadVoxels(
   const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range);
 
@@ -103,15 +103,14 @@ void ReadTransferNodes(
 std::string MakeTransferFunction(
   const TransferNodes& nodes, std::optional<entire::transfer_function>& function);
 
-// The smallest spacing of a volume as its matrix places it: the sample distance of VTK's GPU mapper where it
-// adjusts by itself.
+// The smallest spacing of a volume after its matrix: the sample distance of VTK's GPU mapper if it adjusts by itself.
 double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
 
-// The eye as the library has it: relative to the volume's axes, lengths in the unit of the volume's spacing.
+// The eye in the library's convention: relative to the volume's axes, lengths in the unit of the volume's spacing.
 std::string ReadCamera(
   vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
 
-// Whether the renderer draws this volume, by itself or as a part of an assembly.
+// True if the renderer draws this volume, by itself or as a part of an assembly.
 bool IsDrawnBy(vtkRenderer* renderer, vtkVolume* volume);
 }
 

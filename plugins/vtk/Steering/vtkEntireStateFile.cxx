@@ -35,7 +35,7 @@ std::string NotRegular(const char* name)
   return std::string(name) + " is not a regular file; give a file that SaveState() wrote";
 }
 
-// A name beside `name` that nobody can foresee.
+// An unpredictable name beside `name`.
 std::string Beside(const char* name)
 {
   std::random_device random;
@@ -155,7 +155,7 @@ std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
   {
     return NotRegular(name);
   }
-  // The size is counted, not believed: the file may grow meanwhile.
+  // The bytes are counted, since the file may grow meanwhile.
   std::vector<std::uint8_t> all;
   std::array<std::uint8_t, 16384> block;
   for (;;)

@@ -19,15 +19,14 @@
 
 namespace
 {
-// Least share of the target that a mapper is given, however much the rest of the frame takes.
+// Smallest share of the target for a mapper, however long the rest of the frame takes.
 constexpr double LEAST_SHARE = 0.2;
 
-// The coarsest image that the library is asked for, relative to the mapper's own, and the coarsest that VTK
-// takes.
+// The library's limit of the image's coarsening, relative to the mapper's own, and VTK's limit.
 constexpr double COARSEST_IMAGE = 64;
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
 
-// What coarser steps and smaller images cost the mappers' pictures, as entire_session_set_quality() has it, of VTK 9.1
+// Quality laws of the mappers' pictures, as entire_session_set_quality() takes them, of VTK 9.1
 // (lab/scripts/vtk/tradeoff.py).
 constexpr std::array<float, 4> FIXED_POINT_QUALITY{ { 5.9F, 0.97F, 1.54F, 0.33F } };
 constexpr std::array<float, 4> GPU_QUALITY{ { 8.5F, 1.22F, 0.78F, 0.15F } };
@@ -57,8 +56,8 @@ const char* ReasonName(entire_reason reason)
   }
 }
 
-// Puts settings back once more when the renderer is done. The fixed-point mapper ends its drawing by writing
-// the sample distance that it began with, over what was put back meanwhile.
+// Restores settings once more at the renderer's end. The fixed-point mapper ends its drawing by writing the sample
+// distance with which it began, over the restored one.
 class RestoreLater : public vtkCommand
 {
 public:
@@ -110,7 +109,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Release()
   }
   if (this->Steered && this->SetEarly() && this->DrawnIn)
   {
-    // In the middle of the renderer's frame, perhaps of the mapper's.
+    // Called in the middle of the renderer's frame, perhaps of the mapper's.
     vtkNew<RestoreLater> later;
     later->Mapper = this->Mapper;
     later->Own = this->Own;
@@ -149,7 +148,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::UpdateGrid(
 }
 
 //------------------------------------------------------------------------------
-// Hands the voxels (those inside the cropping box) to the session when they changed.
+// Passes the voxels (those inside the cropping box) to the session if they changed.
 std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
 {
   if (this->Session && !(this->Grid.Key != this->Volume))
@@ -186,7 +185,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
 }
 
 //------------------------------------------------------------------------------
-// A property changes for many reasons; to the session only other functions are new.
+// A property changes for many reasons; only different functions matter to the session.
 std::string vtkEntireSteering::vtkInternals::Leaf::SetTransferFunction(vtkVolumeProperty* property)
 {
   const vtkMTimeType time = property->GetMTime();
@@ -194,7 +193,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetTransferFunction(vtkVolume
   {
     return {};
   }
-  // A property without functions makes some when it is asked for them, and says so.
+  // A property without functions makes some on request, with a modified event.
   const std::shared_ptr<entire::session> session = this->Session;
   vtkEntire::ReadTransferNodes(property, this->Range, this->Nodes);
   if (!this->HasTransfer || !(this->Nodes == this->Transfer))
@@ -242,7 +241,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float
   }
   if (limits[3] == 0 && this->Session->quality().value().image_weight == 0)
   {
-    // The model states nothing of this mapper's pictures.
+    // The model states no quality law of this mapper's pictures.
     const std::array<float, 4>& q = this->Gpu ? GPU_QUALITY : FIXED_POINT_QUALITY;
     if (const entire::status set = this->Session->set_quality(q[0], q[1], q[2], q[3]); !set)
     {
@@ -254,7 +253,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float
 }
 
 //------------------------------------------------------------------------------
-// Changes that the library cannot see are told; it sees smooth motion by itself.
+// Announces changes that the library cannot see; it sees smooth motion by itself.
 void vtkEntireSteering::vtkInternals::Leaf::MarkChanges(
   const vtkEntire::ModeKey& mode, const entire::frame& frame)
 {
@@ -328,7 +327,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   this->Own = vtkEntire::MapperSettings::Read(mapper, this->Gpu);
   const double rate = window->GetDesiredUpdateRate();
   const bool still = rate < owner->StillUpdateRate;
-  // Where VTK adjusts by itself, the image sample distance that it left is that of an earlier frame.
+  // If VTK adjusts by itself, its image sample distance is that of an earlier frame.
   const double ownImage = this->Own.AutoAdjust ? 1.0 : std::max(0.1f, this->Own.ImageSampleDistance);
   double finest = this->Own.SampleDistance;
   if (this->Gpu && this->Own.AutoAdjust)
@@ -353,7 +352,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   }
   if (!this->Alive || !this->Session)
   {
-    // An observer of what was read here let go of it.
+    // An observer of an object that was read here has detached.
     return {};
   }
   const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(),
@@ -384,11 +383,11 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     finest = std::max(1.0 / 64, owner->FinestSampleDistance);
   }
   const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
-  // The GPU mapper draws smaller images in viewports at the window's origin alone; elsewhere they stay empty.
+  // The GPU mapper draws smaller images only in viewports at the window's origin; elsewhere they stay empty.
   const int* const origin = renderer->GetOrigin();
   const bool whole = !this->Gpu || (origin[0] == 0 && origin[1] == 0);
   const double coarsestImage = whole ? std::max(ownImage, owner->CoarsestImageSampleDistance) : ownImage;
-  // Ray step and image are coarsened together, the one first that shows less for the time that it saves.
+  // Ray step and image are coarsened together, first the one that adds less error for the saved time.
   frame.step = static_cast<float>(finest);
   failure = this->SetLimits(static_cast<float>(finest), static_cast<float>(coarsest),
     static_cast<float>(std::min(COARSEST_IMAGE, coarsestImage / ownImage)));
@@ -486,7 +485,7 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
   }
   if (this->Outer)
   {
-    // Which of its mappers a smart mapper draws with is known from what it was told or did last.
+    // The inner mapper of a smart mapper is known from its requested or last render mode.
     const int mode = this->Outer->GetRequestedRenderMode();
     if ((mode == vtkSmartVolumeMapper::DefaultRenderMode ? this->Outer->GetLastUsedRenderMode() : mode) !=
       vtkSmartVolumeMapper::RayCastRenderMode)
@@ -509,7 +508,7 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
     if (!this->Alive || !this->Internals->Renderer ||
       !vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume))
     {
-      // An observer of the pipeline let go of the volume, or took it from the renderer.
+      // An observer of the pipeline detached the volume, or removed it from the renderer.
       return;
     }
   }
@@ -555,7 +554,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
 }
 
 //------------------------------------------------------------------------------
-// What the graphics device was given before the mapper begins, or by it, is done: a time from the one to the other
+// Waits until the graphics device has finished its work, before or after the mapper: a time from the one to the other
 // is the mapper's own.
 void vtkEntireSteering::vtkInternals::Leaf::DrainQueue()
 {
@@ -598,7 +597,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Plan()
 }
 
 //------------------------------------------------------------------------------
-// Puts back what the application had set; what it has set since then stays.
+// Restores the application's settings; those that it has changed since then stay.
 void vtkEntireSteering::vtkInternals::Leaf::Restore()
 {
   if (!this->Steered)
@@ -638,15 +637,14 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
   }
   else if (this->Steered && this->Mapper)
   {
-    // The fixed-point mapper is about to write the sample distance that it began with over what the
-    // application set.
+    // The fixed-point mapper is about to write the sample distance with which it began over the application's.
     this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper, false), this->Written);
   }
   if (this->Planned.id != 0 && this->Session)
   {
     vtkRenderWindow* window = this->Internals->Window;
     const bool aborted = window && window->GetAbortRender();
-    // A time that the library refuses teaches nothing.
+    // A time that the library refuses has no effect.
     static_cast<void>(this->Session->observe(
       this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));
     this->Planned = {};

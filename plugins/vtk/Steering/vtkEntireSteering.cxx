@@ -45,7 +45,7 @@ bool vtkEntireSteering::CanSteer(vtkAbstractVolumeMapper* mapper)
 {
   std::vector<vtkEntire::LeafMapper> found;
   vtkEntire::FindLeafMappers(mapper, found);
-  // A multi-block mapper makes the mappers that draw in its first frame.
+  // A multi-block mapper makes its inner mappers in its first frame.
   return !found.empty() || vtkMultiBlockVolumeMapper::SafeDownCast(mapper);
 }
 
@@ -63,11 +63,11 @@ bool vtkEntireSteering::Fail(const std::string& text)
 bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
 {
   const vtkSmartPointer<vtkEntireSteering> self(this);
-  // What LoadState() was given before is for this attachment.
+  // A state from an earlier LoadState() is for this attachment.
   std::vector<std::uint8_t> state;
   state.swap(this->Internals->State);
   this->Detach();
-  // An observer that heard of settings that Detach() put back may have attached again.
+  // An observer of the restored settings may have attached again.
   vtkInternals::ReleaseAll(this->Internals->TakeApart());
   state.swap(this->Internals->State);
   if (!renderer || !volume)
@@ -109,7 +109,7 @@ void vtkEntireSteering::Detach()
   delete[] this->Reason;
   this->Reason = nullptr;
   this->Internals->Report(nullptr, "attached to nothing");
-  // Last: the mappers' observers hear of the settings that are put back.
+  // Last, since the mappers' observers are called for the restored settings.
   vtkInternals::ReleaseAll(leaves);
 }
 
@@ -175,7 +175,7 @@ bool vtkEntireSteering::LoadState(const char* fileName)
   {
     return this->Fail(failure);
   }
-  // Tried on a session of its own first, so that a file that is no state changes nothing.
+  // Tried on a separate session first, so that a file that is no state changes nothing.
   failure = this->Internals->Try(bytes);
   if (!failure.empty())
   {

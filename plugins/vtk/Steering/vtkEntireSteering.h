@@ -69,7 +69,7 @@ public:
   };
 
   /**
-   * Which time of a frame counts.
+   * Clocks for a frame's time.
    */
   enum Clocks
   {
@@ -90,18 +90,18 @@ public:
   bool Attach(vtkRenderer* renderer, vtkVolume* volume);
 
   /**
-   * Whether Attach() takes a volume with this mapper.
+   * True if Attach() takes a volume with this mapper.
    */
   static bool CanSteer(vtkAbstractVolumeMapper* mapper);
 
   /**
-   * Lets go of the volume and forgets what was learned of it. The mapper is left as the application set it.
+   * Releases the volume and drops the learned state. The mapper gets the application's settings.
    */
   void Detach();
 
   ///@{
   /**
-   * What Attach() was given, or nullptr.
+   * The arguments of Attach(), or nullptr.
    */
   vtkRenderer* GetRenderer();
   vtkVolume* GetVolume();
@@ -109,7 +109,7 @@ public:
 
   ///@{
   /**
-   * Whether frames are steered. Default true.
+   * Steering of frames, on or off. Default true.
    */
   vtkSetMacro(Enabled, bool);
   vtkGetMacro(Enabled, bool);
@@ -154,7 +154,7 @@ public:
 
   ///@{
   /**
-   * What coarser steps and smaller images cost the mapper's pictures, and what time they save: image weight, step
+   * Law of the picture error and time of coarser steps and smaller images: image weight, step
    * exponent, image exponent and share of rays as entire_session_set_quality() has them. They decide what of the
    * two is coarsened first where a frame must be faster. Two sets: of vtkFixedPointVolumeRayCastMapper and of
    * vtkGPUVolumeRayCastMapper. With an image weight of 0, the default, they are what the model states of this
@@ -179,7 +179,7 @@ public:
 
   ///@{
   /**
-   * Which clock measures. Default WALL.
+   * The clock of frame times. Default WALL.
    */
   vtkSetClampMacro(Clock, int, WALL, PROCESS_CPU);
   vtkGetMacro(Clock, int);
@@ -189,7 +189,7 @@ public:
 
   ///@{
   /**
-   * How far over the target a frame may be before it counts as missed, as a share of the target, and the
+   * Excess over the target above which a frame counts as missed, as a share of the target, and the
    * share of frames that may be missed. Default 0.25 and 0.02. A changed value starts learning anew.
    */
   vtkSetClampMacro(Tolerance, double, 0.0, 10.0);
@@ -227,7 +227,7 @@ public:
   ///@}
 
   /**
-   * Forgets what was learned.
+   * Resets the learned state.
    */
   void Reset();
 
@@ -248,12 +248,12 @@ public:
   ///@}
 
   /**
-   * Why the last frame was drawn as it was: a word such as "fits" or "held", "still", "off", or "fallback".
+   * Reason of the last frame's settings: a word such as "fits" or "held", "still", "off", or "fallback".
    */
   vtkGetStringMacro(Reason);
 
   /**
-   * In words, why the last frame was not steered, or what went wrong; empty where nothing did.
+   * Reason why the last frame was not steered, or an error; empty without either.
    */
   vtkGetStringMacro(Status);
 
@@ -268,14 +268,14 @@ public:
 
   ///@{
   /**
-   * How often since Attach() the voxels and the transfer function were read: at first, and where they changed.
+   * Number of readings of the voxels and of the transfer function since Attach(): at first, and where they changed.
    */
   vtkGetMacro(NumberOfVolumeReadings, vtkIdType);
   vtkGetMacro(NumberOfTransferFunctionReadings, vtkIdType);
   ///@}
 
   /**
-   * Seconds that the last reading of a volume (at its first frame, and when it changes) took.
+   * Seconds of the last reading of a volume (at its first frame, and when it changes).
    */
   vtkGetMacro(VolumeTime, double);
 

@@ -12,10 +12,9 @@
 
 namespace
 {
-// Rays along each side of the finest probe that frames are measured with for a linear cost model, and the error of
-// the probe from which a plan looks no further; a network's file names its own. Fewer than the library's default:
-// between frames that sweep the caches a ray costs most of a microsecond. A plan begins with 4 rays along each
-// side, which are enough but for sparse volumes.
+// Rays along each side of the finest probe for a linear cost model, and the probe error below which a plan looks no
+// further; a network's file names its own. Fewer than the library's default: between frames that sweep the caches a ray
+// costs most of a microsecond. A plan begins with 4 rays along each side, which are enough except for sparse volumes.
 constexpr std::uint32_t PROBE_SIDE = 7;
 constexpr float PROBE_TOLERANCE = 0.3f;
 
@@ -32,7 +31,7 @@ void Copy(char*& to, const char* text)
   to = copied;
 }
 
-// As models state it; nullptr for none.
+// Name as in models; nullptr for none.
 const char* NameOf(entire_clock clock)
 {
   switch (clock)
@@ -194,7 +193,7 @@ double vtkEntireSteering::vtkInternals::Rest() const
 void vtkEntireSteering::vtkInternals::Observe(vtkRenderer* renderer)
 {
   this->Renderer = renderer;
-  // Before other observers of the start, so that what they do counts as part of the frame.
+  // Before other observers of the start, so that their time counts as part of the frame.
   this->RendererTags[0] =
     renderer->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::RendererStart, 1.0f);
   this->RendererTags[1] = renderer->AddObserver(vtkCommand::EndEvent, this, &vtkInternals::RendererEnd);
@@ -226,7 +225,7 @@ void vtkEntireSteering::vtkInternals::ObserveWindow(vtkRenderWindow* window)
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::FindMappers()
 {
-  // A mapper that is not inside another is found at a glance.
+  // Fast path for a mapper that is not inside another.
   if (this->Volume && this->Drawing.size() == 1 && !this->Drawing[0]->Outer &&
     this->Drawing[0]->Mapper.GetPointer() == this->Volume->GetMapper())
   {
@@ -254,7 +253,7 @@ void vtkEntireSteering::vtkInternals::FindMappers()
       kept.push_back(std::make_shared<Leaf>(this, each));
     }
   }
-  // Those that are left over; their mappers' observers hear of it once the list is whole.
+  // The remaining leaves; their mappers' observers are called once the list is complete.
   kept.swap(this->Drawing);
   ReleaseAll(kept);
 }
@@ -264,7 +263,7 @@ void vtkEntireSteering::vtkInternals::ForEach(void (Leaf::*handle)())
 {
   if (this->Drawing.size() == 1)
   {
-    // As most often; a list costs memory.
+    // The usual case; a list costs memory.
     const std::shared_ptr<Leaf> leaf = this->Drawing[0];
     (leaf.get()->*handle)();
     return;
@@ -285,12 +284,12 @@ void vtkEntireSteering::vtkInternals::RendererStart()
   const std::size_t attachment = this->Attachment;
   if (!renderer || renderer->GetSelector())
   {
-    // What is drawn for a hardware selector is no frame: nobody sees it, and it takes another time.
+    // A drawing for a hardware selector is no frame: it is invisible, and takes another time.
     return;
   }
   this->Rendering = true;
   this->ObserveWindow(renderer->GetRenderWindow());
-  // A renderer without a camera makes one when it is asked for it, and says so.
+  // A renderer without a camera makes one on request, with an event.
   renderer->GetActiveCamera();
   if (this->Attachment != attachment)
   {
@@ -370,7 +369,7 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
   if (drawn)
   {
     this->LeavesLastFrame = this->Drawn;
-    // The first frame holds what is done once.
+    // The first frame includes one-time work.
     if (this->Frames++ > 0 && this->Clean)
     {
       this->Rests[this->RestCount++ % vtkEntire::REST_FRAMES] = std::max(0.0, seconds - this->MapperSeconds);
@@ -464,7 +463,7 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
     auto loaded = made->load_state(this->State);
     if (!loaded)
     {
-      // The frame is drawn without it: what was learned of another renderer says nothing of this one.
+      // The frame is drawn without it: a state of another renderer does not apply to this one.
       this->Warn("LoadState(): " + loaded.message());
       this->State.clear();
     }
@@ -487,7 +486,7 @@ std::string vtkEntireSteering::vtkInternals::Try(const std::vector<std::uint8_t>
     auto loaded = any.value().load_state(state);
     return loaded || loaded.code() == ENTIRE_UNSUPPORTED ? std::string() : loaded.message();
   }
-  // Where none takes it, the reason is that of the one whose state would be saved: the last that was drawn.
+  // If none accepts it, the reason is that of the leaf whose state would be saved: the last drawn one.
   std::string failure;
   const Leaves leaves = this->Drawing;
   const std::shared_ptr<Leaf> last = this->LastLeaf.lock();

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// What vtkEntireSteering is attached to: the window and the renderer (vtkInternals), and each mapper that
+// Attachment of a vtkEntireSteering: the window and the renderer (vtkInternals), and each mapper that
 // draws (Leaf).
 //
 // Observers of any event may call back: detach, attach elsewhere, drop the last reference to the steering.
-// What handles an event therefore holds the owner and the leaf, runs over copies of lists, and asks after
+// A handler of an event therefore holds the owner and the leaf, runs over copies of lists, and asks after
 // each call into VTK that can invoke an event whether the attachment still stands. Warnings wait for the end
 // of the frame.
 #ifndef vtkEntireSteeringInternals_h
@@ -36,15 +36,15 @@ namespace vtkEntire
 {
 constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// How many frames the time outside of the mapper is taken from.
+// Number of frames from which the time outside of the mapper is taken.
 constexpr std::size_t REST_FRAMES = 5;
 
 // Shading, interpolation, blend mode, gradient opacity.
 using ModeKey = std::array<int, 4>;
 
-// Keeps an object alive during a call, as a smart pointer does. A smart pointer that lets go of an algorithm or of
-// a data object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so
-// only where another reference went meanwhile.
+// Keeps an object alive during a call, as a smart pointer does. A smart pointer that releases an algorithm or a data
+// object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so only if another
+// reference was released meanwhile.
 template <class T>
 class Hold
 {
@@ -86,12 +86,11 @@ private:
   int Count = 0;
 };
 
-// Counts what the handling of a frame's events takes, on the wall, less what is handed on to VTK and to the
-// application meanwhile.
+// Measures the wall time of handling a frame's events, without calls to VTK and the application meanwhile.
 class Busy
 {
 public:
-  // An event is handled while this lives; handlers may call each other.
+  // Marks the handling of an event during its lifetime; handlers may call each other.
   class Handling
   {
   public:
@@ -115,7 +114,7 @@ public:
     Busy& Of;
   };
 
-  // Others work while this lives; they may bring about events.
+  // Marks other code's work during its lifetime, which may cause events.
   class Elsewhere
   {
   public:
@@ -168,7 +167,7 @@ private:
 class vtkEntireSteering::vtkInternals
 {
 public:
-  // One mapper that draws, and what is known of it.
+  // One mapper that draws, with its session.
   class Leaf : public std::enable_shared_from_this<Leaf>
   {
   public:
@@ -177,63 +176,61 @@ public:
     Leaf(const Leaf&) = delete;
     void operator=(const Leaf&) = delete;
 
-    // Stops observing the mapper and puts its settings back. What is called afterwards does nothing.
+    // Stops observing the mapper and restores its settings. Later calls do nothing.
     void Release();
 
-    // The renderer begins and ends its frame; the mapper begins and ends.
+    // Called when the renderer begins and ends its frame, and when the mapper does.
     void RendererStart();
     void RendererEnd() { this->Restore(); }
     void Start();
     void End();
 
-    // Reads the volume that the mapper has already, so that the first frame need not; what cannot be read
-    // yet, or not at all, is for the first frame to say.
+    // Reads the mapper's current volume, so that the first frame need not; errors are reported by the first frame.
     void ReadAhead();
 
-    // Forgets what was learned.
+    // Drops the learned state.
     void Forget();
 
     vtkInternals* Internals;
     vtkWeakPointer<vtkVolumeMapper> Mapper;
     vtkWeakPointer<vtkSmartVolumeMapper> Outer;
-    // Whether the mapper is a vtkGPUVolumeRayCastMapper.
+    // True if the mapper is a vtkGPUVolumeRayCastMapper.
     const bool Gpu;
-    // Shared with the event at hand, which Forget() may be called from.
+    // Shared with a running event handler, from which Forget() may be called.
     std::shared_ptr<entire::session> Session;
 
   private:
-    // vtkFixedPointVolumeRayCastMapper takes its sample distances, and the opacities that go with them,
-    // before it announces its start: it is set when its renderer starts, and put back when its renderer is
-    // done. It lies that far ahead only where nobody sets it in between, so not inside a smart mapper that
-    // draws otherwise.
+    // vtkFixedPointVolumeRayCastMapper takes its sample distances, and the opacities that go with them, before it
+    // announces its start: it is set at its renderer's start, and restored at its renderer's end. That early setting
+    // lasts only if nobody else sets it in between, so not inside a smart mapper that draws otherwise.
     bool SetEarly() const { return !this->Gpu; }
     void Plan();
     void Restore();
     void DrainQueue();
-    // Plans the frame and sets the mapper; on failure returns why.
+    // Plans the frame and sets the mapper; returns an error text on failure.
     std::string Prepare();
-    // These read what has changed since they did so last.
+    // These read the data that have changed since their last call.
     std::string UpdateGrid(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property);
     std::string SetVolume();
     std::string SetTransferFunction(vtkVolumeProperty* property);
     std::string SetLimits(float finest, float coarsest, float image);
     void MarkChanges(const vtkEntire::ModeKey& mode, const entire::frame& frame);
-    // A frame that VTK draws alone: learned from where it is known how finely.
+    // A frame that VTK draws alone: observed if its resolution is known.
     void PlanUnsteered(const entire::frame& frame, float target, bool still);
-    // The settings go to the mapper.
+    // Writes the settings to the mapper.
     std::string Steer(vtkVolumeMapper* mapper, const vtkEntire::MapperSettings& settings);
 
     unsigned long Tags[2];
     bool Alive = true;
-    // Where the voxels lie, as of a stamp.
+    // Position of the voxels, with its stamp.
     vtkEntire::GridStamp Stamp;
     vtkEntire::VoxelGrid Grid;
-    // What the session has.
+    // The session's own values.
     vtkEntire::VolumeKey Volume;
     vtkEntire::TransferNodes Transfer;
     bool HasTransfer = false;
     std::array<float, 7> Limits{};
-    // Of the property, when its functions were read.
+    // State of the property when its functions were read.
     const vtkVolumeProperty* Property = nullptr;
     vtkMTimeType PropertyTime = 0;
     vtkEntire::TransferNodes Nodes;
@@ -242,9 +239,9 @@ public:
     float LastView[16];
     bool HasView = false;
     entire_plan Planned{};
-    // Whose frame the mapper is steered for.
+    // The renderer whose frame is being steered.
     vtkWeakPointer<vtkRenderer> DrawnIn;
-    // The mapper's settings as the application left them, and as this frame has them.
+    // The mapper's settings by the application, and in this frame.
     vtkEntire::MapperSettings Own;
     vtkEntire::MapperSettings Written;
     vtkEntire::SmartSettings OwnOuter;
@@ -265,51 +262,49 @@ public:
   // Seconds by the owner's clock.
   double Now() const;
 
-  // The owner's clock and the model's, as models state them; nullptr where the model states none.
+  // The owner's clock and the model's, by name; nullptr if the model states none.
   const char* ClockName() const;
   const char* ModelClockName() const;
   // Both, in words.
   std::string ClocksText() const;
-  // Keeps the clock of a session's model, and warns where frames are timed by another one: once for each change of
-  // either.
+  // Stores the clock of a session's model, and warns if frames have another one: once for each change of either.
   void NoteClocks(const entire::session& session);
 
-  // Ends the attachment. The leaves are handed out: whoever has them releases them, which mappers' observers
-  // hear of.
+  // Ends the attachment. Returns the leaves: their holder releases them, for which mappers' observers are called.
   Leaves TakeApart();
   static void ReleaseAll(const Leaves& leaves);
 
   void Observe(vtkRenderer* renderer);
   void ObserveWindow(vtkRenderWindow* window);
   void FindMappers();
-  // Hands an event to every leaf that there is now, whatever becomes of the list meanwhile.
+  // Passes an event to every current leaf, whatever happens to the list meanwhile.
   void ForEach(void (Leaf::*handle)());
   void RendererStart();
   void RendererEnd();
   void WindowStart();
   void WindowEnd();
-  // Starts anew where model, tolerance or miss rate changed.
+  // Restarts if model, tolerance or miss rate changed.
   void MatchOwner();
-  // A session as the leaf has them, bound to the leaf's mapper and the owner's clock; on failure returns why.
+  // A session for a leaf, bound to the leaf's mapper and the owner's clock; returns an error text on failure.
   std::string NewSession(const Leaf& leaf, std::optional<entire::session>& session);
-  // Gives the leaf a session where it has none.
+  // Gives the leaf a session if it has none.
   std::string MakeSession(Leaf& leaf);
-  // Whether a leaf's session would take the state up; a leaf that is not there yet is asked for no more than that
+  // Checks that a leaf's session would load the state; a leaf that does not exist yet only checks that
   // the state is whole. Returns why not.
   std::string Try(const std::vector<std::uint8_t>& state);
 
-  // The owner's Reason and Status; nullptr leaves the one or the other. Nobody is told: read-outs change with
-  // every frame.
+  // Sets the owner's Reason and Status; nullptr leaves the one or the other. Without an event, since read-outs change
+  // with every frame.
   void Report(const char* reason, const char* status);
   // Keeps a warning until the frame is over.
   void Warn(const std::string& text) { this->Warnings.push_back(text); }
   void SayWarnings();
 
-  // Seconds of a frame that pass outside of the mapper.
+  // Seconds of a frame outside of the mapper.
   double Rest() const;
 
   vtkEntireSteering* Owner;
-  // With the frame at hand.
+  // State of the current frame.
   vtkEntire::Busy Busy;
   vtkWeakPointer<vtkRenderer> Renderer;
   vtkWeakPointer<vtkRenderWindow> Window;
@@ -321,26 +316,26 @@ public:
   Leaves Drawing;
   std::vector<std::string> Warnings;
 
-  // What the sessions were made with.
+  // Inputs of the sessions.
   std::optional<entire::model> Model;
   std::string ModelName;
   double Tolerance = -1;
   double MissRate = -1;
   entire_clock ModelClock = ENTIRE_CLOCK_UNSTATED;
-  // The last warning of the clocks; empty where they agree.
+  // The last warning about the clocks; empty if they agree.
   std::string ClocksSaid;
   std::vector<std::uint8_t> State;
 
   bool Rendering = false;
-  // Whether the renderer has the volume.
+  // True if the renderer has the volume.
   bool Present = false;
-  // Of the window's frame at hand.
+  // State of the window's current frame.
   bool InFrame = false;
   double FrameStart = 0;
   double MapperSeconds = 0;
   int Drawn = 0;
   bool Clean = true;
-  // Of earlier frames.
+  // State of earlier frames.
   int LeavesLastFrame = 1;
   std::size_t Frames = 0;
   std::array<double, vtkEntire::REST_FRAMES> Rests{};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// What the tests share: a scene with one volume, and the settings of its mapper.
+// Shared parts of the tests: a scene with one volume, and the settings of its mapper.
 #ifndef EntireTestScene_h
 #define EntireTestScene_h
 
@@ -152,7 +152,7 @@ struct Scene
     this->Renderer->ResetCameraClippingRange();
   }
 
-  // As while the mouse is down.
+  // As if the mouse were down.
   void Interactive() { this->Window->SetDesiredUpdateRate(15); }
 
   std::vector<unsigned char> Draw()
@@ -205,7 +205,7 @@ inline Settings Read(vtkVolumeMapper* mapper)
   return { 0, 0, 0, 0 };
 }
 
-// Runs the behavior and the mapper that a program was called with.
+// Runs the behavior and the mapper of the program's arguments.
 inline int Main(int argc, char* argv[], const std::map<std::string, std::function<void(Kind)>>& tests)
 {
   const auto test = argc == 3 ? tests.find(argv[1]) : tests.end();

@@ -22,7 +22,7 @@ using namespace EntireTest;
 
 namespace
 {
-// Draws frames that cannot be fast enough until the first of them was steered, and one more.
+// Draws frames with an impossible target until the first of them was steered, and one more.
 void Warm(Scene& scene, vtkEntireSteering* steering)
 {
   for (int i = 0; i < 3 && steering->GetNumberOfSteeredFrames() < 2; ++i)
@@ -65,7 +65,7 @@ void Attaches(Kind kind)
   CHECK(steering->GetNumberOfSteeredFrames() == 0 && std::isnan(steering->GetMeasuredTime()));
 }
 
-// Still frames show, to the last bit, what they show without steering, before and after steered ones.
+// Still frames have the same pixels, to the last bit, as without steering, before and after steered ones.
 void LeavesStillFramesAlone(Kind kind)
 {
   Scene plain(kind), steered(kind);
@@ -95,7 +95,7 @@ void LeavesStillFramesAlone(Kind kind)
   CHECK(plain.Draw() == steered.Draw());
 }
 
-// A steered frame is the frame that VTK draws when the application sets the same sample distances.
+// A steered frame equals VTK's frame with the same sample distances set by the application.
 void DrawsWhatVtkDraws(Kind kind)
 {
   Scene steered(kind);
@@ -106,8 +106,7 @@ void DrawsWhatVtkDraws(Kind kind)
   CHECK(steering->Attach(steered.Renderer, steered.Volume));
   steered.Interactive();
   Warm(steered, steering);
-  // A smart mapper takes no distance by hand (it locks its mappers to the spacing): it is held against the
-  // mapper inside.
+  // A smart mapper ignores distances (it locks its mappers to the spacing): it is compared with the mapper inside.
   Scene plain(kind == SMART ? GPU : kind == SMART_FIXED ? FIXED : kind);
   const auto set = [&](auto* mapper) {
     mapper->SetAutoAdjustSampleDistances(0);
@@ -117,7 +116,7 @@ void DrawsWhatVtkDraws(Kind kind)
   };
   plain.Interactive();
   std::vector<unsigned char> shown;
-  // Also where a frame's distances differ from those of the frame before.
+  // Also if a frame's distances differ from those of the frame before.
   for (const double coarsest : { 3.0, 2.0, 5.0 })
   {
     steering->SetCoarsestSampleDistance(coarsest);
@@ -136,13 +135,13 @@ void DrawsWhatVtkDraws(Kind kind)
     CHECK(plain.Draw() == shown);
     steering->SetCoarsestImageSampleDistance(kind == FIXED || kind == GPU ? 1.5 : 1);
   }
-  // And it is coarser than what is drawn without steering.
+  // And it is coarser than a frame without steering.
   Scene full(kind);
   full.Window->SetDesiredUpdateRate(0.0001);
   CHECK(full.Draw() != shown);
 }
 
-// Between frames the mapper has the application's settings; so it has after Detach().
+// Between frames the mapper has the application's settings, and also after Detach().
 void PutsSettingsBack(Kind kind)
 {
   Scene scene(kind);
@@ -164,7 +163,7 @@ void PutsSettingsBack(Kind kind)
   scene.Draw();
 }
 
-// The finest and the coarsest settings allowed are met and not passed.
+// The finest and the coarsest allowed settings are reached and not exceeded.
 void KeepsToItsLimits(Kind kind)
 {
   Scene scene(kind);
@@ -192,7 +191,7 @@ void KeepsToItsLimits(Kind kind)
   CHECK(steering->GetImageSampleDistance() > 2 && steering->GetImageSampleDistance() <= 3.0001);
 }
 
-// Switched off, VTK draws; the read-outs say so.
+// With steering off, VTK draws, and the read-outs say so.
 void SwitchesOff(Kind kind)
 {
   Scene scene(kind);
@@ -208,7 +207,7 @@ void SwitchesOff(Kind kind)
   steering->EnabledOn();
   scene.Draw();
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
-  // No target: that of the window.
+  // Without a target, the window's is used.
   steering->SetTargetFrameTime(0);
   scene.Window->SetDesiredUpdateRate(1.0e9);
   scene.Draw();
@@ -220,7 +219,7 @@ void SwitchesOff(Kind kind)
   CHECK(!Is(steering->GetReason(), "still") && !Is(steering->GetReason(), "target unreachable"));
 }
 
-// What cannot be predicted is drawn by VTK, and the status says why.
+// Frames that cannot be predicted are drawn by VTK, and the status says why.
 void FallsBack(Kind kind)
 {
   Scene plain(kind), scene(kind);
@@ -239,7 +238,7 @@ void FallsBack(Kind kind)
   CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "/nowhere/model.safetensors"));
   CHECK(warnings->GetWarning() && steering->GetNumberOfFallbackFrames() > 0);
   CHECK(steering->GetNumberOfSteeredFrames() == 0);
-  // The name goes, and so does the failure.
+  // Without the name there is no failure.
   steering->SetModelFileName(nullptr);
   scene.Draw();
   CHECK(steering->GetNumberOfSteeredFrames() == 1 && Empty(steering->GetStatus()));
@@ -254,7 +253,7 @@ void FallsBack(Kind kind)
   CHECK(Empty(steering->GetStatus()));
 }
 
-// Cameras, matrices, cropping, shading and edits are followed.
+// Changes of cameras, matrices, cropping and shading, and edits, are noticed.
 void FollowsTheScene(Kind kind)
 {
   Scene scene(kind);
@@ -339,7 +338,7 @@ void KnowsItsRenderer(Kind kind)
     scene.Draw();
   }
   CHECK(first->GetSampleDistance() > 7.9 && other->GetSampleDistance() <= 1.01);
-  // A view beside the window's origin is never empty, however coarse.
+  // A view away from the window's origin is never empty, however coarse.
   const auto shown = [&] {
     const int* size = scene.Window->GetSize();
     vtkNew<vtkUnsignedCharArray> rgb;
@@ -361,7 +360,7 @@ void KnowsItsRenderer(Kind kind)
   CHECK(other->GetSampleDistance() > 7.9 && (other->GetImageSampleDistance() > 1) == (kind == FIXED || kind == SMART_FIXED));
 }
 
-// What was learned outlives the object; what is no state is refused.
+// The learned state outlives the object; bytes that are no state are refused.
 void KeepsState(Kind kind)
 {
   Scene scene(kind);
@@ -379,7 +378,7 @@ void KeepsState(Kind kind)
   }
   CHECK(!steering->SaveState("/nowhere/state") && Says(steering->GetStatus(), "/nowhere/state"));
   CHECK(steering->SaveState(file));
-  // The same frame, predicted from nothing, from the file, and from the file again.
+  // The same frame, predicted from scratch, from the file, and from the file again.
   steering->Reset();
   scene.Draw();
   const double untaught = steering->GetPredictedTime();
@@ -391,7 +390,7 @@ void KeepsState(Kind kind)
     prediction = steering->GetPredictedTime();
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
-  // What was learned by one clock, or of one mapper, is not taken up by another.
+  // A state of another clock, or of another mapper, is not loaded.
   const int clock = steering->GetClock();
   steering->SetClock(clock == vtkEntireSteering::WALL ? vtkEntireSteering::PROCESS_CPU : vtkEntireSteering::WALL);
   CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), "clock"));
@@ -403,8 +402,7 @@ void KeepsState(Kind kind)
     CHECK(!elsewhere->LoadState(file) && Says(elsewhere->GetStatus(), "renderer"));
     elsewhere->Detach();
   }
-  // A file that is loaded first counts from Attach() on, also where another attachment ends by it, until
-  // Detach().
+  // A file that is loaded first takes effect at Attach(), also if that ends another attachment, until Detach().
   steering->Detach();
   vtkNew<vtkEntireSteering> early;
   early->SetTargetFrameTime(1000);
@@ -426,7 +424,7 @@ void KeepsState(Kind kind)
   CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), file));
 }
 
-// Objects may go in any order, and the application hears of every frame.
+// Objects may be deleted in any order, and the application gets the event of every frame.
 void OutlivesItsObjects(Kind kind)
 {
   vtkNew<vtkEntireSteering> steering;
@@ -463,7 +461,7 @@ void OutlivesItsObjects(Kind kind)
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
 }
 
-// What the application sets during a frame is the mapper's setting for the next.
+// A setting that the application makes during a frame is the mapper's setting for the next.
 void KeepsSettingsMadeDuringFrames(Kind kind)
 {
   Scene scene(kind);
@@ -492,7 +490,7 @@ void KeepsSettingsMadeDuringFrames(Kind kind)
     }
   });
   const bool smart = kind == SMART || kind == SMART_FIXED;
-  // A smart mapper hands its settings on as it begins to draw, before the mapper inside it does.
+  // A smart mapper copies its settings as it begins to draw, before the mapper inside it does.
   vtkObject* subject = smart ? static_cast<vtkObject*>(scene.Renderer) : scene.Mapper;
   const unsigned long tag = subject->AddObserver(
     smart ? vtkCommand::StartEvent : vtkCommand::VolumeMapperRenderStartEvent, command, -1.0f);
@@ -510,8 +508,7 @@ void KeepsSettingsMadeDuringFrames(Kind kind)
   CHECK(kept());
 }
 
-// A volume that its renderer does not have is neither planned nor brought up to date; one in an assembly is
-// drawn.
+// A volume that is not in its renderer is neither planned nor updated; one in an assembly is drawn.
 void LeavesRemovedVolumesAlone(Kind kind)
 {
   Scene scene(kind);
@@ -549,7 +546,7 @@ void LeavesRemovedVolumesAlone(Kind kind)
   CHECK(updates == (kind == BLOCKS ? 0 : 1));
 }
 
-// Of two that are attached to one volume in one renderer one steers, and the mapper is left as it was.
+// Of two attachments to one volume in one renderer one steers, and the mapper gets its settings back.
 void OneSteersAMapper(Kind kind)
 {
   Scene scene(kind);
@@ -579,7 +576,7 @@ void OneSteersAMapper(Kind kind)
   CHECK(second->GetNumberOfSteeredFrames() == 1 && Read(scene.Mapper) == before);
 }
 
-// Names that are no file of a saved state: refused at once, with an error that says why.
+// Names that are no file of a saved state are refused at once, with the reason.
 void RefusesOddStateFiles(Kind kind)
 {
   Scene scene(kind);
@@ -608,7 +605,7 @@ void RefusesOddStateFiles(Kind kind)
   {
     CHECK(!steering->LoadState(name) && !steering->SaveState(name));
   }
-  // Nothing is written where nothing was learned, and a folder is not replaced.
+  // Without a learned state no file is written, and a folder is not replaced.
   steering->SetTargetFrameTime(1000);
   scene.Interactive();
   Warm(scene, steering);
@@ -618,7 +615,7 @@ void RefusesOddStateFiles(Kind kind)
   std::remove(large.c_str());
 }
 
-// Not a behavior: what the run under valgrind must find.
+// A deliberate leak, which the run under valgrind must find.
 void LosesASteering(Kind kind)
 {
   Scene scene(kind);

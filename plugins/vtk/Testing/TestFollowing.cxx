@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// What vtkEntireSteering takes for a change, for a frame, and for a frame's time: TestFollowing NAME MAPPER.
+// Detection of changes, frames and frame times by vtkEntireSteering: TestFollowing NAME MAPPER.
 #include "Scene.h"
 
 #include "vtkCallbackCommand.h"
@@ -16,14 +16,14 @@
 #include <iterator>
 #include <sstream>
 
-// Last, for the macros of X11.
+// Included last because of the macros of X11.
 #include "vtkXOpenGLRenderWindow.h"
 
 using namespace EntireTest;
 
 namespace
 {
-// A steered scene, at work.
+// A steered scene after its first frames.
 struct Work : Scene
 {
   vtkNew<vtkEntireSteering> Steering;
@@ -42,7 +42,7 @@ struct Work : Scene
   }
 };
 
-// Calls a function at every event of an object, after the steering was.
+// Calls a function at every event of an object, after the steering's observer.
 class After
 {
 public:
@@ -72,7 +72,7 @@ std::string Bytes(const std::string& file)
   return { std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>() };
 }
 
-// Voxels that are changed in place are read again where the image says so, and only then.
+// Voxels that are changed in place are read again if the image reports it, and only then.
 void NoticesChangedVoxels(Kind kind)
 {
   Work scene(kind);
@@ -87,23 +87,23 @@ void NoticesChangedVoxels(Kind kind)
   scene.Data->Modified();
   if (kind == BLOCKS)
   {
-    // vtkMultiBlockVolumeMapper draws copies of its blocks, and does not look at the blocks' own times.
+    // vtkMultiBlockVolumeMapper draws copies of its blocks, and ignores the blocks' own times.
     scene.Data->GetPointData()->GetScalars()->Modified();
   }
   bool counted = false;
-  // A smart mapper hands its input on while it draws.
+  // A smart mapper passes its input on while it draws.
   for (int i = 0; i < 2; ++i)
   {
     const vtkIdType readings = scene.Steering->GetNumberOfVolumeReadings();
     scene.Draw();
-    // What reading took is part of what steering took.
+    // Reading time is part of the steering's time.
     counted |= scene.Steering->GetNumberOfVolumeReadings() > readings &&
       scene.Steering->GetObserverTime() >= scene.Steering->GetVolumeTime();
   }
   CHECK(scene.Steering->GetNumberOfVolumeReadings() == before + 1 && counted);
 }
 
-// The transfer function is new where its functions are, not where anything else of the property is.
+// The transfer function is new if its functions are, not if anything else of the property is.
 void NoticesNewFunctionsOnly(Kind kind)
 {
   Work scene(kind);
@@ -130,7 +130,7 @@ void NoticesNewFunctionsOnly(Kind kind)
   CHECK(readings() == expected);
 }
 
-// What is drawn for a hardware selector is drawn as the application has it, is no frame, and teaches nothing.
+// A drawing for a hardware selector is the application's own: it is no frame, and the session learns nothing from it.
 void LeavesPickingAlone(Kind kind)
 {
   Work scene(kind);
@@ -159,14 +159,14 @@ void LeavesPickingAlone(Kind kind)
   CHECK(scene.Steering->GetNumberOfSteeredFrames() == steered);
   CHECK(scene.Steering->SaveState(after.c_str()));
   CHECK(!Bytes(before).empty() && Bytes(before) == Bytes(after));
-  // Where a frame does.
+  // A frame does.
   scene.Draw();
   CHECK(scene.Steering->GetNumberOfSteeredFrames() == steered + 1);
   CHECK(scene.Steering->SaveState(later.c_str()));
   CHECK(Bytes(later) != Bytes(before));
 }
 
-// A mapper's MTime is the application's: the GPU mapper composes its shader again where it moves.
+// A mapper's MTime is not changed by steering: the GPU mapper would compose its shader again.
 void LeavesModifiedTimesAlone(Kind kind)
 {
   Work scene(kind);
@@ -182,7 +182,7 @@ void LeavesModifiedTimesAlone(Kind kind)
   CHECK(scene.Mapper->GetMTime() == before && told == 0);
 }
 
-// A window that counts how often somebody waited for its device.
+// A window that counts the waits for its device.
 class CountingWindow : public vtkXOpenGLRenderWindow
 {
 public:
@@ -197,7 +197,7 @@ public:
 };
 vtkStandardNewMacro(CountingWindow);
 
-// A GPU mapper's time begins when what the device was given before is done; a mapper on the CPU waits for nothing.
+// A GPU mapper's time begins when the device has finished earlier work; a mapper on the CPU does not wait.
 void WaitsForTheDevice(Kind kind)
 {
   Scene scene(kind);
@@ -224,7 +224,7 @@ void WaitsForTheDevice(Kind kind)
   scene.Window->AddRenderer(scene.Renderer);
 }
 
-// What is known of a mapper's pictures is that of the mapper which draws, and goes to the library, which checks
+// The quality law is that of the mapper which draws, and goes to the library, which checks
 // it.
 void KnowsItsPictures(Kind kind)
 {
@@ -252,7 +252,7 @@ void KnowsItsPictures(Kind kind)
   }
 }
 
-// A model of another clock than the one that measures is said: once, and again where either changes.
+// A model of another clock than the frames' causes a warning: once, and again if either changes.
 void SaysItsClocks(Kind kind)
 {
   Scene scene(kind);
@@ -260,7 +260,7 @@ void SaysItsClocks(Kind kind)
   vtkNew<vtkTest::ErrorObserver> warnings;
   steering->AddObserver(vtkCommand::WarningEvent, warnings);
   steering->SetTargetFrameTime(1e-6);
-  // One of the clock "cpu".
+  // A model of the clock "cpu".
   const char* const model = std::getenv("ENTIRE_TEST_MODEL");
   CHECK(model);
   steering->SetModelFileName(model);
@@ -287,7 +287,7 @@ void SaysItsClocks(Kind kind)
   std::ostringstream text;
   steering->Print(text);
   CHECK(Says(text.str().c_str(), "Clock: wall") && Says(text.str().c_str(), "ModelClock: cpu"));
-  // What was learned is no model, and a volume that is attached again is another attachment.
+  // A learned state is no model, and a volume that is attached again is another attachment.
   steering->Reset();
   CHECK(said().empty());
   steering->SetClockToProcessCPU();

@@ -17,7 +17,7 @@ using namespace EntireTest;
 
 namespace
 {
-// The scene behind a pipeline, and what happens in it.
+// The scene behind a pipeline, and the event in it.
 struct Stage : Scene
 {
   Kind MapperKind;
@@ -44,12 +44,12 @@ struct Stage : Scene
     }
     this->StopAdjusting();
     this->Interactive();
-    // Mappers that are inside others are made and connected in the first frames.
+    // Inner mappers are made and connected in the first frames.
     this->Draw();
     this->Draw();
   }
 
-  // So that image sample distances are the application's alone.
+  // So that image sample distances are only the application's.
   void StopAdjusting()
   {
     if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(this->Mapper))
@@ -74,7 +74,7 @@ struct Stage : Scene
     return found;
   }
 
-  // The settings of every mapper that draws or has one inside that does.
+  // The settings of every mapper that draws or contains one that does.
   std::vector<Settings> AllSettings()
   {
     std::vector<Settings> all = { Read(this->Mapper) };
@@ -91,7 +91,7 @@ struct Stage : Scene
     return all;
   }
 
-  // A steering that is as new, at work on this scene.
+  // A new steering, attached to this scene.
   void Begin()
   {
     this->Steering = vtkSmartPointer<vtkEntireSteering>::New();
@@ -107,7 +107,7 @@ struct Stage : Scene
     CHECK(this->Steering->GetNumberOfSteeredFrames() > 0);
   }
 
-  // The pipeline has something to do.
+  // Makes the pipeline execute again.
   void Touch() { this->Filter->SetShift(this->Filter->GetShift() > 0 ? 0 : 1); }
 };
 
@@ -134,7 +134,7 @@ public:
   }
   ~Once()
   {
-    // Of what still lives.
+    // Removes the observers of objects that still live.
     for (const auto& each : this->Subjects)
     {
       if (each.first)
@@ -156,12 +156,12 @@ private:
 
 struct Event
 {
-  // Who tells of it.
+  // Objects that invoke the event.
   std::function<std::vector<vtkObject*>(Stage&)> Subjects;
   unsigned long Id;
-  // What makes it happen in the next frame; nullptr where every frame has it.
+  // Makes the event happen in the next frame; nullptr where every frame has it.
   std::function<void(Stage&)> Provoke;
-  // Whether it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK
+  // True if it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK
   // itself does not bear that its mapper or its context is exchanged.
   std::function<bool(Kind)> InsideMapper;
 };
@@ -230,7 +230,7 @@ const std::map<std::string, Event> EVENTS = {
   { "Frame", { SteeringOf, vtkEntireSteering::FrameEvent, nullptr, Never } },
 };
 
-// Frames after the event, until the steering is at work again.
+// Frames after the event, until steering has resumed.
 void GoesOn(Stage& stage)
 {
   stage.Steering->SetModelFileName(nullptr);
@@ -246,10 +246,10 @@ void GoesOn(Stage& stage)
 struct Action
 {
   std::function<void(Stage&)> Do;
-  // After the frame.
+  // Called after the frame.
   std::function<void(Stage&)> Check;
   bool InsideMapper;
-  // Whether the settings are to be the application's once the frame is over, whatever comes later in it.
+  // True if the settings must be the application's once the frame is over, whatever comes later in it.
   bool InsideRenderer = true;
 };
 
@@ -347,7 +347,7 @@ void Run(const std::string& name, const Event& event, Kind kind)
     }
     if (name == "Error" && (each.first == "LoadNoState" || each.first == "AttachToNothing"))
     {
-      // An error in answer to an error comes round again.
+      // An error in answer to an error would recur for ever.
       continue;
     }
     for (const float priority : { 2.0f, -1.0f })

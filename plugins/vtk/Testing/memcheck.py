@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Runs a behavior of TestEntireSteering under valgrind's memcheck. What counts is what has the adapter or the library on its
-stack: invalid accesses, and memory that nothing points to any more at the end. OpenGL's and VTK's own findings, of which there
-are many, do not count.
+"""Runs a behavior of TestEntireSteering under valgrind's memcheck. Only findings with the adapter or the library on
+their stack count: invalid accesses, and lost memory at the end. The many findings of OpenGL and VTK do not count.
 
     memcheck.py TestEntireSteering NAME MAPPER
 """

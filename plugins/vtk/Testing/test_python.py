@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The Python module steers, and the collector draws the frames that `entire collect` draws."""
+"""The Python module steers, and the collector draws the same frames as `entire collect`."""
 import csv
 import os
 import sys
@@ -39,7 +39,7 @@ assert (scene.width, scene.height, scene.step) == (36, 312, 1.0)
 
 
 class Clockwork:
-    """Draws nothing and takes a second more every time."""
+    """A renderer that draws nothing and takes a second longer every time."""
 
     name, device, driver, skipping, termination, warm_up = "clockwork", "none", "none", "none", 1.0, 0
     drawn = 0
@@ -64,7 +64,7 @@ with tempfile.TemporaryDirectory() as folder:
     timing_table.collect(timing_table.arguments("").parse_args(words), Clockwork())
     with open(out, newline="") as file:
         rows = [(r["frame"], r["repeat"], os.path.basename(r["volume"]), r["seconds_cpu"], r["tf"]) for r in csv.DictReader(file)]
-    # The second pass comes after the first, through all volumes, and shows the same.
+    # The second pass follows the first, through all volumes, with the same frames.
     assert [r[:3] for r in rows[:4]] == [("0", "0", "a.nrrd"), ("1", "0", "a.nrrd"), ("2", "0", "b.nrrd"), ("3", "0", "b.nrrd")]
     assert [float(r[3]) for r in rows] == [1, 2, 3, 4, 5, 6, 7, 8]
     assert [(r[0], "0", r[2], r[4]) for r in rows[4:]] == [(r[0], "0", r[2], r[4]) for r in rows[:4]]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of VTK's volume mappers, as `entire collect` writes them of its own raycaster.
+"""Timing tables of VTK's volume mappers, in the format of `entire collect`.
 
     xvfb-run -a python3 collect_vtk.py --mapper fixed --out fixed.csv --max-size 256 VOLUME.nrrd...
     entire train --data fixed.csv --clock cpu --out fixed.safetensors
@@ -24,11 +24,11 @@ import vtk_scene  # noqa: E402
 from vtkmodules.vtkCommonCore import vtkVersion  # noqa: E402
 
 
-# Sample distances, finest ones, and image sample distances at which pictures are compared with full quality.
+# Sample distances, in finest ones, and image sample distances of the pictures that are compared with full quality.
 STEPS = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)
 IMAGES = (1.0, 1.2, 1.44, 2.0)
 
-# Least image side that is compared, pixels: of fewer little can be told.
+# Smallest image side in a comparison, pixels: smaller images say little.
 LEAST_SIDE = 256
 
 
@@ -37,9 +37,9 @@ class VtkRenderer:
 
     def __init__(self, mapper, shade):
         self.mapper, self.shade = mapper, shade
-        # As vtkEntireSteering names its timings: what a model states of pictures holds for the renderer that it names.
+        # Renderer name of vtkEntireSteering's timings: a model's quality law holds for the renderer that it names.
         self.name = vtk_scene.MAPPERS[mapper]().GetClassName()
-        # What the mappers do by themselves: the fixed-point mapper leaps over blocks without opacity.
+        # The mappers' own skipping: the fixed-point mapper leaps over blocks without opacity.
         self.skipping = {"fixed": "blocks", "gpu": "none"}[mapper]
         self.termination = {"fixed": 0.99, "gpu": 0.996}[mapper]
         self.driver = vtkVersion.GetVTKVersionFull() if hasattr(vtkVersion, "GetVTKVersionFull") else vtkVersion.GetVTKVersion()
@@ -90,14 +90,14 @@ def compared(renderer, scene, name, repeats):
 
 
 def compare(options, renderer):
-    """Writes the table of compared pictures, scene by scene: what was drawn before an interruption is kept."""
+    """Writes the table of compared pictures, scene by scene: an interruption keeps the finished ones."""
     with open(options.pictures, "x", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("scene", "step", "image_sample_distance", "seconds", "error"))
         for path in options.volumes:
             renderer.load(timing_table.read_nrrd(path))
             for index in range(options.scenes):
-                # Others than the frames that are timed.
+                # Other frames than the timed ones.
                 scene = timing_table.draw_scene(
                     options.seed, path, options.frames + index, max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size)
                 )

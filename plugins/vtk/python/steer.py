@@ -27,7 +27,7 @@ steering = vtkEntireSteering()
 steering.SetTargetFrameTime(1e-3 * options.target_ms)
 steering.Attach(view.renderer, view.volume)
 
-# What an interactor sets while the mouse is down; without it frames are still ones, which are never degraded.
+# Update rate that an interactor sets while the mouse is down; without it frames are still ones, which are never degraded.
 view.window.SetDesiredUpdateRate(15)
 for frame in range(options.frames):
     view.functions(functions[frame * 2 // options.frames], color)

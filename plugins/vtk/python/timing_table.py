@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of any renderer that Python reaches, in the format of `entire collect`.
+"""Timing tables of any renderer in Python, in the format of `entire collect`.
 
 The same seed draws the same frames of a volume as `entire collect` does (camera, image size, ray step, transfer
 function), so that tables of several renderers can be compared frame by frame. `entire train` and `entire evaluate` read
@@ -240,7 +240,7 @@ def single_text(value):
 
 
 def arguments(description):
-    """The options that every collector has; they mean what they mean to `entire collect`."""
+    """The options of every collector, with the meaning of those of `entire collect`."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("volumes", nargs="+", metavar="VOLUME", help="NRRD files of bytes")
     parser.add_argument("--out", required=True, metavar="FILE.csv")
@@ -267,7 +267,7 @@ def collect(options, renderer):
     if os.path.exists(options.out):
         sys.exit(f"{options.out} exists already; remove it or choose another name")
     steps = tuple(float(s) for s in options.steps.split(","))
-    # First, so that a table that was cut short can be used.
+    # Written first, so that an interrupted table can be used.
     manifest = {
         "format": "entire-timings-1",
         "created": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -307,7 +307,7 @@ def volume_frames(options, renderer, path, steps, number, repeat):
     for index in range(options.frames):
         scene = draw_scene(options.seed, path, index, options.min_size, options.max_size, steps)
         draw = renderer.prepare(scene)
-        # The first frame of another size or transfer function holds work that is done once.
+        # The first frame of another size or transfer function includes one-time work.
         for _ in range(options.warm_up if index == 0 else renderer.warm_up):
             draw()
         rows = []

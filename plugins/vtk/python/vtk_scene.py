@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A volume, its window and its transfer function in VTK, as the comparison, the collector and the tests want them."""
+"""A volume, its window and its transfer function in VTK, for the comparison, the collector and the tests."""
 import math
 
 import numpy as np
@@ -72,7 +72,7 @@ def color_function(points):
 
 
 def pixels(window):
-    """What a window shows, as [y, x, rgb] bytes, without drawing it again."""
+    """Pixels of a window, as [y, x, rgb] bytes, without drawing it again."""
     grab = vtkWindowToImageFilter()
     grab.SetInput(window)
     grab.ShouldRerenderOff()
@@ -96,7 +96,7 @@ def compared(view, draw, finest, images, steps, repeats):
         for step in steps:
             view.mapper.SetSampleDistance(step * finest)
             view.mapper.SetImageSampleDistance(image)
-            # The first makes buffers and tables for it.
+            # The first frame makes buffers and tables.
             seconds = [draw()[1] for _ in range(1 + repeats)][1:]
             picture = view.pixels()
             full = picture if full is None else full
@@ -124,7 +124,7 @@ class View:
         self.renderer.AddVolume(self.volume)
 
     def adjust_off(self, sample_distance=1.0):
-        """Full quality: VTK adjusts nothing."""
+        """Full quality: without VTK's own adjustment."""
         self.mapper.SetAutoAdjustSampleDistances(0)
         if hasattr(self.mapper, "SetLockSampleDistanceToInputSpacing"):
             self.mapper.SetLockSampleDistanceToInputSpacing(0)
@@ -143,5 +143,5 @@ class View:
         self.renderer.ResetCameraClippingRange()
 
     def pixels(self):
-        """What the window shows, as [y, x, rgb] bytes, without drawing it again."""
+        """Pixels of the window, as [y, x, rgb] bytes, without drawing it again."""
         return pixels(self.window)

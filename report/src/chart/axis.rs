@@ -1,9 +1,9 @@
-//! Axes: how values are laid along them, which range they show, and where their ticks are.
+//! Axes: their scales, ranges and ticks.
 
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use std::ops::Range;
 
-/// How values are laid along an axis.
+/// Scale of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Scale {
     /// Evenly.
@@ -14,7 +14,7 @@ pub enum Scale {
     Categories(Vec<String>),
 }
 
-/// An axis: its label with unit, its scale and, where it is not to be fitted to the data, its range.
+/// An axis: its label with unit, its scale and, if it is not fitted to the data, its range.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
     pub(super) label: String,
@@ -51,13 +51,13 @@ impl Axis {
         self
     }
 
-    /// The names of the slots, where the axis has some.
+    /// The names of the slots, if the axis has some.
     pub(super) fn names(&self) -> Option<&[String]> {
         if let Scale::Categories(names) = &self.scale { Some(names) } else { None }
     }
 }
 
-/// Places beyond this many lengths of an axis are not told apart.
+/// Positions beyond this many axis lengths are not distinguished.
 const FAR: f64 = 1e9;
 
 /// Values beyond this are drawn at it, so that spans stay finite.
@@ -81,7 +81,7 @@ pub(super) enum Kind {
 }
 
 impl Span {
-    /// Fits the values, with some air; the axis' fixed ends win.
+    /// Fits the range to the values, with some margin; fixed ends of the axis are kept.
     pub(super) fn fit(axis: &Axis, values: impl Iterator<Item = f64>) -> Self {
         if let Some(names) = axis.names() {
             return Self { low: -0.5, high: names.len().max(1) as f64 - 0.5, scale: Kind::Slots };
@@ -114,12 +114,12 @@ impl Span {
         }
     }
 
-    /// Whether the value has a place on the axis or beyond its ends.
+    /// True if the value can be placed on the axis or beyond its ends.
     pub(super) fn takes(&self, value: f64) -> bool {
         value.is_finite() && (self.scale != Kind::Log || value > 0.0)
     }
 
-    /// Whether the value lies between the ends.
+    /// True if the value lies between the ends.
     pub(super) fn shows(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
     }
@@ -153,8 +153,8 @@ impl Span {
         }
     }
 
-    /// Powers of ten and, as there is room, round multiples of them. The drawing library has no tick at all
-    /// within a decade, where frame times often are.
+    /// Powers of ten and, if there is space, round multiples of them. The drawing library has no ticks within
+    /// a decade, where frame times often are.
     fn log_ticks(&self, most: usize) -> Vec<f64> {
         let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
         let stride = ((last - first) as usize).div_ceil(most).max(1) as i32;
@@ -165,7 +165,7 @@ impl Span {
                 .filter(|v| *v >= self.low * 0.9999 && *v <= self.high * 1.0001)
                 .collect()
         };
-        // Between decades that are left out, multiples of those that are not would look like neighbors.
+        // Where decades are skipped, multiples within the others would look like neighboring decades.
         if stride == 1 {
             for factors in [&[1.0, 2.0, 3.0, 5.0, 7.0][..], &[1.0, 2.0, 5.0], &[1.0, 3.0]] {
                 let ticks = with(factors);
@@ -181,8 +181,8 @@ impl Span {
         self.linear_ticks(most)
     }
 
-    /// Multiples of 1, 2, 2.5 or 5 of a power of ten. The drawing library's own search for them does not end
-    /// for some finite ranges.
+    /// Multiples of 1, 2, 2.5 or 5 of a power of ten. The drawing library's own search does not end for some
+    /// finite ranges.
     fn linear_ticks(&self, most: usize) -> Vec<f64> {
         let raw = (self.high - self.low) / most as f64;
         let magnitude = 10f64.powf(raw.log10().floor());
@@ -197,7 +197,7 @@ impl Span {
         ticks
     }
 
-    /// The text of a tick among its neighbors.
+    /// The label of a tick among its neighbors.
     pub(super) fn label(&self, value: f64, ticks: &[f64]) -> String {
         let step = match (self.scale, ticks) {
             (Kind::Log, _) => 10f64.powf(value.abs().log10().floor()),
@@ -228,8 +228,8 @@ impl Ranged for Span {
     }
 }
 
-/// A tick's text: as few digits as tell it from its neighbors, which are a step away; thousands and more kept
-/// short.
+/// A tick's label: as few digits as distinguish it from its neighbors at distance `step`; thousands and more
+/// in short form.
 fn tick_label(value: f64, step: f64) -> String {
     if value.abs() < step.abs() * 1e-6 {
         return "0".into();

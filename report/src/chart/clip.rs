@@ -5,11 +5,12 @@ use super::axis::Span;
 
 type Point = (f64, f64);
 
-/// The parts of a line through the points that lie inside both ranges. Points without a place break the line.
+/// The parts of a line through the points that lie inside both ranges. Points outside the scale break the
+/// line.
 pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
     for run in points.split(|p| !x.takes(p.0) || !y.takes(p.1)) {
-        // Whether the last part ends where the next segment begins.
+        // True if the last part ends where the next segment begins.
         let mut open = false;
         for pair in run.windows(2) {
             let Some((start, end, whole)) = segment(pair[0], pair[1], x, y) else {
@@ -26,7 +27,7 @@ pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     parts
 }
 
-/// The part of a segment inside both ranges, and whether it reaches the segment's end (Liang and Barsky's
+/// The part of a segment inside both ranges, and true if it reaches the segment's end (Liang and Barsky's
 /// clipping).
 fn segment(a: Point, b: Point, x: &Span, y: &Span) -> Option<(Point, Point, bool)> {
     let from = (x.place(a.0), y.place(a.1));

@@ -12,7 +12,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::mem::discriminant;
 
-/// The library places everything at whole units; so many to a pixel keep curves smooth.
+/// Drawing units per pixel: the library rounds to whole units, and these keep curves smooth.
 const UNITS: f64 = 10.0;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
@@ -20,7 +20,7 @@ type Plot<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Span, Span>>;
 type State = ChartState<Cartesian2d<Span, Span>>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// What the frame's inside is drawn of, from the back to the front.
+/// A layer of the chart's interior; layers are drawn from back to front.
 struct Layer {
     class: &'static str,
     dash: String,
@@ -40,7 +40,7 @@ struct Page<'a> {
     texts: &'a str,
 }
 
-/// Where everything stands, in pixels.
+/// Layout of the chart, in pixels.
 struct Layout {
     left: f64,
     right: f64,
@@ -49,7 +49,7 @@ struct Layout {
     title_height: f64,
     /// Series, x, and row of each entry of the legend.
     legend: Vec<(usize, f64, usize)>,
-    /// Heights that names along the x axis stand on by turns.
+    /// Number of rows over which names along the x axis are staggered.
     name_rows: usize,
     x_ticks: usize,
     y_ticks: usize,
@@ -63,7 +63,7 @@ fn units(pixels: f64) -> i32 {
     (pixels * UNITS).round() as i32
 }
 
-/// Rough width of a text, pixels; no font is at hand.
+/// Estimated width of a text, pixels; no font is available.
 fn text_width(text: &str, size: f64) -> f64 {
     text.chars().map(|c| if "iljt.,:;|!' ".contains(c) { 0.34 } else { 0.6 }).sum::<f64>() * size
 }
@@ -190,7 +190,7 @@ impl Chart {
         let legend_height = if legend.is_empty() { 0.0 } else { (row + 1) as f64 * LEGEND_ROW + 4.0 };
         let labeled = self.rules.iter().any(|r| matches!(r, Rule::Vertical(_, t) if !t.is_empty()));
         let top = title_height + legend_height + if labeled { 18.0 } else { 8.0 };
-        // Names wider than their slot stand on several heights by turns.
+        // Names wider than their slot are staggered over several rows.
         let name_rows = self.x.names().map_or(1, |names| {
             let slot = (self.width - 130.0) / names.len().max(1) as f64;
             let widest = names.iter().map(|n| text_width(n, 12.0)).fold(0.0, f64::max);
@@ -285,7 +285,7 @@ impl Chart {
         };
         match self.series[i].mark {
             Mark::Line(_) | Mark::Steps(_) => {
-                // The dashes as far as the swatch reaches: runs of line and gap by turns.
+                // The dashes of the legend's swatch: runs of line and gap by turns.
                 let dash = DASHES[self.color_of(i)];
                 let (mut from, mut drawn) = (0.0, true);
                 for length in dash.iter().copied().cycle().chain([SWATCH as u32]) {
@@ -315,7 +315,7 @@ impl Chart {
         let color = PALETTE[self.color_of(i)];
         let fill = |opacity: f64| light(color).mix(opacity).filled();
         let seen = |&(px, py): &(f64, f64)| x.takes(px) && y.takes(py);
-        // Bars and boxes of several series share a slot of one x unit side by side.
+        // Bars and boxes of several series share one slot of the x axis.
         let same = |other: &&super::Series| discriminant(&other.mark) == discriminant(&series.mark);
         let sharers = self.series.iter().filter(same).count() as f64;
         let mine = self.series[..i].iter().filter(same).count() as f64;
@@ -379,7 +379,7 @@ impl Chart {
         Ok(())
     }
 
-    /// The texts of points stand over the marks, where there is room.
+    /// The texts of points lie above the marks, if there is space.
     fn draw_point_texts(
         &self,
         area: &Area<'_>,
@@ -399,7 +399,7 @@ impl Chart {
                 }
             }
         }
-        // From the top down, so that points on top of each other are named in their order.
+        // From top to bottom, so that coinciding points are named in their order.
         texts.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
         let mut taken: Vec<Rect> = texts.iter().map(|(h, v, _)| Rect::around(*h, *v, 4.0)).collect();
         for (h, v, text) in texts {

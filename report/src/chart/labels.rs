@@ -1,4 +1,4 @@
-//! Where the texts of points stand: beside their point, clear of other points and texts, inside the frame.
+//! Placement of points' texts: beside their point, clear of other points and texts, inside the frame.
 
 /// A rectangle in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +26,7 @@ impl Rect {
         (self.right - self.left).max(0.0) * (self.bottom - self.top).max(0.0)
     }
 
-    /// Area that both cover.
+    /// Common area of both.
     fn shared(&self, other: &Self) -> f64 {
         let left = self.left.max(other.left);
         let top = self.top.max(other.top);
@@ -44,7 +44,7 @@ impl Rect {
 /// A text's place: its baseline, and the side of the point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
-    /// Whether the text ends left of the point instead of beginning right of it.
+    /// True if the text ends left of the point instead of beginning right of it.
     pub(super) leftward: bool,
     pub(super) x: f64,
     pub(super) baseline: f64,
@@ -53,8 +53,8 @@ pub(super) struct Place {
 /// Pixels between a point and its text.
 const GAP: f64 = 7.0;
 
-/// Finds a place for a text of a width beside a point, and takes it: the first that is clear, else the one that
-/// covers least of other texts and points and of what lies outside the frame.
+/// Places a text of a given width beside a point: at the first free place, else where it covers least of
+/// other texts, points and the outside of the frame.
 pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Rect>) -> Place {
     let rect = |(leftward, down): (bool, f64)| {
         let left = if leftward { x - GAP - width } else { x + GAP };
@@ -99,7 +99,7 @@ mod tests {
         let frame = Rect { left: 0.0, top: 0.0, right: 50.0, bottom: 30.0 };
         let found = place(40.0, 15.0, 80.0, &frame, &mut Vec::new());
         assert_eq!(found, Place { leftward: true, x: 33.0, baseline: 19.0 });
-        // Texts all around: the one that is least in the way.
+        // With texts all around, the place with the least overlap.
         let frame = Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 200.0 };
         let mut taken = vec![
             Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 120.0 },

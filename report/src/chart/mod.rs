@@ -1,7 +1,7 @@
 //! Charts: lines, steps, points, bands, bars, stretches and box plots over linear, logarithmic or categorical axes,
 //! drawn as SVG.
 //!
-//! The drawing is `plotters`'; `templates/chart.svg` puts its layers together.
+//! `plotters` draws; `templates/chart.svg` assembles the layers.
 
 mod axis;
 mod clip;
@@ -14,18 +14,18 @@ pub use axis::{Axis, Scale};
 use axis::Span;
 use palette::PALETTE;
 
-/// What a series draws.
+/// Mark that a series draws.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Mark {
     /// A line through (x, y); a value that is not finite breaks it.
     Line(Vec<(f64, f64)>),
     /// As [`Mark::Line`], holding each y until the next x.
     Steps(Vec<(f64, f64)>),
-    /// Dots, each with a text beside it (may be empty).
+    /// Dots, each with a text (may be empty).
     Points(Vec<(f64, f64, String)>),
     /// The area between two curves: (x, lower, upper).
     Band(Vec<(f64, f64, f64)>),
-    /// Bars from the axis' lower end (zero where it is in sight) to y.
+    /// Bars from the axis' lower end (zero if it is in the range) to y.
     Bars(Vec<(f64, f64)>),
     /// Stretches along x at y, half a unit high: (from, to, y).
     Stretches(Vec<(f64, f64, f64)>),
@@ -48,7 +48,7 @@ impl Series {
         Self { name: name.into(), mark, color: None }
     }
 
-    /// Picks a palette color, so that one thing has one color throughout a report.
+    /// Picks a palette color, so that a thing has the same color throughout a report.
     pub fn color(mut self, index: usize) -> Self {
         self.color = Some(index % PALETTE.len());
         self
@@ -108,7 +108,7 @@ impl Chart {
         self.draw(false)
     }
 
-    /// The SVG as a file of its own.
+    /// The SVG as a standalone file.
     pub fn to_svg_file(&self) -> String {
         self.draw(true)
     }
@@ -137,7 +137,7 @@ impl Chart {
 }
 
 impl Mark {
-    /// Every place that it marks.
+    /// All points of the mark.
     fn points(&self) -> Vec<(f64, f64)> {
         match self {
             Self::Line(p) | Self::Steps(p) | Self::Bars(p) => p.clone(),

@@ -18,7 +18,7 @@ pub(super) const PALETTE: [(u32, u32); 11] = [
     (0x111111, 0xf2f2f2),
 ];
 
-/// Lines of one color are dashed alike (lengths of dash and gap in pixels), so that they differ in print too.
+/// Dashes of lines (lengths of dash and gap in pixels), different for each color, for print.
 pub(super) const DASHES: [&[u32]; 11] = [
     &[],
     &[7, 3],
@@ -42,12 +42,12 @@ pub(super) const GRID: (u32, u32) = (0xe4e7ea, 0x2a2f36);
 /// Frame of the plot, vertical marks.
 pub(super) const FRAME: (u32, u32) = (0x8a9199, 0x6a727b);
 
-/// Every color on a light ground and what it is on a dark one.
+/// Every color on a light background with its counterpart on a dark one.
 pub(super) fn pairs() -> impl Iterator<Item = (u32, u32)> {
     PALETTE.into_iter().chain([INK, DIM, GRID, FRAME])
 }
 
-/// The color for a light ground, which the drawing is made with.
+/// The color on a light background, in which the chart is drawn.
 pub(super) fn light((light, _): (u32, u32)) -> RGBColor {
     let [_, r, g, b] = light.to_be_bytes();
     RGBColor(r, g, b)

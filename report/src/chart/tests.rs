@@ -25,7 +25,7 @@ impl Element {
     }
 }
 
-/// Reads a chart as the XML that it is.
+/// Parses a chart as XML.
 fn elements(svg: &str) -> (Vec<Element>, Vec<String>) {
     fn attributes(tag: &BytesStart<'_>) -> Vec<(String, String)> {
         let version = quick_xml::XmlVersion::Implicit1_0;
@@ -108,7 +108,7 @@ fn marks_beyond_a_fixed_end_are_cut_off_at_the_frame() {
     );
     assert_eq!(of_class(&svg, "points").len(), 1);
     assert!(texts.contains(&"near".to_owned()) && !texts.contains(&"far".to_owned()));
-    // The median lies beyond the frame: the lower whisker remains, and the box's outline in two parts.
+    // The median lies beyond the frame: only the lower whisker and two parts of the box's outline remain.
     let lines = of_class(&svg, "boxes");
     assert_eq!(lines.iter().filter(|e| e.name == "polyline").count(), 3, "{lines:?}");
 }

@@ -1,4 +1,4 @@
-//! What the freestanding program computes and prints, shared with the test that compares it with a hosted
+//! Computation and output of the freestanding program, shared with the test that compares it with a hosted
 //! build.
 #![no_std]
 
@@ -47,7 +47,7 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
         let mut scratch = net.scratch();
         let mut features = vec![0.0f32; net.feature_len()];
         let n = net.input_size();
-        // As it is, shrinking by integers and by fractions, and growing.
+        // Equal size, shrinking by integers and by fractions, and growing.
         for dims in [[n; 3], [2 * n; 3], [n + 3, 2 * n - 1, n + 1], [1, n / 2, 3]] {
             let voxels = dims.iter().product();
             let bytes: Vec<u8> = (0..voxels).map(|i| (i * 193 % 251) as u8).collect();

@@ -1,5 +1,5 @@
-//! All that the program has instead of an operating system's library: an entry point, two system calls, an
-//! arena, the memory functions that compilers call, and a panic handler.
+//! The program's replacement for an operating system's library: an entry point, two system calls, an arena,
+//! the memory functions that compilers call, and a panic handler.
 
 use core::alloc::{GlobalAlloc, Layout};
 use core::arch::{asm, global_asm};
@@ -72,7 +72,7 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 const ARENA_BYTES: usize = 64 << 20;
 
-/// Memory handed out from one end to the other. Only the last piece can be given back or grown in place.
+/// An arena that grows in one direction. Only the last piece can be freed or grown in place.
 #[repr(C, align(64))]
 struct Arena {
     memory: UnsafeCell<[u8; ARENA_BYTES]>,

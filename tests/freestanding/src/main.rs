@@ -1,4 +1,4 @@
-//! Loads a model and predicts with no libc under it, and prints the bits of the results.
+//! Loads a model and predicts without libc, and prints the bits of the results.
 //!
 //! Built with the profile `freestanding` on x86-64 Linux, with `ENTIRE_FREESTANDING_MODEL` naming a model
 //! file to embed, it has its own entry point, a fixed arena as its only memory, its own panic handler, and

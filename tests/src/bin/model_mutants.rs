@@ -1,6 +1,6 @@
 //! Runs mutants of model files one after another: `model_mutants FIRST END PROGRESS`, with seeds FIRST to
-//! END. Before each it writes its seed to the file PROGRESS, so that whoever started it knows which one ended
-//! the process. Prints panics, the CPU seconds of the slowest, and how many came how far.
+//! END. Before each it writes its seed to the file PROGRESS, which shows the one that ended the process.
+//! Prints panics, the CPU seconds of the slowest, and the numbers of mutants by stage.
 
 use entire_tests::mutants::{Mutants, exercise};
 use entire_tests::small_models;
@@ -10,8 +10,8 @@ use std::panic::catch_unwind;
 use std::sync::OnceLock;
 use std::time::Instant;
 
-/// Seconds that this thread ran on a CPU, which other processes do not lengthen; wall time where the system
-/// does not say.
+/// CPU seconds of this thread, which other processes do not lengthen; wall time if the system does not report
+/// them.
 fn on_cpu() -> f64 {
     static START: OnceLock<Instant> = OnceLock::new();
     let nanoseconds = std::fs::read_to_string("/proc/thread-self/schedstat")

@@ -1,5 +1,4 @@
-//! The house rules that a compiler does not check: arrows between rooms never point back, and `unsafe` stays
-//! fenced.
+//! House rules that a compiler does not check: modules depend only on earlier ones, and `unsafe` is confined.
 
 use proc_macro2::{TokenStream, TokenTree};
 use quote::ToTokens;
@@ -37,8 +36,7 @@ fn rust_files(place: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Removes what is compiled for tests alone, exactly, wherever it stands, and notes which files hold only
-/// that.
+/// Removes test-only code exactly, wherever it is, and lists the files that hold only such code.
 #[derive(Default)]
 struct WithoutTests {
     test_modules: BTreeSet<String>,
@@ -115,7 +113,7 @@ impl VisitMut for WithoutTests {
     }
 }
 
-/// The tokens of a text without what is compiled for tests alone, and the names of modules that are so.
+/// The tokens of a text without test-only code, and the names of test-only modules.
 fn product_tokens(text: &str) -> syn::Result<(TokenStream, BTreeSet<String>)> {
     let mut file = syn::parse_file(text)?;
     let mut without = WithoutTests::default();
@@ -123,7 +121,8 @@ fn product_tokens(text: &str) -> syn::Result<(TokenStream, BTreeSet<String>)> {
     Ok((file.into_token_stream(), without.test_modules))
 }
 
-/// The code of a place, file by file, without tests: neither test items nor files that are test modules.
+/// The code of a folder or file, file by file, without tests: neither test items nor files that are test
+/// modules.
 fn product(place: &Path) -> Vec<(PathBuf, TokenStream)> {
     let mut code = Vec::new();
     let mut tests: BTreeSet<PathBuf> = BTreeSet::new();
@@ -144,7 +143,7 @@ fn product(place: &Path) -> Vec<(PathBuf, TokenStream)> {
     code
 }
 
-/// What follows `root::` anywhere in the tokens, macros and grouped imports included.
+/// Names that follow `root::` anywhere in the tokens, macros and grouped imports included.
 fn names_below(root: &str, tokens: &TokenStream) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     collect_names(root, tokens.clone(), &mut found);
@@ -193,10 +192,10 @@ fn says(word: &str, tokens: TokenStream) -> bool {
     })
 }
 
-/// Rooms of a crate, and which other rooms each may use.
+/// Modules of a crate, with the other modules that each may use.
 type Rooms = [(&'static str, &'static [&'static str])];
 
-/// Every room may use itself.
+/// Every module may use itself.
 const CORE: &Rooms = &[
     ("error", &[]),
     ("names", &[]),
@@ -292,8 +291,8 @@ const LAB: &Rooms = &[
     ("command_line", &["commands"]),
 ];
 
-/// The rooms that a crate's source folder has: its folders, and its files but for the two that open it; those
-/// for tests alone are none.
+/// The modules in a crate's source folder: its folders, and its files except the two crate roots; test-only
+/// ones do not count.
 fn rooms_of(source: &Path) -> Vec<String> {
     let text = fs::read_to_string(source.join("lib.rs")).expect("lib.rs");
     let (_, tests) = product_tokens(&text).expect("Rust");
@@ -307,7 +306,7 @@ fn rooms_of(source: &Path) -> Vec<String> {
     found
 }
 
-/// What in a crate points back.
+/// Uses in a crate that point backward.
 fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     let mut wrong = Vec::new();
     for (room, allowed) in rooms {
@@ -325,7 +324,7 @@ fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     wrong
 }
 
-/// A table of rooms that has a circle would allow anything: each may use those above it alone.
+/// A table with a cycle would allow anything: each module may use only those above it.
 fn rooms_in_a_circle(rooms: &Rooms) -> Vec<String> {
     let place = |room: &str| rooms.iter().position(|r| r.0 == room);
     rooms
@@ -420,7 +419,7 @@ fn unsafe_stays_behind_its_fences() {
     );
 }
 
-/// What stands behind a test module counts, tests do not, and no way of naming a room escapes.
+/// Code after a test module counts, tests do not, and no way of naming a module escapes.
 #[test]
 fn the_rules_read_all_of_a_file_and_nothing_but_the_product() {
     let text = r#"

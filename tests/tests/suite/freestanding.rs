@@ -1,4 +1,4 @@
-//! A program without libc, with a fixed arena for memory, loads a model and predicts with the same bits as
+//! A program without libc, with a fixed arena as memory, loads a model and predicts with the same bits as
 //! this hosted build, at every level.
 
 use entire_core::model::{GroupKind, InputGroup, Key, ModelFile};
@@ -91,7 +91,7 @@ fn the_freestanding_program_gives_the_bits_of_the_hosted_build() {
         .arg(&target)
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/freestanding"))
         .env("ENTIRE_FREESTANDING_MODEL", &path)
-        // Instrumentation and wrappers of the outer build need what this program does not have.
+        // Instrumentation and wrappers of the outer build need libraries that this program lacks.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .output()
@@ -108,7 +108,7 @@ fn the_freestanding_program_gives_the_bits_of_the_hosted_build() {
         assert_eq!(found, expected);
     }
     assert_eq!(found, expected);
-    // No dynamic loader, hence no library.
+    // Without a dynamic loader there is no library.
     let elf = std::fs::read(&program).unwrap();
     let headers = u64::from_le_bytes(elf[32..40].try_into().unwrap()) as usize;
     let size = usize::from(u16::from_le_bytes(elf[54..56].try_into().unwrap()));

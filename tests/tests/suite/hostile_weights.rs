@@ -1,5 +1,5 @@
-//! No prediction is ever zero, negative, infinite or NaN: of models with hostile weights, and of the shipped
-//! ones.
+//! No prediction is ever zero, negative, infinite or NaN, neither of models with hostile weights nor of the
+//! shipped ones.
 
 use entire_core::ErrorKind;
 use entire_core::model::{InputGroup, Model, ModelFile};
@@ -114,7 +114,7 @@ fn shipped_models_give_times_for_ten_thousand_random_inputs() {
             state ^= state << 17;
             (state >> 40) as f32 / (1u32 << 24) as f32 * 2.0 - 1.0
         };
-        // Up to three standard deviations from what each input was in training.
+        // Up to three standard deviations from the training mean of each input.
         let inputs: Vec<f32> = match &parts.input {
             Some(norm) => (0..ROWS)
                 .flat_map(|_| norm.mean.iter().zip(&norm.std))

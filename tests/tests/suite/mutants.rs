@@ -20,7 +20,7 @@ fn mutants_of_model_files_are_refused_or_run() {
         built += usize::from(outcome.built);
         encoded += usize::from(outcome.encoded);
     }
-    // The generator reaches what it is for: both refusals and models that run.
+    // The generator is effective: it gives both refusals and models that run.
     let counts = format!("{opened} opened, {predicted} predicted, {built} built, {encoded} encoded");
     assert!((100..1900).contains(&opened) && predicted >= 100 && built >= 50 && encoded >= 20, "{counts}");
 }

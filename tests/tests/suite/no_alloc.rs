@@ -1,5 +1,5 @@
-//! Hot calls allocate nothing once set-up is done: counted by the global allocator, on every level and
-//! storage.
+//! Hot calls allocate nothing after set-up: counted by the global allocator, on every level and storage
+//! format.
 
 use entire_core::nn::Level;
 use entire_core::nn::{
@@ -18,7 +18,7 @@ thread_local! {
 }
 
 fn count() {
-    // A thread that is being torn down has no counter, and no test that looks at it.
+    // A thread that is being torn down has no counter, and no test uses it.
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
 }
 

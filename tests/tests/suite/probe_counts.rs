@@ -1,5 +1,4 @@
-//! The coarse ray probe's estimates against the exact counts of the CPU twin, on the volumes that are
-//! shipped.
+//! The coarse ray probe's estimates against the exact counts of the CPU version, on the volumes in `data/`.
 
 use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
 use entire_io::scenes::SceneDistribution;
@@ -11,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// Largest median of |estimate / count − 1| over random scenes.
 const MEDIAN_TOLERANCE: f64 = 0.1;
 
-/// The same with single scattering, where one shadow ray per probe ray stands for all.
+/// The same with single scattering, where one shadow ray per probe ray represents all.
 const SCATTER_TOLERANCE: f64 = 0.2;
 
 /// One volume of each folder under `data/`.
@@ -77,7 +76,7 @@ fn estimated_work_is_the_counted_work() {
                 renderer.set_transfer(&table).expect("the transfer function");
                 let mut camera = Camera::from_arcball(scene.camera).expect("a camera");
                 if parallel {
-                    // As much as the lens shows of the plane through the center.
+                    // As much of the plane through the center as the field of view shows.
                     let scale = scene.camera.dz * (0.5 * DEFAULT_FOV_Y_DEGREES.to_radians()).tan();
                     camera = camera.with_parallel_scale(scale).expect("a scale");
                 }
@@ -101,7 +100,7 @@ fn estimated_work_is_the_counted_work() {
                     (work.shaded, counts.shaded),
                 ];
                 for (errors, (estimate, count)) in errors.iter_mut().zip(pairs) {
-                    // Less than half an event per ray costs nothing.
+                    // Less than half an event per ray is negligible.
                     if count * 2 > counts.rays {
                         errors.push((estimate / count as f64 - 1.0).abs());
                     }
@@ -109,7 +108,7 @@ fn estimated_work_is_the_counted_work() {
             }
         }
         for (name, errors) in ["rays", "samples", "skips", "shaded"].iter().zip(&mut errors) {
-            // Jumps of shadow rays are estimated roughly; they cost little beside their samples.
+            // Skips of shadow rays are estimated roughly; they cost little beside their samples.
             let rough = *name == "skips" && shading == Shading::Scatter;
             if errors.len() >= 6 && !rough {
                 let m = median(errors);

@@ -30,8 +30,8 @@ pub(super) fn fit_analytic(
     Ok((model, text))
 }
 
-/// The unit costs that a fit begins with: those of a renderer that converts stored values, unless all frames are of the
-/// project's raycaster or its twin, which do not.
+/// The initial unit costs of a fit: those of a renderer that converts stored values, unless all frames are of
+/// the project's raycaster or its CPU version, which do not.
 pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
     let own = |f: &&TimedFrame| {
         let manifest = context.tables.get(f.table).and_then(|t| t.manifest.as_ref());
@@ -40,7 +40,7 @@ pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
     if part.frames.iter().all(own) { UnitCosts::SOFTWARE } else { UnitCosts::CONVERTING }
 }
 
-/// The counts that unit costs stand for, one row per frame; 0 for those that cost nothing.
+/// The counts that unit costs multiply, one row per frame; 0 for those without a cost.
 pub fn counts(
     context: &FitContext<'_>,
     part: Timed<'_>,

@@ -1,10 +1,10 @@
-//! Networks made of networks: several side by side, and one with an estimate carried past it.
+//! Networks composed of networks: an ensemble as one network, and a network with an estimate carried past it.
 
 use anyhow::{Context, Result, ensure};
 use entire_core::nn::{DenseParts, Normalization, PredNetParts, SELU_SCALE, Target};
 
-/// One network that gives the mean of what several give that are alike in widths and standardization: hidden
-/// layers beside each other, the last one over all of them.
+/// One network that computes the mean of several with equal widths and standardization: their hidden layers
+/// side by side, and a last layer over all of them.
 pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     let count = members.len();
     let mut members = members.into_iter();
@@ -17,7 +17,7 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
         let (width, height) = (layer.inputs, layer.outputs);
         ensure!(
             parts.iter().all(|p| p.inputs == width && p.outputs == height),
-            "networks of different widths cannot stand beside each other"
+            "networks of different widths cannot form an ensemble"
         );
         let blocks: Vec<&DenseParts> = std::iter::once(&*layer).chain(parts).collect();
         let (inputs, outputs) =
@@ -28,7 +28,7 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
         for (b, block) in blocks.iter().enumerate() {
             for (r, row) in block.weight.chunks_exact(width).enumerate() {
                 let at = (if last { r } else { b * height + r }) * inputs + if first { 0 } else { b * width };
-                // Where first and last are one, members share their columns too.
+                // In a network of one layer, members share their columns.
                 for (w, v) in weight[at..at + width].iter_mut().zip(row) {
                     *w += share * v;
                 }
@@ -40,12 +40,12 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     Ok(out)
 }
 
-/// How many standard deviations below its mean the carried estimate stays exact.
+/// Range below its mean, in standard deviations, in which the carried estimate is exact.
 const CARRY_RANGE: f32 = 12.0;
 
-/// Adds the logarithm of an estimate, as a last input with the given mean and deviation, to what a network on
-/// log ratios gives. In every hidden layer one unit of its own holds the estimate, kept so far above zero
-/// that SELU is a plain factor there; the last layer takes factor and offset out again.
+/// Adds the logarithm of an estimate, as a last input with the given mean and deviation, to the output of a
+/// network on log ratios. In every hidden layer one additional unit holds the estimate, kept so far above
+/// zero that SELU is linear there; the last layer removes factor and offset.
 pub(super) fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetParts {
     let (out_mean, out_std) = match &parts.output {
         Some(n) => (n.mean[0], n.std[0]),

@@ -1,4 +1,4 @@
-//! How predictors are made from measured frames.
+//! Fitting of predictors to measured frames.
 //!
 //! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one
 //!   dense layer on counts that gives seconds.
@@ -29,46 +29,47 @@ use indicatif::ProgressBar;
 use rayon::ThreadPool;
 use std::borrow::Cow;
 
-/// What fitting and prediction work with: the data and the machine.
+/// Context of fitting and prediction: the data and the machine.
 pub struct FitContext<'a> {
     /// The tables that the frames are of.
     pub tables: &'a [Table],
     /// Threads.
     pub pool: &'a ThreadPool,
-    /// Shows how far training is; its message and position are set.
+    /// Progress bar of the training; its message and position are set.
     pub bar: &'a ProgressBar,
-    /// Asked after every step.
+    /// Called after every step; true stops.
     pub stop: &'a dyn Fn() -> bool,
 }
 
-/// A predictor that was made.
+/// A fitted predictor.
 #[derive(Clone, Debug)]
 pub struct FittedModel {
     /// The model file.
     pub file: ModelFile,
-    /// One line on what it is.
+    /// Description of the model, in one line.
     pub what: String,
-    /// What it was made with.
+    /// Settings of the fit.
     pub settings: serde_json::Value,
     /// Every epoch of a network.
     pub history: Vec<EpochRecord>,
-    /// One line on how it went.
+    /// Result of the fit, in one line.
     pub outcome: String,
 }
 
-/// Seconds for rows of inputs, by the network as it will be used: finite and positive, as every predictor's.
+/// Seconds for rows of inputs, by the network in its final form: finite and positive, as from every
+/// predictor.
 ///
 /// # Errors
-/// When the model holds no PredNet, or gives no number for a row.
+/// When the model holds no PredNet, or its answer for a row is no number.
 pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let parts = model.prednet().context("the model file holds no PredNet")?;
     rows_by_network(model, &PredNet::new(parts)?, rows, width)
 }
 
-/// As [`predict_rows`], by a network of the model that was built before.
+/// As [`predict_rows`], with a network that was built from the model before.
 ///
 /// # Errors
-/// When it gives no number for a row.
+/// When its answer for a row is no number.
 pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
     let rows = held(model, rows, width)?;
@@ -77,7 +78,7 @@ pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize)
     Ok(seconds.into_iter().map(f64::from).collect())
 }
 
-/// Rows as they enter a model's network: held within what it has seen, where the model says that.
+/// Rows as inputs of a model's network: clamped to the training range, if the model states it.
 fn held<'a>(model: &Model, rows: &'a [f32], width: usize) -> Result<Cow<'a, [f32]>> {
     let Some(range) = InputRange::of(model, width)? else { return Ok(Cow::Borrowed(rows)) };
     let mut rows = rows.to_vec();
@@ -94,7 +95,7 @@ pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) 
     predict_rows(model, &rows, width)
 }
 
-/// As [`predict`], with the weights of the model's network stored otherwise than in its file.
+/// As [`predict`], with another storage format of the network's weights.
 ///
 /// # Errors
 /// As [`predict`]; a model without a network has no weights.
@@ -109,7 +110,7 @@ pub fn predict_stored(
     rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, &rows, width)
 }
 
-/// A model's inputs for frames, and how many there are of each frame.
+/// A model's inputs for frames, and their number per frame.
 fn rows_of(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<(Vec<f32>, usize)> {
     let layout = Layout::of_model(model)?;
     let rows = layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;

@@ -1,4 +1,4 @@
-//! One description of a predictor, as commands and studies have it, and how it is made.
+//! Recipe of a predictor, shared by commands and studies, and its execution.
 
 use super::analytic::{estimates, fit_analytic};
 use super::compose::{carry_past, side_by_side};
@@ -19,10 +19,10 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Most networks whose mean is taken.
+/// Maximum number of networks in an ensemble.
 const MAX_ENSEMBLE: usize = 16;
 
-/// What is fitted.
+/// Kind of the fitted model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -37,7 +37,7 @@ pub enum Kind {
     Residual,
 }
 
-/// What the network gives.
+/// Output quantity of the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[value(rename_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
@@ -49,7 +49,7 @@ pub enum TargetChoice {
     LogSeconds,
 }
 
-/// How weights are stored.
+/// Storage format of weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DtypeChoice {
@@ -73,11 +73,11 @@ impl DtypeChoice {
     }
 }
 
-/// How a predictor is made. What is left away has the value of [`Recipe::default`].
+/// Recipe of a predictor. Omitted fields have the values of [`Recipe::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Recipe {
-    /// What is fitted.
+    /// Kind of the fitted model.
     pub kind: Kind,
     /// Hidden layer widths of networks.
     pub layers: Vec<usize>,
@@ -85,24 +85,24 @@ pub struct Recipe {
     pub preset: Option<String>,
     /// Input groups, in order.
     pub inputs: Vec<String>,
-    /// Scene features, in order; the standard ones where there are none.
+    /// Scene features, in order; default: the standard ones.
     pub scene_features: Vec<String>,
-    /// Rays along each side of the probe behind scene features; the standard number unless given.
+    /// Rays along each side of the probe for scene features; default: the standard number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_side: Option<usize>,
-    /// Networks of other seeds whose mean is taken; stored as one network, each beside the others.
+    /// Number of networks with different seeds whose mean is taken; stored as one network.
     pub ensemble: usize,
-    /// What a network gives.
+    /// Output quantity of a network.
     pub target: TargetChoice,
     /// `mse`, `relative`, `huber:DELTA` or `pinball:QUANTILE`.
     pub loss: String,
-    /// Passes over the training frames at most.
+    /// Maximum number of passes over the training frames.
     pub epochs: usize,
     /// Frames per step.
     pub batch: usize,
     /// First learning rate; 1e-4 with a preset or when fine-tuning, else 1e-3.
     pub learning_rate: Option<f64>,
-    /// Last learning rate; a hundredth of the first unless given.
+    /// Last learning rate; default: a hundredth of the first.
     pub final_learning_rate: Option<f64>,
     /// Largest norm of the gradient.
     pub clip: f64,
@@ -114,13 +114,13 @@ pub struct Recipe {
     pub volumenet: Option<PathBuf>,
     /// Start from this model instead of random weights.
     pub fine_tune: Option<PathBuf>,
-    /// Whether Gaussian lobes go in by ascending center.
+    /// True if Gaussian lobes go in by ascending center.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub sorted_lobes: bool,
-    /// A model file that is taken as it is; nothing else counts then.
+    /// An existing model file; all other fields are then ignored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
-    /// How weights are stored.
+    /// Storage format of weights.
     pub dtype: DtypeChoice,
 }
 
@@ -173,13 +173,12 @@ pub fn parse_loss(text: &str) -> Result<Loss> {
     }
 }
 
-/// What frames took over what was estimated for them.
+/// Measured over estimated seconds of each frame.
 fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
 }
 
-/// The scene features that a small model takes unless told otherwise: logarithms of counts and lengths,
-/// shares, modes.
+/// Default scene features of a small model: logarithms of counts and lengths, shares, modes.
 pub fn standard_features() -> Vec<SceneFeature> {
     use SceneQuantity as Q;
     [
@@ -203,7 +202,7 @@ pub fn standard_features() -> Vec<SceneFeature> {
 }
 
 impl Recipe {
-    /// The scene features that are asked for.
+    /// The scene features of the recipe.
     ///
     /// # Errors
     /// For a name that is not known.
@@ -214,8 +213,7 @@ impl Recipe {
         self.scene_features.iter().map(|n| Ok(n.trim().parse()?)).collect()
     }
 
-    /// Makes the predictor. Validation frames decide when a network stops; the other kinds do not look at
-    /// them.
+    /// Fits the predictor. Validation frames decide when a network stops; the other kinds do not use them.
     ///
     /// # Errors
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or
@@ -253,7 +251,7 @@ impl Recipe {
             self.kind != Kind::Residual
                 || self.fine_tune.is_some()
                 || self.inputs.iter().map(|g| g.trim()).eq([<&str>::from(GroupKind::SceneFeatures)]),
-            "a residual model takes scene_features alone; leave other --inputs away"
+            "a residual model takes scene_features alone; leave out other --inputs"
         );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, context, training, validation);
@@ -265,7 +263,7 @@ impl Recipe {
         }
     }
 
-    /// Whether the ray step is among what it is made from, by itself or in counts of samples.
+    /// True if the ray step is an input, by itself or in counts of samples.
     ///
     /// # Errors
     /// For a group or feature that is not known.
@@ -279,7 +277,7 @@ impl Recipe {
             .map(|n| n.trim().parse::<GroupKind>())
             .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
-        // The sizes of other groups say nothing of the step.
+        // The sizes of the other groups do not depend on the step.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
     }
 
@@ -287,8 +285,7 @@ impl Recipe {
         self.probe_side.unwrap_or(PROBE_SIDE)
     }
 
-    /// Where its inputs stand in a row, and the model file that they begin: that of the VolumeNet, where one
-    /// is named.
+    /// The layout of its inputs, and a new model file: with the VolumeNet, if one is named.
     ///
     /// # Errors
     /// For names that are not known, or when the VolumeNet's file cannot be read.
@@ -331,8 +328,7 @@ impl Recipe {
         Ok(settings)
     }
 
-    /// The recipe as a model file tells it: of other files the names alone, since where they lie is of this
-    /// machine.
+    /// The recipe for a model file: with names of other files only, since their places are of this machine.
     fn portable(&self) -> Self {
         let name = |path: &Option<PathBuf>| path.as_ref().and_then(|p| p.file_name()).map(PathBuf::from);
         Self {
@@ -390,7 +386,7 @@ impl Recipe {
             .with_probe_side(self.side())
             .with_unit_costs(costs);
         self.store(&mut file, parts, &wide)?;
-        // The estimate beside the factor's inputs stays free.
+        // The estimate is not clamped, unlike the factor's inputs.
         InputRange::of_rows(&x, layout.width(), 1).store(&mut file)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
@@ -410,7 +406,7 @@ impl Recipe {
         })
     }
 
-    /// Widths of a network of the hidden layers asked for: inputs, hidden units, one output.
+    /// Layer widths of a network: inputs, hidden units, one output.
     fn widths(&self, inputs: usize) -> Vec<usize> {
         [&[inputs], &self.layers[..], &[1]].concat()
     }
@@ -452,8 +448,7 @@ impl Recipe {
         })
     }
 
-    /// Trains as many networks as the recipe asks for, from one seed after another, and puts them beside each
-    /// other.
+    /// Trains the ensemble's networks, with consecutive seeds, and combines them.
     fn ensemble(
         &self,
         context: &FitContext<'_>,
@@ -482,7 +477,7 @@ impl Recipe {
         training: Timed<'_>,
         validation: Timed<'_>,
     ) -> Result<FittedModel> {
-        ensure!(self.kind != Kind::Analytic, "an analytic model is fitted anew; leave --fine-tune away");
+        ensure!(self.kind != Kind::Analytic, "an analytic model cannot be fine-tuned; leave out --fine-tune");
         let (mut file, model) = read_model_file(path)?;
         let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
         let parts = model.prednet().context("the model file holds no PredNet")?;

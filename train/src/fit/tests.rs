@@ -1,4 +1,4 @@
-//! Every kind of predictor beside an evaluation of its parts.
+//! Every kind of predictor against an independent evaluation of its parts.
 
 use super::compose::{carry_past, side_by_side};
 use super::*;
@@ -117,7 +117,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         assert_eq!(layout.probe_side(), 5);
         let mut predictor = ModelPredictor::new(&model).unwrap();
         let factor = PredNet::new(&ratio).unwrap();
-        // Seen: images of 3 to 50 pixels, so that most are beyond; chords of 12 to 13.
+        // Training range: images of 3 to 50 pixels, so that most are beyond; chords of 12 to 13.
         let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
         InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
         let limited = file.to_model().unwrap();
@@ -151,7 +151,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
             let expected =
                 seconds_of(&costs, &counts) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
-            // Far from the shortest time that a network gives, where nothing could be told apart.
+            // Far from a network's shortest time, where all predictions would be equal.
             assert!((1e-4..1e4).contains(&expected), "{expected}");
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
             let mut row = vec![0.0; layout.width()];
@@ -160,7 +160,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             for found in [predicted, by_row] {
                 assert!((found / expected - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
             }
-            // Held within what it has seen, the factor alone changes.
+            // Clamped to the training range, only the factor changes.
             let held = [x[0].clamp(seen[0], seen[2]), x[1].clamp(seen[1], seen[3])];
             assert_ne!(held, x);
             let mut scratch = factor.scratch(1).unwrap();
@@ -181,7 +181,7 @@ fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
     let frames = tables_of_no_volume(3);
     let frames: Vec<&TimedFrame> = frames.iter().collect();
     let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0] };
-    // The volume is nowhere, so that any work at all fails in another way.
+    // The volume does not exist, so any attempt to compute fails with another error.
     let says =
         |recipe: Recipe| in_context(|context| format!("{:#}", recipe.make(context, part, part).unwrap_err()));
     let residual = Recipe { kind: Kind::Residual, ..Recipe::default() };

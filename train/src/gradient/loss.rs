@@ -1,9 +1,9 @@
-//! What training makes small.
+//! Loss functions of training.
 
 use super::Real;
 use anyhow::{Result, bail};
 
-/// The loss of one frame, on standardized targets. Its mean over the batch is made small.
+/// The loss of one frame, on standardized targets. Training minimizes its mean over the batch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Loss {

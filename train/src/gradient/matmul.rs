@@ -4,7 +4,7 @@ use entire_core::nn::Level;
 use ndarray::{ArrayView2, ArrayViewMut2, LinalgScalar, linalg::general_mat_mul};
 use std::sync::OnceLock;
 
-/// This CPU's best level, asked for once.
+/// This CPU's best level, determined once.
 pub(super) fn level() -> Level {
     static LEVEL: OnceLock<Level> = OnceLock::new();
     *LEVEL.get_or_init(Level::detect)

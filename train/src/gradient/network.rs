@@ -20,7 +20,7 @@ pub struct Network<T> {
     parameters: Vec<T>,
 }
 
-/// Where a layer's parameters stand in the vector of all of them.
+/// Place of a layer's parameters in the vector of all parameters.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span {
     pub(crate) inputs: usize,
@@ -168,7 +168,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     libm::sqrt(-2.0 * libm::log(u)) * libm::cos(std::f64::consts::TAU * v)
 }
 
-/// Buffers for some rows going through a network, and the gradient of their part of the loss.
+/// Buffers for the rows of one task, and the gradient of their part of the loss.
 #[derive(Clone, Debug)]
 pub(crate) struct Pass<T> {
     rows: usize,
@@ -203,7 +203,7 @@ impl<T: Real> Pass<T> {
         }
     }
 
-    /// Sends rows through the network. `inputs` holds exactly the rows that the buffers were made for.
+    /// Runs rows through the network. `inputs` holds exactly the rows that the buffers were made for.
     pub(crate) fn forward(&mut self, network: &Network<T>, inputs: &[T]) {
         debug_assert_eq!(inputs.len(), self.rows * network.widths[0]);
         for i in 0..network.layers() {

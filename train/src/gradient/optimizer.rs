@@ -26,7 +26,7 @@ pub fn cosine_learning_rate(first: f64, last: f64, step: u64, steps: u64) -> f64
     last + 0.5 * (first - last) * (1.0 + libm::cos(std::f64::consts::PI * t))
 }
 
-/// What one step did.
+/// Result of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
     /// Mean loss over the batch, before the step.
@@ -76,7 +76,7 @@ impl<T: Real> Trainer<T> {
         })
     }
 
-    /// The network as it is.
+    /// The current network.
     pub fn network(&self) -> &Network<T> {
         &self.network
     }
@@ -169,7 +169,7 @@ impl<T: Real> Trainer<T> {
     }
 
     /// One step on a batch: gradient, clipping by its global norm, Adam with the given learning rate. A batch
-    /// whose gradient is not finite changes nothing; its [`Step`] tells.
+    /// whose gradient is not finite changes nothing; its [`Step`] says so.
     ///
     /// # Errors
     /// As [`Trainer::evaluate`].

@@ -1,4 +1,4 @@
-//! The numbers a network is trained in: `f32` for use, `f64` to check it.
+//! Number types of training: `f32` for use, `f64` to check it.
 
 use super::matmul::level;
 use entire_core::nn::{SELU_ALPHA, SELU_SCALE, selu};
@@ -27,7 +27,7 @@ pub trait Real:
     const ONE: Self;
     /// The nearest number of this type.
     fn of(value: f64) -> Self;
-    /// As `f64`, exactly.
+    /// Converts to `f64`, exactly.
     fn wide(self) -> f64;
     /// √x.
     fn sqrt(self) -> Self;

@@ -11,7 +11,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::ThreadPool;
 use std::ops::ControlFlow;
 
-/// The target of a frame that took this long.
+/// The target of a frame of this time.
 fn target_of(target: Target, seconds: f64) -> f64 {
     match target {
         Target::Seconds => seconds,
@@ -27,7 +27,7 @@ fn seconds_of(target: Target, value: f64) -> f64 {
     }
 }
 
-/// Frames to learn from.
+/// Training frames.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<'a> {
     /// One row per frame, [frames, width] by rows, as the model's input groups order them; not standardized.
@@ -65,11 +65,12 @@ impl Samples<'_> {
     }
 }
 
-/// How a run goes. The default is the paper's, with batches of 256 and patience 50, which it does not state.
+/// Settings of a run. The default is the paper's, with batches of 256 and patience 50, which it does not
+/// state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
-    /// Passes over the training frames at most.
+    /// Maximum number of passes over the training frames.
     pub epochs: usize,
     /// Frames per step.
     pub batch: usize,
@@ -81,11 +82,11 @@ pub struct Settings {
     pub clip_norm: f64,
     /// Epochs without a better validation loss after which training stops.
     pub patience: usize,
-    /// What is made small.
+    /// Loss function.
     pub loss: Loss,
-    /// What the network gives.
+    /// Output quantity of the network.
     pub target: Target,
-    /// Order of the frames.
+    /// Seed of the order of the frames.
     pub seed: u64,
 }
 
@@ -143,7 +144,7 @@ pub struct Standardization {
 }
 
 impl Standardization {
-    /// From the frames to learn from.
+    /// From the training frames.
     pub fn fit(samples: Samples<'_>, width: usize, target: Target) -> Self {
         let n = samples.seconds.len().max(1) as f64;
         let mut mean = vec![0.0f64; width];
@@ -174,7 +175,7 @@ impl Standardization {
         Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
     }
 
-    /// What a model brings: its normalization where it has one, else none.
+    /// Standardization of a model where it has one, else none.
     pub fn of(parts: &PredNetParts) -> Self {
         let mut out = Self::identity(parts.layers.first().map_or(0, |layer| layer.inputs));
         if let Some(Normalization { mean, std }) = &parts.input {
@@ -219,7 +220,7 @@ impl Standardization {
     }
 }
 
-/// The square root of a variance, or 1 where it is no more than rounding.
+/// The square root of a variance, or 1 where it is only rounding noise.
 fn deviation(variance: f64, mean: f64) -> f32 {
     let deviation = libm::sqrt(variance);
     if deviation > 1e-7 * mean.abs() && deviation > 1e-30 { deviation as f32 } else { 1.0 }
@@ -264,16 +265,16 @@ pub struct EpochRecord {
     pub learning_rate: f64,
 }
 
-/// Told to the callback after every step.
+/// Argument of the callback after every step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
     /// Epoch in progress, from 1.
     pub epoch: usize,
-    /// Epochs at most.
+    /// Maximum number of epochs.
     pub epochs: usize,
     /// Steps done, over all epochs.
     pub steps: u64,
-    /// Steps at most, over all epochs.
+    /// Maximum number of steps, over all epochs.
     pub total_steps: u64,
     /// Loss of the last batch.
     pub batch_loss: f64,
@@ -283,28 +284,28 @@ pub struct Progress {
     pub best: f64,
 }
 
-/// Why a run ended.
+/// Reason for the end of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stop {
-    /// All epochs were done.
+    /// All epochs were finished.
     Finished,
     /// The validation loss stopped falling.
     Early,
-    /// The callback said so.
+    /// The callback stopped it.
     Interrupted,
     /// A loss was no longer finite: the learning rate is too high.
     Diverged,
 }
 
-/// What a run gives.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub struct Trained<T> {
     /// The weights with the lowest validation loss.
     pub network: Network<T>,
-    /// To be stored beside them.
+    /// Standardization, stored with the weights.
     pub standardization: Standardization,
-    /// What the output means.
+    /// Meaning of the output.
     pub target: Target,
     /// Every epoch that ended.
     pub history: Vec<EpochRecord>,
@@ -312,12 +313,12 @@ pub struct Trained<T> {
     pub best_epoch: usize,
     /// Their validation loss.
     pub best_loss: f64,
-    /// Why it ended.
+    /// Reason for its end.
     pub stop: Stop,
 }
 
 impl<T: Real> Trained<T> {
-    /// What a model file holds, weights as F32.
+    /// Contents of a model file, weights as F32.
     pub fn to_parts(&self) -> PredNetParts {
         let single = |values: &[T]| values.iter().map(|v| v.wide() as f32).collect();
         let s = &self.standardization;
@@ -383,9 +384,9 @@ fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settin
 /// Trains a network (random, or given to be fine-tuned) and returns the weights with the lowest validation
 /// loss.
 ///
-/// `standardization` is fitted to the training frames where it is `None`; a model being fine-tuned brings its
-/// own. Without validation frames the training loss decides. `progress` is called after every step and stops
-/// the run by [`ControlFlow::Break`]; the weights at that moment then take part in the choice of the best.
+/// `standardization` is fitted to the training frames where it is `None`; a fine-tuned model brings its own.
+/// Without validation frames the training loss decides. `progress` is called after every step and stops the
+/// run by [`ControlFlow::Break`]; the weights at that moment are then also candidates for the best.
 ///
 /// # Errors
 /// For settings out of range, frames that are not finite, no frame at all, or where sizes do not fit.

@@ -31,21 +31,21 @@ impl<'a> TimedFrames<'a> {
         Timed { frames: &self.frames, seconds: &self.seconds }
     }
 
-    /// These frames and others.
+    /// These frames together with others.
     pub fn and(&self, other: Self) -> Self {
         let frames = self.frames.iter().copied().chain(other.frames).collect();
         let seconds = self.seconds.iter().copied().chain(other.seconds).collect();
         Self { frames, seconds }
     }
 
-    /// The frames that are asked for, and the rest.
+    /// The frames that match, and the rest.
     pub fn parted(&self, wanted: impl Fn(&TimedFrame) -> bool) -> (Self, Self) {
         self.divided(|i| wanted(self.frames[i]))
     }
 
-    /// Groups for cross-validation, at most [`FOLDS`] times some that are held out together: ensemble
-    /// members, volumes where there are fewer than three members; none where there are fewer than three
-    /// volumes too.
+    /// Groups for cross-validation, in at most [`FOLDS`] parts that are each held out together: ensemble
+    /// members, or volumes where there are fewer than three members; none where there are fewer than three
+    /// volumes.
     pub fn folds(&self) -> (GroupBy, Vec<BTreeSet<String>>) {
         let by = self.groups_at_least(3);
         let groups: BTreeSet<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
@@ -82,7 +82,8 @@ impl<'a> TimedFrames<'a> {
         (pick(true), pick(false))
     }
 
-    /// What may not be torn apart: ensemble members, or volumes where there are fewer members than needed.
+    /// Groups that a split keeps together: ensemble members, or volumes where there are fewer than `needed`
+    /// members.
     pub fn groups_at_least(&self, needed: usize) -> GroupBy {
         let members: BTreeSet<String> = self.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
         if members.len() < needed { GroupBy::Volume } else { GroupBy::Member }
@@ -102,7 +103,7 @@ impl<'a> TimedFrames<'a> {
         self.divided(|i| groups.contains(&&of_frame[i]))
     }
 
-    /// So many frames, chosen by the seed, and the rest.
+    /// `count` frames, chosen by the seed, and the rest.
     pub fn sample(&self, count: usize, seed: u64) -> (Self, Self) {
         let mut order: Vec<usize> = (0..self.frames.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
@@ -165,7 +166,7 @@ mod tests {
         let held: usize =
             folds.iter().map(|f| part.parted(|x| f.contains(&by.group(&x.scene))).0.frames.len()).sum();
         assert_eq!(held, part.frames.len());
-        // Of two members, volumes are held out; of two volumes, nothing is.
+        // With two members, volumes are held out; with two volumes, nothing is.
         let few = table(&[("e/a/t0.nrrd", "a"), ("e/a/t1.nrrd", "a"), ("e/b/t0.nrrd", "b")]);
         let (by, folds) = TimedFrames::of(&few.frames, Clock::Cpu).folds();
         assert_eq!((by, folds.len()), (GroupBy::Volume, 3));

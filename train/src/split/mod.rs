@@ -13,11 +13,11 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// What is kept together.
+/// Unit that a split keeps together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum GroupBy {
-    /// All frames of an ensemble member (of a volume, where it belongs to none).
+    /// All frames of an ensemble member (of a volume, if it belongs to none).
     #[default]
     Member,
     /// All frames of a volume.
@@ -33,8 +33,8 @@ impl GroupBy {
         }
     }
 
-    /// The group that a frame belongs to. A member is named with the folder that its own folder stands in,
-    /// since ensembles often number theirs alike: `castro_blast/m01`.
+    /// The group of a frame. A member's name includes the folder above its own, since ensembles often have
+    /// the same member numbers: `castro_blast/m01`.
     pub fn group(self, scene: &Scene) -> String {
         let folder = Path::new(&scene.volume).parent();
         let name = |p: Option<&Path>| p.and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned());
@@ -50,21 +50,21 @@ impl GroupBy {
     }
 }
 
-/// Which groups serve what.
+/// Groups for training, validation and testing.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Split {
-    /// What a group is.
+    /// Kind of the groups.
     pub by: GroupBy,
     /// Learned from.
     pub training: BTreeSet<String>,
     /// Decides when training stops.
     pub validation: BTreeSet<String>,
-    /// Never looked at in training.
+    /// Not used in training.
     pub test: BTreeSet<String>,
 }
 
 impl Split {
-    /// Splits groups: those named for validation and testing; where none are named, a tenth each (at least
+    /// Splits groups: those named for validation and testing; by default a random tenth for each (at least
     /// one where there are three groups or more), by the seed.
     ///
     /// # Errors
@@ -141,9 +141,9 @@ pub enum Part {
     Training,
     /// Decides when training stops.
     Validation,
-    /// Never looked at in training.
+    /// Not used in training.
     Test,
-    /// Of a group that the split does not know.
+    /// The group is not part of the split.
     Unknown,
 }
 

@@ -1,4 +1,4 @@
-//! Scenes that the timing tools share.
+//! Scenes of the timing tools.
 #![allow(dead_code, reason = "every tool uses a part of this")]
 
 use entire_core::scene::{ControlPoint, TransferFunction, TransferTable};
@@ -97,7 +97,7 @@ pub(crate) fn transfer(name: &str) -> Option<TransferTable> {
             (0.3, [0.8, 0.5, 0.3], 0.5),
             (1.0, [1.0, 0.9, 0.6], 0.9),
         ],
-        // Bright vessels alone.
+        // Only bright vessels.
         "scan" => &[
             (0.0, [0.5, 0.1, 0.1], 0.0),
             (0.3, [0.7, 0.2, 0.1], 0.0),

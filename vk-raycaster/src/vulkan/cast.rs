@@ -9,7 +9,7 @@ use crate::renderer::{FrameTime, Image, Rendered, WorkCounts};
 use crate::setup::FAR;
 use entire_core::scene::Frame;
 
-/// Where the pixels go.
+/// Destination of the pixels.
 enum Sink<'a> {
     /// Rows of the region.
     Host(&'a mut [u8]),
@@ -18,7 +18,7 @@ enum Sink<'a> {
 }
 
 impl VulkanRaycaster {
-    /// Renders a part of a frame and reads it back; the pixels are those of the whole frame.
+    /// Renders a part of a frame and reads it back; its pixels equal those of the whole frame.
     ///
     /// # Errors
     /// For a region beyond the frame; else as [`crate::Renderer::render`].
@@ -30,8 +30,8 @@ impl VulkanRaycaster {
         Ok(Rendered { image, time, counts: self.options.count_work.then_some(counts) })
     }
 
-    /// Renders a part of a frame into a picture that stays on the device, at the region's place in the frame;
-    /// what lies outside of the region stays. Returns once the device is done.
+    /// Renders a part of a frame into a picture on the device, at the region's place in the frame; the rest
+    /// of the picture is unchanged. Returns once the device has finished.
     ///
     /// # Errors
     /// For a region beyond the frame or the picture, a picture of another device; else as

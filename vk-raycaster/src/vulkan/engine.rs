@@ -1,4 +1,4 @@
-//! Plays recordings on a device: what it owns, and when a submission begins and ends.
+//! Executes recordings on a device: its resources, and the lifetime of submissions.
 
 mod play;
 mod waiting;
@@ -25,7 +25,7 @@ const TABLE_BYTES: u64 = 65536;
 /// Bytes per pixel of the state of a ray between its windows.
 pub(crate) const STATE_BYTES: u64 = 32;
 
-/// Which variant of the shader.
+/// Key of a shader variant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ShaderKey {
     pub(crate) shading: u32,
@@ -38,40 +38,40 @@ pub(crate) struct ShaderKey {
 
 /// Frames that may be in flight.
 pub(crate) const FRAMES_IN_FLIGHT: usize = 2;
-/// The slot of copies to the device, which are free to go on while every other slot has a frame.
+/// The slot of copies to the device, which may continue while every other slot has a frame.
 const COPIES: usize = FRAMES_IN_FLIGHT;
 
-/// Most textures that a volume may be cut into.
+/// Maximum number of textures that a volume may be cut into.
 pub(crate) const MAX_BRICKS: usize = 64;
 
 /// A tile to cast.
 pub(crate) struct Cast<'a> {
-    /// What errors call it.
+    /// Name of the pass in errors.
     pub(crate) pass: &'a str,
     pub(crate) key: ShaderKey,
     pub(crate) tile: Tile,
-    /// Whether rays go on where an earlier dispatch left them.
+    /// True if rays continue where an earlier dispatch left them.
     pub(crate) windowed: bool,
     /// The brick of the volume.
     pub(crate) brick: usize,
 }
 
-/// What a dispatch runs, and on what.
+/// Pipeline and descriptors of a dispatch.
 type Shader = (vk::Pipeline, vk::DescriptorSet);
 
 /// A finished tile.
 pub(crate) struct CastTile<'a> {
-    /// Between the timestamps around the dispatch.
+    /// Time between the timestamps around the dispatch.
     pub(crate) seconds: Option<f64>,
     pub(crate) image: &'a [u8],
     /// Empty unless the work was counted.
     pub(crate) work: &'a [u8],
 }
 
-/// What one submission uses for itself, so that another may run meanwhile.
+/// Resources of one submission, so that another may run meanwhile.
 struct Slot {
     descriptors: Owned<vk::DescriptorPool>,
-    /// For each brick of the volume, where made: the set that points at everything that a dispatch uses.
+    /// For each brick of the volume, if made: the descriptor set with all resources of a dispatch.
     sets: HashMap<usize, vk::DescriptorSet>,
     pool: Owned<vk::CommandPool>,
     commands: vk::CommandBuffer,
@@ -80,7 +80,7 @@ struct Slot {
     setup: Buffer,
     table_staging: Buffer,
     tile: Option<TileBuffers>,
-    /// Whether the fence was submitted and not reset since.
+    /// True if the fence was submitted and not reset since.
     pending: bool,
     running: Option<Running>,
 }
@@ -93,13 +93,13 @@ struct Running {
     counting: bool,
 }
 
-/// What [`Engine::start`] started, for [`Engine::finish`].
+/// A submission of [`Engine::start`], for [`Engine::finish`].
 pub(crate) struct Ticket {
     slot: usize,
     number: u64,
 }
 
-/// Buffers whose size follows the tile.
+/// Buffers whose size depends on the tile.
 struct TileBuffers {
     pixels: u64,
     counting: bool,
@@ -118,16 +118,16 @@ pub(crate) struct Engine {
     sampler: Owned<vk::Sampler>,
     slots: Vec<Slot>,
     table: Option<Image>,
-    /// The volume, in bricks where it is too large for one texture.
+    /// The volume, in bricks if it is too large for one texture.
     volume: Vec<Image>,
     skip_map: Option<Image>,
     staging: Option<Buffer>,
     /// A failed submission may still be running: nothing is freed or submitted before every slot was waited
     /// for.
     broken: bool,
-    /// A submission ran longer than it may: nobody waits for the device again, only looks whether it is done.
+    /// A submission exceeded its time limit: the device is no longer waited for, only polled.
     hangs: bool,
-    /// Casts so far.
+    /// Number of casts so far.
     casts: u64,
 }
 
@@ -224,8 +224,8 @@ impl Engine {
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         };
         let bindings = [
-            // A storage buffer, not a uniform one: lavapipe compiles the shader anew for every set of uniform
-            // values that steer its control flow, some 60 ms for every camera.
+            // A storage buffer, not a uniform one: lavapipe recompiles the shader for every set of uniform
+            // values that affect its control flow, some 60 ms for every camera.
             binding(0, vk::DescriptorType::STORAGE_BUFFER),
             binding(1, vk::DescriptorType::SAMPLED_IMAGE),
             binding(2, vk::DescriptorType::SAMPLED_IMAGE),
@@ -294,7 +294,7 @@ impl Engine {
         &self.gpu
     }
 
-    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined. Nothing
+    /// Makes the image for `target`, unless it exists with this shape. Its contents are undefined. Nothing
     /// may be running.
     pub(crate) fn reserve(&mut self, target: Target, shape: Shape) -> Result<()> {
         if self.image(target).is_ok_and(|i| i.shape == shape) {
@@ -306,7 +306,7 @@ impl Engine {
             Target::SkipMap => "skip map",
             Target::Table => "transfer table",
         };
-        // The old one goes first: both may not fit.
+        // The old image is freed first: both may not fit.
         match target {
             Target::Volume(brick) => self.volume.truncate(brick),
             Target::SkipMap => self.skip_map = None,
@@ -323,7 +323,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Leaves the first `bricks` textures of the volume. Nothing may be running.
+    /// Keeps the first `bricks` textures of the volume. Nothing may be running.
     pub(crate) fn keep_bricks(&mut self, bricks: usize) {
         if self.volume.len() > bricks {
             self.forget_sets();
@@ -362,14 +362,14 @@ impl Engine {
             self.wait(COPIES, "copy to the device")?;
             first += slices;
         }
-        // A large staging buffer is not kept for small later uses.
+        // A large staging buffer is not kept for later small uses.
         if self.staging.as_ref().is_some_and(|s| s.size() > STAGING_BYTES / 8) {
             self.staging = None;
         }
         Ok(())
     }
 
-    /// A slot for a frame in which nothing is running.
+    /// A slot for a frame without a running submission.
     pub(crate) fn free_slot(&self) -> Result<usize> {
         self.slots[..COPIES].iter().position(|s| s.running.is_none()).ok_or_else(|| {
             Error::new(format!(
@@ -397,7 +397,7 @@ impl Engine {
         Ok(Ticket { slot, number })
     }
 
-    /// Waits for what was started.
+    /// Waits for a started cast.
     pub(crate) fn finish(&mut self, Ticket { slot, number }: Ticket) -> Result<CastTile<'_>> {
         let running = &mut self.slots[slot].running;
         let Some(Running { pass, pixels, counting, .. }) = running.take_if(|r| r.number == number) else {
@@ -476,8 +476,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Makes a new descriptor set of what there is now. Sets are never rewritten: some drivers look at every
-    /// descriptor of a set, also at those that the shader does not use and whose resources are gone.
+    /// Makes a new descriptor set of the current resources. Sets are never rewritten: some drivers read every
+    /// descriptor of a set, including those that the shader does not use and whose resources are freed.
     fn prepare_set(&mut self, index: usize, brick: usize) -> Result<vk::DescriptorSet> {
         let slot = &mut self.slots[index];
         if let Some(set) = slot.sets.get(&brick) {
@@ -563,7 +563,7 @@ impl Engine {
     }
 }
 
-/// An error with what the device was doing.
+/// An error with the name of the device's pass.
 fn with_pass(e: &Error, pass: &str) -> Error {
     Error::new(format!("{e} (last pass: {pass})"))
 }

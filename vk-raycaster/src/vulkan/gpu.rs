@@ -11,31 +11,31 @@ use std::time::Duration;
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-/// How long a submission may run on a GPU before the device counts as hanging: 30 s. A submission is one tile
-/// or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does not
-/// answer for 2 to 10 s, so that a sound device is far below this.
+/// Time limit of a submission on a GPU, after which the device counts as hanging: 30 s. A submission is one
+/// tile or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does
+/// not answer for 2 to 10 s, so that a sound device is far below this.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
-/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. They work through the largest
-/// tile in minutes, longer on a loaded host, and no driver ends them.
+/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. The largest tile takes them
+/// minutes, longer on a loaded host, and no driver ends them.
 pub const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 
-/// Puts functions of a test in the place of a device's.
+/// Replaces functions of the device by those of a test.
 pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 
-/// Which device, and whether under the validation layer.
+/// Choice of the device, and true to enable the validation layer.
 pub(crate) struct GpuOptions<'a> {
-    /// How long a submission may run; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
+    /// Time limit of a submission; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
     pub(crate) longest_wait: Option<Duration>,
     /// Part of a device's name, in any case, or its index among all devices.
     pub(crate) device: Option<&'a str>,
     pub(crate) validation: bool,
-    /// Instance extensions of a window system; with any, the device presents (see
+    /// Instance extensions of a window system; with any, the device can present (see
     /// [`super::VulkanOptions::surface_extensions`]).
     pub(crate) surface_extensions: &'a [CString],
 }
 
-/// How device timestamps become seconds.
+/// Conversion of device timestamps to seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TimestampClock {
     /// Significant bits of a timestamp, 1…64.
@@ -53,16 +53,16 @@ impl TimestampClock {
     }
 }
 
-/// What the validation layer said.
+/// Messages of the validation layer.
 #[derive(Default)]
 struct Messages(Mutex<Vec<String>>);
 
-/// An open device. Everything made from it holds an `Arc` of it, so it goes last.
+/// An open device. Everything made from it holds an `Arc` of it, so it is freed last.
 pub(crate) struct Gpu {
     pub(crate) instance: ash::Instance,
     pub(crate) physical: vk::PhysicalDevice,
     pub(crate) device: ash::Device,
-    /// Held while something is submitted to it or presented by it.
+    /// Locked while something is submitted to it or presented by it.
     queue: Mutex<vk::Queue>,
     pub(crate) family: u32,
     pub(crate) timestamps: Option<TimestampClock>,
@@ -70,7 +70,7 @@ pub(crate) struct Gpu {
     /// Largest single allocation, bytes.
     pub(crate) max_allocation: u64,
     pub(crate) is_cpu: bool,
-    /// Whether compute shaders may compute minima and maxima over a subgroup.
+    /// True if compute shaders may compute minima and maxima over a subgroup.
     pub(crate) subgroup_arithmetic: bool,
     pub(crate) subgroup_size: u32,
     pub(crate) api_version: u32,
@@ -78,11 +78,12 @@ pub(crate) struct Gpu {
     pub(crate) memory: u64,
     pub(crate) name: String,
     pub(crate) driver: String,
-    /// How long a submission may run.
+    /// Time limit of a submission.
     pub(crate) longest_wait: Duration,
-    /// Whether a call has answered that the device is lost: nothing runs on it, and nothing can be submitted.
+    /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device, and nothing can be
+    /// submitted.
     lost: AtomicBool,
-    /// Whether a submission never ended: what the device may still use is never freed.
+    /// True if a submission never ended: resources that the device may still use are never freed.
     abandoned: AtomicBool,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
     debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
@@ -91,7 +92,7 @@ pub(crate) struct Gpu {
     entry: ManuallyDrop<ash::Entry>,
 }
 
-/// Makes an error of a failed Vulkan call, on a device where there is one already.
+/// Makes an error of a failed Vulkan call, on an open device.
 pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
@@ -123,12 +124,11 @@ pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) 
     Error::new(format!("{call} failed with {result:?}{on}; {remedy}"))
 }
 
-/// Maps the error of a Vulkan call, naming it.
+/// Names the Vulkan call of an error.
 pub(crate) trait NamedCall<T> {
     fn named(self, call: &str) -> Result<T>;
 
-    /// As [`NamedCall::named`] for a call on an open device, which is lost from then on where the call says
-    /// so.
+    /// As [`NamedCall::named`] for a call on an open device, which is marked lost if the call returns so.
     fn on(self, gpu: &Gpu, call: &str) -> Result<T>;
 }
 
@@ -148,7 +148,7 @@ impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
 }
 
 impl Gpu {
-    /// `wrap` stands between this crate and the device's functions.
+    /// `wrap` may replace the device's functions.
     pub(crate) fn open(options: &GpuOptions<'_>, wrap: WrapDevice<'_>) -> Result<Self> {
         // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
@@ -237,12 +237,12 @@ impl Gpu {
         })
     }
 
-    /// What the validation layer has said so far, warnings and errors.
+    /// Warnings and errors of the validation layer so far.
     pub(crate) fn messages(&self) -> Vec<String> {
         self.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The queue, for as long as the guard lives.
+    /// The queue, locked during the lifetime of the guard.
     pub(crate) fn queue(&self) -> MutexGuard<'_, vk::Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -252,7 +252,7 @@ impl Gpu {
         &self.entry
     }
 
-    /// Notes that a call answered that the device is lost.
+    /// Records `VK_ERROR_DEVICE_LOST`.
     pub(crate) fn mark_lost(&self) {
         self.lost.store(true, Ordering::Relaxed);
     }
@@ -268,22 +268,22 @@ impl Gpu {
         Ok(())
     }
 
-    /// Whether a call has answered that the device is lost.
+    /// True if a call has returned `VK_ERROR_DEVICE_LOST`.
     pub(crate) fn is_lost(&self) -> bool {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Whether a submission may still use what was made from the device, and will for ever.
+    /// True if a submission never ended and may still use the device's resources.
     pub(crate) fn is_abandoned(&self) -> bool {
         self.abandoned.load(Ordering::Relaxed)
     }
 
-    /// Leaves everything made from the device where it is until the process ends.
+    /// Leaks everything made from the device until the process ends.
     pub(crate) fn abandon(&self) {
         self.abandoned.store(true, Ordering::Relaxed);
     }
 
-    /// Whether optimally tiled images of a format can be sampled, and with a linear filter.
+    /// True if optimally tiled images of a format can be sampled; true if they can with a linear filter.
     pub(crate) fn sampling(&self, format: vk::Format) -> (bool, bool) {
         // SAFETY: the physical device belongs to this instance.
         let properties =
@@ -404,7 +404,7 @@ fn create_instance(
     }
     let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
     let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
-    // Also hears what the layer says of the instance's own creation and destruction.
+    // Also receives the layer's messages on the instance's own creation and destruction.
     let mut messenger = messenger_info(messages);
     let mut info = vk::InstanceCreateInfo::default()
         .application_info(&application)
@@ -432,7 +432,7 @@ struct ChosenDevice {
     driver: String,
 }
 
-/// The device that was asked for, else the first of the best kind.
+/// The named device, else the first of the best kind.
 fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<ChosenDevice> {
     let wanted = options.device;
     let presents = !options.surface_extensions.is_empty();

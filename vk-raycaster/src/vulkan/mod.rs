@@ -34,17 +34,17 @@ use std::sync::Arc;
 use std::time::Duration;
 use upload::Brick;
 
-/// A dispatch that takes longer than this makes the tiles of its shading mode smaller.
+/// A dispatch that takes longer than this reduces the tiles of its shading mode.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
-/// llvmpipe leaves an invocation's loops after 65535 turns in all; longer rays are cast in several
+/// llvmpipe ends an invocation's loops after 65535 iterations in all; longer rays are cast in several
 /// dispatches.
 const LOOP_LIMIT: f64 = 60_000.0;
 
-/// The smallest edge that tiles shrink to.
+/// The smallest edge of reduced tiles.
 const SMALLEST_TILE: u32 = 64;
 
-/// Where the shader gets voxels from.
+/// Source of voxels in the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum VoxelFetch {
     /// A 3-D texture through a sampler that interpolates: fastest on GPUs.
@@ -56,7 +56,7 @@ pub enum VoxelFetch {
     Packed,
 }
 
-/// How to open a [`VulkanRaycaster`].
+/// Options of opening a [`VulkanRaycaster`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct VulkanOptions {
     /// Part of the device's name, in any case, or its index. `None` takes the best: discrete, then
@@ -64,31 +64,29 @@ pub struct VulkanOptions {
     pub device: Option<String>,
     /// Run under the Khronos validation layer with synchronization validation.
     pub validation: bool,
-    /// Where voxels come from. `None` takes what is fastest on the device.
+    /// Source of voxels. `None` takes the fastest on the device.
     pub fetch: Option<VoxelFetch>,
     /// Count rays, samples, skips and shaded samples (a variant of the shader; times are a little longer).
     pub count_work: bool,
     /// Edge of the tiles that large images are cut into, in pixels. `None` is 1024.
     pub tile: Option<u32>,
-    /// Most voxels along an axis of one texture; larger volumes are cut into bricks. `None` is the device's
-    /// limit.
+    /// Maximum number of voxels along an axis of one texture; larger volumes are cut into bricks. `None` is
+    /// the device's limit.
     pub largest_texture: Option<u32>,
-    /// How long the device may take for one submission (a tile, a copy) before it counts as hanging. `None`
-    /// is
+    /// Time limit of one submission (a tile, a copy), after which the device counts as hanging. `None` is
     /// [`LONGEST_WAIT`], on software devices [`LONGEST_WAIT_SOFTWARE`].
     pub longest_wait: Option<Duration>,
     /// Instance extensions of a window system (`VK_KHR_surface` and the like). With any, the device is opened
-    /// so that it can show pictures in a window: with `VK_KHR_swapchain`, and a queue that draws as well.
+    /// so that it can present in a window: with `VK_KHR_swapchain`, and a queue with graphics.
     pub surface_extensions: Vec<CString>,
 }
 
 impl VulkanOptions {
     /// Reads `ENTIRE_DEVICE`, `ENTIRE_VALIDATION` (1 or 0), `ENTIRE_TILE` (pixels) and `ENTIRE_DEVICE_WAIT`
-    /// (seconds,
-    /// [`VulkanOptions::longest_wait`]); what is not set is the default.
+    /// (seconds, [`VulkanOptions::longest_wait`]); variables that are not set mean the default.
     ///
     /// # Errors
-    /// When a variable holds something else.
+    /// When a variable has an invalid value.
     pub fn from_env() -> Result<Self> {
         Self::from_variables(|name| std::env::var(name).ok())
     }
@@ -128,18 +126,18 @@ impl VulkanOptions {
 
 /// The Vulkan renderer: a compute shader that renders the picture that the crate documentation defines.
 ///
-/// With [`VoxelFetch::Texels`] and [`VoxelFetch::Packed`] it follows the twin in every operation; a sampler
-/// interpolates with the device's precision.
+/// With [`VoxelFetch::Texels`] and [`VoxelFetch::Packed`] it follows the CPU version in every operation; a
+/// sampler interpolates with the device's precision.
 pub struct VulkanRaycaster {
     engine: Engine,
     options: VulkanOptions,
     block_edge: usize,
     volume: Option<DeviceVolume>,
     classifier: Option<Classifier>,
-    /// The step whose table is on the device; `None` when there is none of the present transfer function.
+    /// The step whose table is on the device; `None` if there is none of the current transfer function.
     table_step: Option<f32>,
     has_skip_map: bool,
-    /// Blocks that are not empty under the present transfer function, and all blocks.
+    /// Number of non-empty blocks under the current transfer function, and of all blocks.
     occupied: Option<(usize, usize)>,
     /// Edge of the tiles for each shading mode.
     tile: [u32; 3],
@@ -156,24 +154,24 @@ struct Enqueued {
     counting: bool,
 }
 
-/// What all dispatches of a frame share.
+/// Parameters that all dispatches of a frame share.
 struct Plan {
     setup: FrameSetup,
     class: usize,
     key: ShaderKey,
     /// Samples per dispatch.
     window: f32,
-    /// Where the last window starts.
+    /// Start of the last window.
     last_window: f32,
     table: Option<Vec<u8>>,
 }
 
-/// What the host keeps of a volume that is on the device.
+/// The host's record of a volume on the device.
 struct DeviceVolume {
     geometry: Geometry,
     blocks: BlockMap,
     fetch: VoxelFetch,
-    /// What each texture holds; one where all of it fits.
+    /// Part of the volume in each texture; one where all of it fits.
     bricks: Vec<Brick>,
     /// Bricks along each axis.
     grid: [usize; 3],
@@ -183,19 +181,21 @@ impl VulkanRaycaster {
     /// Opens a device.
     ///
     /// # Errors
-    /// When there is no Vulkan loader, no driver or no such device; says what to install or to choose from.
+    /// When there is no Vulkan loader, no driver or no such device; names the package to install or the
+    /// devices to choose from.
     pub fn new(options: VulkanOptions) -> Result<Self> {
         Self::open(options, &|device| device)
     }
 
-    /// As [`VulkanRaycaster::new`] with other functions in the place of the device's, so that tests have
-    /// devices that fail.
+    /// As [`VulkanRaycaster::new`] with replaced functions of the device, so that tests have devices that
+    /// fail.
     ///
     /// # Errors
     /// As [`VulkanRaycaster::new`].
     ///
     /// # Safety
-    /// The functions of the device that `wrap` returns must do what Vulkan says, failures included.
+    /// The functions of the device that `wrap` returns must follow the Vulkan specification, failures
+    /// included.
     #[doc(hidden)]
     #[allow(unsafe_code, reason = "calls into Vulkan go through what the caller gives")]
     pub unsafe fn with_device_functions(
@@ -215,7 +215,7 @@ impl VulkanRaycaster {
         Self::on(Arc::new(Gpu::open(&gpu, wrap)?), options)
     }
 
-    /// A raycaster on a device that is open.
+    /// A raycaster on an open device.
     fn on(gpu: Arc<Gpu>, options: VulkanOptions) -> Result<Self> {
         let groups = gpu.limits.max_compute_work_group_count;
         let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
@@ -236,33 +236,33 @@ impl VulkanRaycaster {
         })
     }
 
-    /// What the validation layer has said so far; empty without validation.
+    /// Messages of the validation layer so far; empty without validation.
     pub fn validation_messages(&self) -> Vec<String> {
         self.engine.gpu().messages()
     }
 
-    /// Whether frames have device times.
+    /// True if frames have device times.
     pub fn has_timestamps(&self) -> bool {
         self.engine.gpu().timestamps.is_some()
     }
 
-    /// Whether the device is a CPU in truth (llvmpipe, SwiftShader).
+    /// True if the device is a software implementation (llvmpipe, SwiftShader).
     pub fn is_software(&self) -> bool {
         self.engine.gpu().is_cpu
     }
 
-    /// Where voxels of the present volume come from.
+    /// Source of the current volume's voxels.
     pub fn fetch(&self) -> Option<VoxelFetch> {
         self.volume.as_ref().map(|v| v.fetch)
     }
 
-    /// Textures that hold the present volume: one, or the bricks of one that is larger than a texture can be;
-    /// 0 before there is a volume.
+    /// Number of textures of the current volume: one, or the bricks of a volume that is larger than a texture
+    /// can be; 0 without a volume.
     pub fn bricks(&self) -> usize {
         self.volume.as_ref().map_or(0, |v| v.bricks.len())
     }
 
-    /// Blocks that are not empty under the present transfer function, and all blocks; `None` before both
+    /// Number of non-empty blocks under the current transfer function, and of all blocks; `None` before both
     /// volume and transfer function were set.
     pub fn occupied_blocks(&self) -> Option<(usize, usize)> {
         self.occupied
@@ -273,12 +273,12 @@ impl VulkanRaycaster {
         self.options.count_work = on;
     }
 
-    /// Frames that may be in flight: enqueued and not yet collected.
+    /// Maximum number of frames in flight: enqueued and not yet collected.
     pub const FRAMES_IN_FLIGHT: usize = engine::FRAMES_IN_FLIGHT;
 
-    /// Starts a frame and returns while the device renders it, so that the host can prepare the next one
-    /// meanwhile or use the one before. [`VulkanRaycaster::collect`] returns the frames in order. A change of
-    /// volume or transfer function holds for the frames that are enqueued after it.
+    /// Starts a frame and returns while the device renders it, so that the host can prepare the next frame or
+    /// use the last one meanwhile. [`VulkanRaycaster::collect`] returns the frames in order. A change of
+    /// volume or transfer function applies to frames that are enqueued after it.
     ///
     /// # Errors
     /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one
@@ -322,8 +322,8 @@ impl VulkanRaycaster {
         Ok(())
     }
 
-    /// Waits for the oldest frame in flight; `None` when there is none. Its wall time is from the call of
-    /// [`VulkanRaycaster::enqueue`] on and overlaps with that of its neighbors.
+    /// Waits for the oldest frame in flight; `None` if there is none. Its wall time starts with the call of
+    /// [`VulkanRaycaster::enqueue`] and overlaps with that of its neighbors.
     ///
     /// # Errors
     /// When the device fails.
@@ -339,7 +339,7 @@ impl VulkanRaycaster {
         Ok(Some(Rendered { image, time, counts: counting.then_some(counts) }))
     }
 
-    /// What the dispatches of a frame have in common.
+    /// Parameters that the dispatches of a frame share.
     fn plan(&self, frame: &Frame) -> Result<Plan> {
         check(frame)?;
         let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
@@ -392,7 +392,7 @@ impl VulkanRaycaster {
         })
     }
 
-    /// Brings the empty blocks of the present volume and transfer function onto the device.
+    /// Uploads the empty blocks of the current volume and transfer function to the device.
     fn update_skip_map(&mut self, preparation: &mut Preparation) -> Result<()> {
         self.has_skip_map = false;
         if let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) {
@@ -548,17 +548,17 @@ fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     order
 }
 
-/// Most samples that a ray can take: the diagonal of the box, 2 in scene space, in steps of `step`.
+/// Maximum number of samples of a ray: the diagonal of the box, 2 in scene space, in steps of `step`.
 fn longest_ray(step: f64) -> f64 {
     (2.0 / step).ceil() + 1.0
 }
 
-/// How many samples of a ray one dispatch may take on a software device, so that all loops together stay
-/// below
-/// [`LOOP_LIMIT`].
+/// Number of samples of a ray that one dispatch may take on a software device, so that all loops together
+/// stay below [`LOOP_LIMIT`].
 fn window(step: f64, shading: Shading) -> f32 {
     let shadow = longest_ray(step * f64::from(crate::setup::SHADOW_STEP));
-    // A sample costs a turn of its loop and at most one of the loops around; so does each shadow sample.
+    // A sample costs one iteration of its loop and at most one of the loops around; so does each shadow
+    // sample.
     let turns = if shading == Shading::Scatter { 2.0 + 2.0 * shadow } else { 2.0 };
     (LOOP_LIMIT / turns).floor().max(1.0) as f32
 }

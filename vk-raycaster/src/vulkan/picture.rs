@@ -50,7 +50,7 @@ impl Region {
 pub struct Picture {
     device: SharedDevice,
     image: Image,
-    /// Whether nothing was drawn into it.
+    /// True if nothing was drawn into it.
     pub(super) fresh: bool,
 }
 
@@ -82,12 +82,12 @@ impl Picture {
         self.image.shape.extent[1]
     }
 
-    /// A view of the image, to sample it by.
+    /// A view of the image, for sampling it.
     pub fn view(&self) -> vk::ImageView {
         self.image.view()
     }
 
-    /// Whether nothing was drawn into it, so that it must not be shown.
+    /// True if nothing was drawn into it, so that it must not be shown.
     pub fn is_fresh(&self) -> bool {
         self.fresh
     }
@@ -108,8 +108,8 @@ impl Drop for Picture {
         }
         let gpu = self.device.gpu();
         let queue = gpu.queue();
-        // Whoever shows it may still be reading it. A failure means a lost device, which reads nothing.
-        // SAFETY: the queue is the device's, and the guard keeps other threads from it.
+        // The window may still be reading it. A failure means a lost device, which reads nothing. SAFETY: the
+        // queue is the device's, and the guard keeps other threads from it.
         let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
     }
 }

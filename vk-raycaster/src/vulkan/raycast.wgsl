@@ -1,5 +1,5 @@
-// The ray caster. src/cpu.rs is its twin: same names, same operations in the same order. The crate documentation
-// defines the picture.
+// The ray-casting shader. src/cpu.rs is its CPU version: same names, same operations in the same order. The crate
+// documentation defines the picture.
 
 // Lines that start with # are directives of build.rs, which makes one module per mode:
 // SHADING   0 none, 1 local, 2 scatter
@@ -15,7 +15,7 @@ const EMPTY_BIT: u32 = 128u;
 const COLORS_PER_ENTRY: f32 = 16.0;
 const SHADOW_TERMINATION: f32 = 0.25;
 const ROW_SHIFT: u32 = 14u;
-// How many samples apart the runs of a packet's rays may begin to be taken together.
+// Distance in samples within which the starts of runs of a packet's rays are merged.
 const PACKET_SLACK: f32 = 4.0;
 
 struct FrameSetup {
@@ -83,7 +83,7 @@ struct FrameSetup {
 @group(0) @binding(6) var<storage, read_write> work: array<vec4<u32>>;
 #endif
 
-// Of each pixel, between the windows of a long ray: color and opacity so far; the next sample.
+// State of each pixel between the windows of a long ray: color and opacity so far; the next sample.
 @group(0) @binding(10) var<storage, read_write> state: array<vec4<f32>>;
 
 struct Counts {
@@ -93,7 +93,7 @@ struct Counts {
 }
 
 var<private> counts: Counts;
-// Copies of what every sample needs of the setup: software devices load it lane by lane.
+// Copies of the setup values of every sample: software devices load them lane by lane.
 var<private> dims: vec3<f32>;
 var<private> last: vec3<f32>;
 var<private> scale: f32;
@@ -131,7 +131,7 @@ struct Segment {
     end: f32,
 }
 
-// The run of samples from k on that are treated alike.
+// The run of equally treated samples from k on.
 fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32) -> Segment {
     let cell = floor(min(max(first + k * advance - 0.5, vec3<f32>(0.0)), last));
     let block = whole(cell) >> vec3<u32>(block_shift);
@@ -155,7 +155,7 @@ fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, cou
 }
 #endif
 
-// A run of samples: those of a run of blocks that are not empty.
+// A run of samples: those of consecutive non-empty blocks.
 struct Samples {
     begin: f32,
     end: f32,
@@ -181,7 +181,7 @@ fn next_run(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, start: f32
 }
 #endif
 
-// The next samples to take, from k on. `own` is the ray's present run, kept between the calls.
+// The next samples to take, from k on. `own` is the ray's current run, kept between the calls.
 fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32, own: ptr<function, Samples>) -> Samples {
 #if SKIPPING == 0
     return Samples(k, count);
@@ -189,9 +189,9 @@ fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32
 #if PACKETS == 0
     return next_run(first, advance, inverse, k, count);
 #else
-    // A subgroup runs in lockstep: nothing is gained where one ray skips and its neighbor samples. All go on to the first
-    // sample that one of them needs, and take the samples of the runs that begin there; what lies in blocks that are
-    // empty to a ray is transparent to it.
+    // A subgroup runs in lockstep: skipping in one ray while its neighbor samples gains nothing. All rays go on to the
+    // first sample that one of them needs, and take the samples of the runs that begin there; blocks that are empty for
+    // a ray are transparent to it.
     var run = *own;
     if k >= run.end {
         run = next_run(first, advance, inverse, k, count);

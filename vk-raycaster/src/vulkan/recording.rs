@@ -1,4 +1,4 @@
-//! What a submission does, as plain data that can be looked at without a device. The engine plays it.
+//! Commands of a submission, as plain data that can be tested without a device. The engine plays them.
 
 use crate::setup::FrameSetup;
 use ash::vk;
@@ -10,7 +10,7 @@ pub(crate) const GROUP_EDGE: u32 = 8;
 pub(crate) const IMAGE_BYTES: u64 = 4;
 pub(crate) const WORK_BYTES: u64 = 16;
 
-/// The resources that commands name.
+/// Resources of commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     /// A brick of the volume.
@@ -26,7 +26,7 @@ pub(crate) enum Command {
     WriteSetup(Box<FrameSetup>),
     /// Writes the texels of the step table into its staging buffer on the device.
     WriteTable(Vec<u8>),
-    /// Makes an image ready to be copied to; what it held is lost unless `keep`.
+    /// Makes an image ready to be copied to; its contents are lost unless `keep`.
     PrepareCopy { target: Target, keep: bool },
     /// Copies slices `first_slice…` of the volume or skip map from the staging buffer.
     CopySlices { target: Target, first_slice: u32, slices: u32 },
@@ -42,34 +42,34 @@ pub(crate) enum Command {
     Timestamp(u32),
     /// Casts the rays of the tile.
     Dispatch { groups: [u32; 2] },
-    /// Copies the image into a rectangle of a picture that stays on the device; what else the picture held
-    /// is lost if it is `fresh`.
+    /// Copies the image into a rectangle of a picture on the device; the picture's other contents are lost if
+    /// it is `fresh`.
     CopyToPicture { image: vk::Image, fresh: bool, tile: Tile },
     /// Copies the image, and the work counts if there are any, to the buffer that the host reads.
     ReadBack { image_bytes: u64, work_bytes: u64 },
 }
 
-/// Between which accesses a buffer barrier stands.
+/// Accesses that a buffer barrier separates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Hazard {
-    /// A transfer wrote what a transfer reads.
+    /// A transfer wrote, a transfer reads.
     TransferToTransfer,
-    /// A transfer wrote what the shader reads.
+    /// A transfer wrote, the shader reads.
     TransferToShader,
-    /// The shader wrote what a transfer reads.
+    /// The shader wrote, a transfer reads.
     ShaderToTransfer,
-    /// A transfer wrote what the host reads.
+    /// A transfer wrote, the host reads.
     TransferToHost,
 }
 
-/// Where a tile's pixels go.
+/// Destination of a tile's pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Output {
     /// To the buffer that the host reads.
     Host,
-    /// Nowhere: another dispatch goes on with these rays.
+    /// Nowhere: another dispatch continues these rays.
     Device,
-    /// To a picture that stays on the device, at the tile's place; see [`Command::CopyToPicture`].
+    /// To a picture on the device, at the tile's place; see [`Command::CopyToPicture`].
     Picture { image: vk::Image, fresh: bool },
 }
 
@@ -97,7 +97,7 @@ pub(crate) fn tiles(width: u32, height: u32, edge: u32) -> Vec<Tile> {
     out
 }
 
-/// Records one tile of a frame. A table comes along when the step or the transfer function changed.
+/// Records one tile of a frame, with the table if the step or the transfer function changed.
 pub(crate) fn record_tile(
     setup: &FrameSetup,
     tile: Tile,
@@ -150,7 +150,7 @@ pub(crate) fn record_tile(
     commands
 }
 
-/// Records the copy of some slices of a volume or skip map out of the staging buffer.
+/// Records the copy of some slices of a volume or skip map from the staging buffer.
 pub(crate) fn record_slices(target: Target, depth: u32, first_slice: u32, slices: u32) -> Vec<Command> {
     let mut commands = vec![Command::PrepareCopy { target, keep: first_slice > 0 }];
     commands.push(Command::CopySlices { target, first_slice, slices });
@@ -229,7 +229,7 @@ mod tests {
         let copy = Command::CopyToPicture { image: vk::Image::null(), fresh: true, tile };
         assert!(cast < wait && wait < position(&c, |c| *c == copy));
         assert!(!c.iter().any(|c| matches!(c, Command::ReadBack { .. })));
-        // Counts are read all the same.
+        // Counts are read nevertheless.
         let c = record_tile(&setup, tile, None, true, true, output);
         assert!(c.contains(&Command::ReadBack { image_bytes: 128, work_bytes: 512 }));
     }

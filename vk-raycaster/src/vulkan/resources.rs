@@ -7,8 +7,8 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::{Arc, PoisonError};
 
-/// A handle that destroys itself. Whoever holds one makes sure that the device no longer uses it when it
-/// drops, or that the device is abandoned, in which case it stays.
+/// A handle that destroys itself. Its owner ensures that the device no longer uses it when it drops, or that
+/// the device is abandoned, in which case it is leaked.
 pub(crate) struct Owned<T: Copy> {
     gpu: Arc<Gpu>,
     handle: T,
@@ -65,7 +65,7 @@ fn allocate(
         })
 }
 
-/// Frees an allocation. A failure could only be a foreign allocation, which cannot happen here.
+/// Frees an allocation. Only a foreign allocation could fail, which cannot happen here.
 fn free(gpu: &Gpu, allocation: Option<Allocation>) {
     if let Some(allocation) = allocation {
         let _ = gpu.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
@@ -112,7 +112,7 @@ impl Buffer {
         self.size
     }
 
-    /// The bytes, where the host sees them.
+    /// The bytes, if the host can access them.
     pub(crate) fn bytes(&self) -> Result<&[u8]> {
         self.allocation
             .as_ref()
@@ -121,7 +121,7 @@ impl Buffer {
             .ok_or_else(|| Error::new("a buffer that the host reads is not mapped; this is a driver fault"))
     }
 
-    /// The bytes, to write.
+    /// The bytes, for writing.
     pub(crate) fn bytes_mut(&mut self) -> Result<&mut [u8]> {
         let size = self.size as usize;
         self.allocation
@@ -151,17 +151,17 @@ pub(crate) struct Shape {
     /// Texels along each axis; a depth of 0 makes the image 2-D.
     pub(crate) extent: [u32; 3],
     pub(crate) format: vk::Format,
-    /// Whether shaders load from it as a storage image, else as a sampled one.
+    /// True if shaders load from it as a storage image, else as a sampled one.
     pub(crate) storage: bool,
 }
 
 impl Shape {
-    /// Whether the image is 2-D.
+    /// True if the image is 2-D.
     pub(crate) fn is_flat(&self) -> bool {
         self.extent[2] == 0
     }
 
-    /// What copies go by: slices of a 3-D image, rows of a 2-D one. Their number and the texels in each.
+    /// Units of copies: slices of a 3-D image, rows of a 2-D one. Their number and the texels in each.
     pub(crate) fn slices(&self) -> (u32, u64) {
         let [x, y, z] = self.extent;
         if self.is_flat() { (y, u64::from(x)) } else { (z, u64::from(x) * u64::from(y)) }
@@ -224,7 +224,7 @@ impl Image {
         self.image
     }
 
-    /// The layout that shaders read it in.
+    /// The image layout in which shaders read it.
     pub(crate) fn layout(&self) -> vk::ImageLayout {
         if self.shape.storage { vk::ImageLayout::GENERAL } else { vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL }
     }

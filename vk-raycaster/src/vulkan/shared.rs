@@ -1,4 +1,4 @@
-//! A device that others draw with as well: what shows the raycaster's pictures, and further raycasters.
+//! A device that is shared with others: a window that shows the raycaster's pictures, and further raycasters.
 
 use super::gpu::Gpu;
 use super::{VulkanOptions, VulkanRaycaster};
@@ -9,8 +9,8 @@ use std::sync::Arc;
 /// The device of a [`VulkanRaycaster`], kept open for as long as one of these, a raycaster or a
 /// [`Picture`](super::Picture) lives.
 ///
-/// Whoever makes Vulkan objects from [`SharedDevice::device`] keeps a clone, and destroys them before it drops
-/// the clone.
+/// Code that makes Vulkan objects from [`SharedDevice::device`] keeps a clone, and destroys them before it
+/// drops the clone.
 #[derive(Clone)]
 pub struct SharedDevice {
     gpu: Arc<Gpu>,
@@ -45,13 +45,12 @@ impl SharedDevice {
         &self.gpu.device
     }
 
-    /// The family of the one queue.
+    /// The family of the only queue.
     pub fn queue_family(&self) -> u32 {
         self.gpu.family
     }
 
-    /// Calls `use_queue` with the queue while nobody else submits to it. It must not call a raycaster of this
-    /// device.
+    /// Calls `use_queue` with the locked queue. It must not call a raycaster of this device.
     pub fn with_queue<T>(&self, use_queue: impl FnOnce(vk::Queue) -> T) -> T {
         let queue = self.gpu.queue();
         use_queue(*queue)
@@ -62,23 +61,23 @@ impl SharedDevice {
         &self.gpu.name
     }
 
-    /// Whether the device is a CPU in truth (llvmpipe, SwiftShader).
+    /// True if the device is a software implementation (llvmpipe, SwiftShader).
     pub fn is_software(&self) -> bool {
         self.gpu.is_cpu
     }
 
-    /// Pixels along the longest side that an image may have.
+    /// Maximum number of pixels along a side of an image.
     pub fn max_image_side(&self) -> u32 {
         self.gpu.limits.max_image_dimension2_d
     }
 
-    /// Whether a call has answered that the device is lost: nothing runs on it any more.
+    /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device any more.
     pub fn is_lost(&self) -> bool {
         self.gpu.is_lost()
     }
 
-    /// The error of a Vulkan call on this device, with the remedy. The device is lost from then on where the
-    /// result says so.
+    /// The error of a Vulkan call on this device, with the remedy. The device is marked lost if the result
+    /// says so.
     pub fn error(&self, call: &str, result: vk::Result) -> Error {
         if result == vk::Result::ERROR_DEVICE_LOST {
             self.gpu.mark_lost();
@@ -86,15 +85,15 @@ impl SharedDevice {
         super::gpu::call_failed(call, result, Some(&self.gpu.name))
     }
 
-    /// What the validation layer has said so far; empty without validation.
+    /// Messages of the validation layer so far; empty without validation.
     pub fn validation_messages(&self) -> Vec<String> {
         self.gpu.messages()
     }
 }
 
 impl VulkanRaycaster {
-    /// A further raycaster on an open device, with a volume and transfer function of its own. Raycasters of
-    /// one device may be used from several threads, each from one.
+    /// A further raycaster on an open device, with its own volume and transfer function. Raycasters of one
+    /// device may be used from several threads, each from one.
     ///
     /// # Errors
     /// When the device is lost or its memory is full.

@@ -1,4 +1,4 @@
-//! How a volume's voxels become texels.
+//! Conversion of a volume's voxels to texels.
 
 use super::VoxelFetch;
 use super::engine::{MAX_BRICKS, texel_bytes};
@@ -31,24 +31,24 @@ pub(crate) struct Plan {
     pub(crate) format: vk::Format,
     /// Voxel value that the shader reads as 1.
     pub(crate) unit: f32,
-    /// What each texture holds, x fastest.
+    /// Part of the volume in each texture, x fastest.
     pub(crate) bricks: Vec<Brick>,
     /// Bricks along each axis.
     pub(crate) grid: [usize; 3],
 }
 
-/// A part of the volume in a texture of its own.
+/// A part of the volume in a separate texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Brick {
-    /// First and last cell whose samples are taken from it.
+    /// First and last cell whose samples use it.
     pub(crate) low: [usize; 3],
     pub(crate) high: [usize; 3],
-    /// First voxel that it holds, and voxels along each axis: what those samples and their gradients touch.
+    /// Its first voxel, and its voxels along each axis: those that these samples and their gradients read.
     pub(crate) origin: [usize; 3],
     pub(crate) dims: [usize; 3],
 }
 
-/// Voxels that a brick holds beyond its cells along an axis: one before and two behind.
+/// Voxels of a brick beyond its cells along an axis: one before and two after.
 const APRON: usize = 3;
 
 /// Cuts a volume so that no brick has more than `limit` voxels along an axis or `most` voxels in all. Returns
@@ -76,13 +76,13 @@ pub(crate) fn cut(dims: [usize; 3], limit: usize, most: u64) -> Option<(Vec<Bric
     Some((bricks.collect(), grid))
 }
 
-/// Voxels along an axis that a texture takes.
+/// Maximum number of voxels along an axis of a texture.
 fn texture_limit(gpu: &Gpu, wish: Option<u32>) -> usize {
     let limit = gpu.limits.max_image_dimension3_d;
     wish.map_or(limit, |w| w.clamp(8, limit)) as usize
 }
 
-/// Refuses volumes that the device's textures do not hold, before any work.
+/// Refuses volumes that the device's textures cannot hold, before any work.
 pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3], wish: Option<u32>) -> Result<()> {
     let limit = texture_limit(gpu, wish);
     if cut(dims, limit, u64::MAX).is_none() {
@@ -95,7 +95,7 @@ pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3], wish: Option<u32>) -> Resu
     Ok(())
 }
 
-/// Chooses how the shader fetches voxels: as wished, else what is fastest on the device.
+/// Chooses how the shader fetches voxels: as requested, else the fastest way on the device.
 pub(crate) fn plan(
     gpu: &Gpu,
     volume: &PreparedVolume,
@@ -131,7 +131,7 @@ pub(crate) fn plan(
              the choice open",
             volume.geometry.dims, gpu.name
         ))),
-        // Software samplers interpolate 8-bit textures in 8 bits; in 16 they keep the fractions.
+        // Software samplers interpolate 8-bit textures in 8 bits; with 16 bits they keep the fractions.
         VoxelFetch::Sampler if is_bytes && gpu.is_cpu && gpu.sampling(vk::Format::R16_UNORM).1 => {
             Ok((vk::Format::R16_UNORM, 255.0))
         }
@@ -184,7 +184,7 @@ fn copy<T: bytemuck::NoUninit>(out: &mut [u8], row: &[T]) {
     out.copy_from_slice(bytemuck::cast_slice(row));
 }
 
-/// Hands every row of a brick's slices from `first` on to `write`, with the bytes that it fills.
+/// Passes every row of a brick's slices from `first` on to `write`, with its target bytes.
 fn for_rows<T: Sync>(
     voxels: &[T],
     [nx, ny, _]: [usize; 3],

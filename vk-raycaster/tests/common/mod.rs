@@ -1,4 +1,4 @@
-//! Volumes, transfer functions and frames that the tests share.
+//! Volumes, transfer functions and frames of the tests.
 #![allow(dead_code, reason = "every test binary uses a part of this")]
 
 use entire_core::scene::{Arcball, Camera, ControlPoint, Frame, TransferFunction, TransferTable};
@@ -57,7 +57,7 @@ fn points(list: &[(f32, [f32; 3], f32)]) -> TransferTable {
     TransferFunction::Points(points).to_table().unwrap()
 }
 
-/// Faint everywhere but in the background.
+/// Faint everywhere except in the background.
 pub(crate) fn transparent() -> TransferTable {
     points(&[(0.0, [0.2, 0.3, 0.9], 0.0), (0.1, [0.2, 0.4, 0.9], 0.0), (1.0, [1.0, 0.6, 0.2], 0.02)])
 }

@@ -16,26 +16,26 @@ use std::time::Instant;
 const STEPS: [f32; 5] = [1.0, 1.41, 2.0, 2.83, 4.0];
 const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0736];
 
-/// What a scene at all of these takes, in times of full quality, each drawn twice.
+/// Time of a scene at all settings, in times of full quality, each drawn twice.
 const GRID: f64 = 14.0;
 
-/// Scenes that time is to be enough for.
+/// Number of scenes that the time should suffice for.
 const SCENES: f64 = 6.0;
 
-/// Scenes of one volume at most.
+/// Maximum number of scenes of one volume.
 const PER_VOLUME: usize = 2;
 
-/// Shortest image side that is compared: of fewer pixels little can be told.
+/// Shortest image side that is compared: smaller images say little.
 const LEAST_SIDE: u32 = 96;
 
-/// How far a picture is from the one at full quality.
+/// Error measure between a picture and the one at full quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PictureError {
     /// Root mean squared difference of colors.
     #[default]
     Rmse,
-    /// One less the structural similarity of their luma.
+    /// One minus the structural similarity of their luma.
     Ssim,
 }
 
@@ -50,8 +50,8 @@ impl PictureError {
 }
 
 impl Measuring<'_> {
-    /// Draws some of the scenes at full quality, at coarser steps and as smaller images until `deadline`, a volume
-    /// after the other. A scene that time ran out in is left out.
+    /// Draws some of the scenes at full quality, at coarser steps and as smaller images until `deadline`, one
+    /// volume after another. An unfinished scene is dropped.
     ///
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
@@ -60,7 +60,7 @@ impl Measuring<'_> {
         let longest = self.left() / (SCENES * GRID);
         let mut out = Vec::new();
         for i in self.scenes(longest) {
-            // A little more than it is expected to take: what is half drawn is lost.
+            // A margin over its expected time: a half-drawn scene is lost.
             if (self.stop)() || self.left() < 1.2 * GRID * self.full_wall(i) {
                 break;
             }
@@ -77,7 +77,7 @@ impl Measuring<'_> {
         Ok(out)
     }
 
-    /// Wall seconds that a candidate is expected to take at full quality.
+    /// Expected wall seconds of a candidate at full quality.
     fn full_wall(&self, i: usize) -> f64 {
         self.wall(i) * f64::from(self.pool.candidates[i].scene.step).max(1.0)
     }
@@ -87,7 +87,7 @@ impl Measuring<'_> {
         let candidates = &self.pool.candidates;
         let pixels = |c: &Candidate| u64::from(c.scene.width) * u64::from(c.scene.height);
         let usable = |c: &Candidate| {
-            // Something is seen: samples by the pixel.
+            // The scene is visible: samples per pixel.
             let samples = c.work[3] / c.work[1].max(1.0);
             c.scene.width.min(c.scene.height) >= LEAST_SIDE && samples > 1.0
         };
@@ -102,7 +102,7 @@ impl Measuring<'_> {
         (0..PER_VOLUME).flat_map(|rank| volumes.iter().filter_map(move |&v| of(v, rank))).collect()
     }
 
-    /// One scene at every setting; `None` where time ran out or it was stopped first.
+    /// One scene at every setting; `None` if time ran out or it was stopped first.
     fn compare(&mut self, i: usize) -> Result<Option<Vec<Picture>>> {
         let scene = &self.pool.candidates[i].scene;
         let place = || format!("{}, compared scene {i}", scene.volume);

@@ -1,4 +1,4 @@
-//! `entire evaluate`: measure how well predictors do on collected frames.
+//! `entire evaluate`: errors of predictors on collected frames.
 
 mod report;
 
@@ -24,7 +24,7 @@ use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_r
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Measure how well predictors do on collected frames.
+/// Measure the errors of predictors on collected frames.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -41,8 +41,8 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// The clock whose seconds are compared with; `auto` is the clock that the models predict, where they say
-    /// so. Models of another clock are refused.
+    /// Clock of the measured seconds; `auto`: the clock that the models state. Models of another clock are
+    /// refused.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub clock: Clock,
     /// Only frames with this shading: none, local or scatter.
@@ -51,34 +51,37 @@ pub struct Options {
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
     pub unseen: bool,
-    /// Groups that are the rows of the second table.
+    /// Grouping of the rows of the second table.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub by: GroupBy,
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
     #[arg(long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
-    /// Judge each model also with its weights held in memory as f32, f16, bf16 or int8.
+    /// Also evaluate each model with its weights stored as f32, f16, bf16 or int8.
     #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
     pub storage: Vec<Storage>,
-    /// Judge each model also in a session that hears of every frame after it was predicted, from the frame on
-    /// that follows so many observed ones. Opens the volumes.
+    /// Also evaluate each model in a session that observes every frame after predicting it, without the first
+    /// FRAMES frames. Opens the volumes.
     #[arg(long, value_name = "FRAMES")]
     pub observed: Option<usize>,
-    /// Seed of the probes behind the constant baseline.
+    /// Seed of the frames whose mean is the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
-    /// table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
-    /// Threads; all logical processors unless given.
+    /// Threads; default: all logical processors.
     #[arg(long)]
     pub threads: Option<usize>,
 }
 
 fn parse_storage(text: &str) -> Result<Storage, String> {
     Storage::ALL.into_iter().find(|s| s.to_string() == text).ok_or_else(|| {
-        format!("no storage of weights; there are {}", Storage::ALL.map(|s| s.to_string()).join(", "))
+        format!(
+            "no storage format of weights; accepted are \
+             {}",
+            Storage::ALL.map(|s| s.to_string()).join(", ")
+        )
     })
 }
 
@@ -113,7 +116,7 @@ impl Loaded {
 /// Runs the command.
 ///
 /// # Errors
-/// When a model or table cannot be read, a model's inputs cannot be computed, or nothing is left to compare.
+/// When a model or table cannot be read, a model's inputs cannot be computed, or no frame is left.
 pub fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
@@ -126,12 +129,12 @@ pub fn run(options: &Options) -> Result<()> {
     said.into_iter().flatten().for_each(|text| note(&text));
     if options.unseen {
         for m in models.iter().filter(|m| m.split.is_none()) {
-            note(&format!("{} does not say what it learned from; --unseen cannot leave that out", m.name));
+            note(&format!("{} does not state its training data, so --unseen cannot leave it out", m.name));
         }
         frames.retain(|(f, _)| !models.iter().any(|m| m.has_seen(f)));
         ensure!(
             !frames.is_empty(),
-            "every frame is of a group that a model learned from; give other data, or leave --unseen away"
+            "every frame is of a group that a model was trained on; give other data, or leave out --unseen"
         );
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
@@ -196,7 +199,8 @@ pub fn run(options: &Options) -> Result<()> {
             let metrics =
                 Metrics::new(&predicted[heard..], &measured[heard..]).context("no frames are left")?;
             println!(
-                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, MdAPE {:.2} % on the other {}",
+                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, MdAPE {:.2} % on the other \
+                 {} frames",
                 m.name,
                 metrics.rmse_over_sd,
                 100.0 * metrics.mdape,
@@ -280,5 +284,5 @@ fn assess(
     })
 }
 
-/// Rounds behind the intervals over members drawn anew.
+/// Rounds of the bootstrap over members.
 const BOOTSTRAP_ROUNDS: usize = 400;

@@ -1,4 +1,4 @@
-//! What `entire evaluate` prints and writes.
+//! Printed and written output of `entire evaluate`.
 
 use anyhow::Result;
 use entire_io::dataset::{NoiseFloor, TimedFrame};
@@ -18,18 +18,17 @@ pub(super) struct Predictor {
     pub(super) metrics: Metrics,
     pub(super) by_group: BTreeMap<String, Metrics>,
     pub(super) latency: Option<WarmLatency>,
-    /// Frames of groups that it learned from.
+    /// Frames of its training groups.
     pub(super) frames_seen: usize,
-    /// Share of frames that took no longer than the upper bound in its file.
+    /// Share of frames that took no longer than the model's upper bound.
     pub(super) bound_coverage: Option<f64>,
-    /// How the upper bound does beyond that: among the slowest tenth, and its quantile loss.
+    /// Further measures of the upper bound: coverage of the slowest tenth, and quantile loss.
     pub(super) bound: Option<BoundMetrics>,
-    /// 95 % interval of RMSE/SD when ensemble members (volumes that belong to none) are drawn anew with
-    /// replacement.
+    /// 95 % interval of RMSE/SD by bootstrap over ensemble members (over volumes that belong to none).
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
     /// The same of MdAPE.
     pub(super) mdape_interval: Option<(f64, f64)>,
-    /// Errors by what frames are like.
+    /// Errors by kind of frame.
     pub(super) by_kind: Vec<(&'static str, Metrics)>,
     #[serde(skip)]
     pub(super) predicted: Vec<f64>,
@@ -47,9 +46,9 @@ pub(super) struct Evaluation<'a> {
     pub(super) unseen_only: bool,
     pub(super) frames: usize,
     pub(super) noise_floor: Option<NoiseFloor>,
-    /// The same of frames of each kind.
+    /// Noise floor of frames of each kind.
     pub(super) noise_by_kind: &'a [(&'static str, NoiseFloor)],
-    /// Errors in a session by the model's name, of the frames after the observed ones.
+    /// Errors in a session by the model's name, on the frames after the observed ones.
     pub(super) in_session: &'a BTreeMap<String, Metrics>,
     pub(super) predictors: &'a [Predictor],
 }
@@ -66,7 +65,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let mut overall = Table::new(vec![
         Column::text("predictor"),
         Column::number("frames"),
-        Column::number("of them seen"),
+        Column::number("seen in training"),
         Column::number("RMSE, s"),
         Column::number("RMSE/SD"),
         Column::number("MAE, s"),
@@ -76,7 +75,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
         Column::number("R² in log"),
         Column::number("within bound, %"),
         Column::number("µs per prediction"),
-        Column::number("of that network"),
+        Column::number("of it network, µs"),
         Column::number("µs per transfer function"),
     ]);
     for p in predictors {
@@ -138,8 +137,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     (overall, bias, by_group)
 }
 
-/// Intervals, the upper bound and errors by kind of frame.
-/// Intervals, bounds, and errors by kind of frame, with what the repeats of one frame would leave.
+/// Intervals, bounds, and errors by kind of frame, beside the noise floor of repeats.
 pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, NoiseFloor)]) -> Table {
     let mut kinds: Vec<&str> = Vec::new();
     for (name, _) in predictors.iter().flat_map(|p| &p.by_kind) {
@@ -174,7 +172,7 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
         table.row(row);
     }
     if !noise.is_empty() {
-        let mut row = vec!["the truth, by the repeats of a frame".into()];
+        let mut row = vec!["noise floor, from repeats of a frame".into()];
         row.extend((0..4).map(|_| "-".into()));
         for kind in &kinds {
             let floor = noise.iter().find(|(k, _)| k == kind);
@@ -197,13 +195,13 @@ fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
     .series(Series::new("", Mark::Points(points)).color(color))
 }
 
-/// Share of frames by predicted / measured, on bins of equal ratio between a half and twice; the outermost
-/// bins hold everything beyond.
+/// Share of frames by predicted / measured, in bins of equal ratio between 1/2 and 2; the outermost bins
+/// include all values beyond.
 fn histogram(predictors: &[Predictor], measured: &[f64]) -> Chart {
     const BINS: usize = 41;
     let span = 2f64.ln();
     let mut chart = Chart::new(
-        "How predicted / measured is spread",
+        "Distribution of predicted / measured",
         Axis::log("predicted / measured"),
         Axis::linear("share of frames, %").from(0.0),
     )
@@ -282,18 +280,14 @@ pub(super) fn write_report(
     let mut page = Page::new("Evaluation of predictors", &lead);
     page.table(
         overall,
-        "RMSE over SD is 1 for a predictor that always says the mean. MdAPE: median absolute percentage \
-         error. Latency: \
-         median of warm calls in one thread, scene features included.",
+        "RMSE over SD is 1 for a predictor that always gives the mean. MdAPE: median absolute percentage \
+         error. Latency: median of warm calls in one thread, scene features included.",
     );
-    page.table(
-        more,
-        "Intervals: ensemble members (volumes that belong to none) drawn anew with replacement.",
-    );
+    page.table(more, "Intervals: bootstrap over ensemble members, and over volumes that belong to none.");
     page.heading("Errors");
     let spread = histogram(predictors, measured);
     write("errors.svg", &spread.to_svg_file())?;
-    page.chart(&spread, "Bins of equal ratio between 1/2 and 2; the outermost hold everything beyond.");
+    page.chart(&spread, "Bins of equal ratio between 1/2 and 2; the outermost include all values beyond.");
     let by_time = bias_chart(predictors);
     write("bias.svg", &by_time.to_svg_file())?;
     page.chart(

@@ -1,4 +1,4 @@
-//! What the window needs of this program: readers of volumes, predictors, controllers, path files.
+//! Services of this program to the window: readers of volumes, predictors, controllers, path files.
 
 use crate::calibrate::place::machine_model;
 use crate::steering::contenders::{ControllerKind, controller};
@@ -23,15 +23,15 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Share of a frame that a coarser step does not save, as rivals take it that go by a response curve which
-/// nobody measured here.
+/// Share of a frame's time that a coarser step does not save, assumed for rivals that use a response curve,
+/// which is not measured here.
 const FIXED_SHARE: f32 = 0.1;
 
-/// What the window needs, from this program.
+/// The window's host: services of this program.
 pub(super) struct Surroundings {
-    /// The model file that was given, by its name.
+    /// The given model file, with its name.
     pub(super) model: Option<(String, Model)>,
-    /// How volumes are read.
+    /// Options of reading volumes.
     pub(super) reading: Reading,
 }
 
@@ -48,7 +48,7 @@ impl VolumeSource for Opened {
     }
 }
 
-/// Follows a file's reading for the window.
+/// Forwards the progress of reading to the window.
 struct Follower(Arc<Progress>);
 
 impl Watcher for Follower {
@@ -69,15 +69,15 @@ impl Watcher for Follower {
 struct Predicts {
     /// None for the untrained analytic model.
     model: Option<SteeringModel>,
-    /// Whether the model was calibrated to this machine, as a model that was given is taken to be.
+    /// True if the model was calibrated to this machine, which a given model is assumed to be.
     calibrated: bool,
     /// The clock that the model states.
     clock: Option<Clock>,
-    /// Why the machine's model takes no part, where there is one.
+    /// Reason why the machine's model is ignored, if there is one.
     left_out: Option<String>,
 }
 
-/// The clock that the window's frames are timed by.
+/// The clock of the window's frames.
 const WINDOW: Clock = Clock::Wall;
 
 impl Steering for Predicts {
@@ -89,7 +89,8 @@ impl Steering for Predicts {
         };
         if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
             out += &format!(
-                "; it predicts {} seconds, frames take {} seconds: the first ones tell the factor",
+                "; it predicts {} seconds, the window measures {} seconds: the factor is learned from the \
+                 first frames",
                 clock.name(),
                 WINDOW.name()
             );
@@ -110,14 +111,14 @@ impl Steering for Predicts {
             Some(model) => model.predictor()?,
             None => Box::new(AnalyticModel::default()),
         };
-        // What a model knows of its errors holds on the machine that it was fitted on.
+        // A model's statement of its errors holds on the machine that it was fitted on.
         let prior = match predictor.log_sd() {
             Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
             _ => Prior::Unknown,
         };
         let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), prior);
         let mut session = Session::with_controller(predictor, steers);
-        // The window is drawn by the raycaster whose pictures the model knows.
+        // The window's renderer is the raycaster that the model's quality law is for.
         let pictures = session.quality().unwrap_or(RAYCASTER);
         session.set_timing_source("entire explore", WINDOW.name())?;
         session.set_quality(Some(pictures))?;
@@ -125,12 +126,13 @@ impl Steering for Predicts {
     }
 }
 
-/// What is said of a machine's model that takes no part, because it predicts other seconds than the window's.
+/// Note on a machine's model that is ignored because it predicts seconds of another clock than the window's.
 fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
     format!(
-        "{} predicts {} seconds and takes no part: Calibrate … copies the command that makes one of {} seconds",
+        "{} is ignored, since it predicts {} time: Calibrate … copies the command for a model of {} \
+         seconds",
         file.display(),
-        clock.map_or("no stated clock's", Clock::name),
+        clock.map_or("unspecified", Clock::name),
         WINDOW.name()
     )
 }
@@ -147,7 +149,7 @@ impl Host for Surroundings {
             (None, Some((path, file, Some(WINDOW)))) => {
                 (path.display().to_string(), file.to_model()?, true, None)
             }
-            // A machine's model of another clock does not say how long the window's frames take.
+            // A machine's model of another clock does not predict the window's times.
             (None, here) => {
                 let left_out = here.map(|(path, _, clock)| takes_no_part(&path, clock));
                 match shipped_file(shading)? {
@@ -174,18 +176,18 @@ impl Host for Surroundings {
 
     fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()> {
         let path = path_file(recording);
-        // What could not be played is not written.
+        // A recording that cannot be played is not written.
         path.resolve().context("the recording cannot be played")?;
         write_json(file, &path)
     }
 
     fn calibration(&self, volume: &Path, shading: Shading) -> String {
-        // The window's frames are timed on the host.
+        // The window's frames are timed on the host, by wall time.
         format!("entire calibrate --shade {shading} --clock wall && entire explore {}", volume.display())
     }
 }
 
-/// A recording as a path file. What did not change is held by a keyframe before what did.
+/// A recording as a path file. A keyframe before each change holds the unchanged values.
 fn path_file(recording: &Recording) -> PathFile {
     let frames = &recording.frames;
     let mut keys: Vec<Keyframe> = (0..frames.len() as u32)
@@ -225,7 +227,7 @@ fn path_file(recording: &Recording) -> PathFile {
     }
 }
 
-/// Whether one can be interpolated to the other.
+/// True if one can be interpolated to the other.
 fn alike(a: &Transfer, b: &Transfer) -> bool {
     match (a, b) {
         (Transfer::Lobes(a), Transfer::Lobes(b)) => a.len() == b.len(),

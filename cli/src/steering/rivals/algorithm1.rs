@@ -1,4 +1,4 @@
-//! The paper's Algorithm 1 and the baselines that it is compared with there: OLP and PID.
+//! The paper's Algorithm 1 and its baselines there: OLP and PID.
 
 use super::StepResponse;
 use entire_steer::control::Verdict;
@@ -43,7 +43,7 @@ impl Controller for Algorithm1 {
     fn reset(&mut self) {}
 }
 
-/// The rule by which the last frames foretell the next one.
+/// Rule that predicts the next frame from the last ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Recent {
     MeanOfThree,
@@ -51,9 +51,9 @@ enum Recent {
     LargerOfTwo,
 }
 
-/// The time of recent frames, each brought to the reference step by G, sent through G to the step that takes the target:
-/// the mean of three (the paper's OLP), the last one, or the larger of the last two. The first frame is drawn at the
-/// reference step.
+/// Reactive rules on recent times: each time is converted to the reference step by G, and G gives the step
+/// that meets the target, for the mean of three frames (the paper's OLP), the last one, or the larger of the
+/// last two. The first frame is drawn at the reference step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Olp {
     recent: Recent,
@@ -78,7 +78,7 @@ impl Olp {
         Self { recent: Recent::LargerOfTwo, ..Self::new(response) }
     }
 
-    /// The time of the frame that was so many frames ago, at the reference step.
+    /// The time of the frame `ago` frames back, converted to the reference step.
     fn ago(&self, frames: usize) -> f32 {
         self.window[(self.seen + 2 - frames) % 3]
     }
@@ -119,8 +119,8 @@ impl Controller for Olp {
     }
 }
 
-/// PID on the step: the error (t − t_target) / t_target of the frame before moves the step in proportion, by
-/// its sum and by its difference (gains 0.3, 0.05, 0.1 in the paper). The sum stands still while the step is
+/// PID on the step: the error (t − t_target) / t_target of the last frame moves the step in proportion, by
+/// its sum and by its difference (gains 0.3, 0.05, 0.1 in the paper). The sum is frozen while the step is
 /// clamped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pid {

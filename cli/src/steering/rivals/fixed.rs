@@ -1,4 +1,4 @@
-//! The controller that steers nothing: one step for every frame.
+//! The controller without steering: one step for every frame.
 
 use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
 

@@ -1,7 +1,6 @@
-//! The controllers that the hybrid is compared with: one step for every frame, the paper's Algorithm 1 with
-//! its baselines, and the reactive rules of renderers in use. They implement
-//! [`entire_steer::control::Controller`]; no product steers by them. All stand here because `entire steer
-//! --controllers` offers all of them.
+//! The controllers that the hybrid is compared with: a fixed step, the paper's Algorithm 1 with its
+//! baselines, and the reactive rules of other renderers. They implement [`entire_steer::control::Controller`]
+//! and are offered by `entire steer --controllers`; no product steers by them.
 
 mod algorithm1;
 mod fixed;

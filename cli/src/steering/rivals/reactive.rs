@@ -1,13 +1,12 @@
-//! The reactive rules of renderers in use, ported with their published constants.
+//! Reactive rules of other renderers, ported with their published constants.
 //!
 //! VTK's rule for GPU ray casting acts on the distance of samples along rays: its decision's step is the ray
 //! step. The others scale image resolution, by a fraction f of each side or an image sample distance d: their
 //! decision's step is s = 1 / f² = d², for an image with 1 / s of the pixels at an unchanged ray step.
-//! [`ActsOn`](crate::steering::play::ActsOn) says which is which, and how far s may go. A race draws
-//! such images (`entire steer`); a replay answers s by what the frame costs, and looks like, as such an image
-//! (`entire-lab replay`). Where the ray step is all that there is to set, s is taken as the ray step, by equal
-//! assumed work (work ∝ 1 / step): in the window (`entire explore`), on stress scenes, and on traces that
-//! were recorded without smaller images, which the tables then say.
+//! [`ActsOn`](crate::steering::play::ActsOn) states the quantity and the range of s. `entire steer`
+//! draws such images; `entire-lab replay` uses their recorded times and pictures. Where only the ray step can
+//! be set, s is taken as the ray step, assuming work ∝ 1 / step: in the window (`entire explore`), on stress
+//! scenes, and on traces without smaller images, which the tables then mention.
 
 use entire_steer::control::Verdict;
 use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason};
@@ -161,7 +160,7 @@ impl Controller for VtkJs {
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
-        // A frame is shown no sooner than its slot ends: browsers wait for it.
+        // A frame is shown at the end of its display interval at the earliest: browsers wait for it.
         self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
         self.frames += 1.0;
         self.target = observed.target;
@@ -173,7 +172,7 @@ impl Controller for VtkJs {
     }
 }
 
-/// Frames that [`Unreal`] and [`Filament`] look back on.
+/// Number of past frames that [`Unreal`] and [`Filament`] use.
 const WINDOW: usize = 16;
 
 /// The dynamic-resolution heuristic of Unreal Engine: frame times weighted by 0.9 per frame of age,

@@ -74,8 +74,9 @@ impl StepResponse {
         Ok(Self { points })
     }
 
-    /// A renderer whose time is a fixed share plus one that falls as 1 / step, sampled from a quarter of the
-    /// reference step to 32 of them: a stand-in until G is measured. The share is clamped to 0…0.99.
+    /// A renderer whose time has a fixed share and a share that falls as 1 / step, sampled from a quarter of
+    /// the reference step to 32 of them: a substitute until G is measured. The fixed share is clamped to
+    /// 0…0.99.
     pub fn inverse_step(fixed_share: f32) -> Self {
         let fixed = if fixed_share.is_finite() { f64::from(fixed_share).clamp(0.0, 0.99) } else { 0.0 };
         let points = (-4..=10)
@@ -101,7 +102,7 @@ impl StepResponse {
         libm::exp(y0 + (y1 - y0) * (x - x0) / (x1 - x0)) as f32
     }
 
-    /// G⁻¹: the finest step ratio whose time ratio is at most the one given; the finest sampled step where
+    /// G⁻¹: the finest step ratio whose time ratio is at most the given one; the finest sampled step where
     /// all are faster, the coarsest where none is.
     pub fn step_ratio(&self, time_ratio: f32) -> f32 {
         let y = libm::log(f64::from(time_ratio).max(1.0e-30));
@@ -115,8 +116,8 @@ impl StepResponse {
         let ((x0, y0), (x1, y1)) = (self.points[upper - 1], self.points[upper]);
         let exact = libm::exp(x0 + (x1 - x0) * (y - y0) / (y1 - y0));
         let rounded = exact as f32;
-        // Upwards: where two steps a millionth apart were sampled, the curve between them is steep enough
-        // that a step rounded down would take visibly longer than asked.
+        // Rounded up: where two steps a millionth apart were sampled, the curve between them is so steep that
+        // a step rounded down would visibly exceed the time.
         if f64::from(rounded) < exact { f32::from_bits(rounded.to_bits() + 1) } else { rounded }
     }
 
@@ -159,7 +160,7 @@ mod tests {
         assert!(StepResponse::from_samples(&[(1.0, 1.0)]).is_err());
     }
 
-    /// Steps that differ in their sixth digit make a curve so steep that the rounding of a step shows in the
+    /// Steps that differ in their sixth digit make the curve so steep that rounding of the step shows in the
     /// time.
     #[test]
     fn the_inverse_fits_on_a_cliff() {

@@ -1,4 +1,5 @@
-//! Closed loops with a scripted clock: no renderer, a known cost law, every controller beside the hybrid.
+//! Closed loops with a scripted clock: no renderer, a known cost law, the hybrid beside every other
+//! controller.
 
 use super::*;
 use entire_steer::control::{Controller, Hybrid, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
@@ -65,9 +66,9 @@ fn every_controller_survives_any_observation() {
     }
 }
 
-/// A machine and a path: what a frame costs at each step, and what the predictor says of it.
+/// A machine and a path: the cost of a frame at each step, and its prediction.
 struct Plant {
-    /// Seconds independent of the step, and seconds at the reference step beside them, per frame.
+    /// Seconds independent of the step, and additional seconds at the reference step, per frame.
     law: fn(usize) -> (f64, f64),
     /// Frames at which the transfer function is switched.
     switch_every: usize,
@@ -121,7 +122,7 @@ fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64
         if i == 0 || switched {
             scene_bias = plant.bias * (0.12 * noise.normal()).exp();
         }
-        // Errors of the prediction wander along a path.
+        // Autocorrelated errors of the prediction along a path.
         drift = 0.95 * drift + 0.05 * (1.0f64 - 0.95 * 0.95).sqrt() * noise.normal();
         let wrong = scene_bias * drift.exp();
         let mut cost = |step: f32| {
@@ -142,7 +143,7 @@ fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64
         out.miss += f64::from(u8::from(relative > 1.1));
         run = if relative > 1.1 { run + 1 } else { 0 };
         out.longest = out.longest.max(run);
-        // The oracle: the step whose clean time is the target.
+        // The oracle: the step whose time without noise is the target.
         let room = f64::from(target) / speed - fixed;
         let oracle = if room > 0.0 { (work / room).powf(1.0 / EXPONENT) } else { f64::INFINITY };
         let (finest, coarsest) = (f64::from(plant.limits.finest), f64::from(plant.limits.coarsest));

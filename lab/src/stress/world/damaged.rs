@@ -1,4 +1,4 @@
-//! Scene 28: model files and states that were damaged.
+//! Scene 28: damaged model files and states.
 
 use super::super::{Limits, Noise, Verdict, judge};
 use super::scenes::{Block, shell};
@@ -29,7 +29,7 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     let mut noise = Noise::new(28);
     let (mut refused, mut read) = (0, 0);
     let mut check = |bytes: &[u8], what: &str| match Model::from_bytes(bytes).and_then(|m| load(&m)) {
-        Err(e) if e.to_string().is_empty() => broken.push(format!("{what}: refused without a reason")),
+        Err(e) if e.to_string().is_empty() => broken.push(format!("{what}: refused without a message")),
         Err(_) => refused += 1,
         Ok(mut predictor) => {
             read += 1;
@@ -70,7 +70,7 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     if refused < 100 {
         broken.push(format!("only {refused} of 203 damaged files were refused, {read} were read"));
     }
-    // States of this method, cut and of another one.
+    // States of this method, cut short or foreign.
     let mut session = contender(
         method,
         2.0,

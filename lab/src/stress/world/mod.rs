@@ -1,5 +1,5 @@
-//! Scenes of real geometry: the CPU twin of the raycaster counts each frame's work, and a law that the
-//! predictor was fitted to on an ordinary volume turns counts into seconds.
+//! Scenes of real geometry: the CPU version of the raycaster counts each frame's work, and a law, to which
+//! the predictor was fitted on an ordinary volume, converts counts to seconds.
 
 mod damaged;
 mod scenes;
@@ -21,32 +21,31 @@ use entire_steer::predict::{AnalyticModel, Measurement, UnitCosts};
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
 
-/// Steps that may be chosen.
+/// Allowed steps.
 const FINEST: f32 = 1.0;
 const COARSEST: f32 = 12.0;
 /// Spread of the scripted clock in ln(seconds).
 const SIGMA: f64 = 0.02;
 
-/// The machine: seconds of a frame's work. Other ratios than the predictor's defaults.
+/// The machine's unit costs, with other ratios than the predictor's defaults.
 fn law(pixels: f64, counts: &WorkCounts) -> f64 {
     let n = |v: u64| v as f64;
     5e-5 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
 }
 
-/// What draws, and what clock runs.
+/// Renderer and clock.
 pub enum Machine<'a> {
-    /// The CPU twin counts work and `law` makes seconds of it: the same in every run.
+    /// The CPU version counts work and `law` converts it to seconds: the same in every run.
     Scripted(Box<CpuRaycaster>),
-    /// A real renderer and its clock. Images are [`GROWN`] times as large, so that there is something to
-    /// time.
+    /// A real renderer and its clock. Images are [`GROWN`] times as large, so that times are measurable.
     Real(&'a mut dyn Renderer, Clock),
 }
 
 /// Factor of image sides on a real clock.
 pub const GROWN: u32 = 4;
 
-/// Scenes that make sense on a real renderer. The image sizes of scene 12 are more than a software driver can
-/// be asked for; scene 28 draws nothing.
+/// Scenes that can be played on a real renderer. The images of scene 12 are too large for a software driver;
+/// scene 28 draws nothing.
 pub const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 
 impl Machine<'_> {
@@ -68,7 +67,7 @@ impl Machine<'_> {
         matches!(self, Self::Real(..))
     }
 
-    /// Draws a frame and says how long it took.
+    /// Draws a frame and returns its seconds.
     fn seconds(&mut self, frame: &Frame) -> Result<f64> {
         let rendered = self.renderer().render(frame)?;
         match self {
@@ -138,11 +137,11 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
     Ok(shot.speed * law(pixels(frame), &counts))
 }
 
-/// Plays a scene of this file. On a real machine the rules leave room for its noise, which nobody can
-/// foresee: a twentieth more frames may be over, two more in a row, and quality may be a tenth lower.
+/// Plays a scene of this file. On a real machine the rules leave room for its unpredictable noise: a
+/// twentieth more frames may be over, two more in a row, and quality may be a tenth lower.
 ///
 /// # Errors
-/// When it cannot be set up, or is not one of them.
+/// When it cannot be set up, or is not in this file.
 pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     if number == 28 {
         return damaged(method, machine);
@@ -201,7 +200,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
             .map(|s| Ok((f64::from(s), truth(machine, &shot, &frame, s)?)))
             .collect::<Result<_>>()?;
         if i == 0 || (number == 12 && sized != shot.size) {
-            // Every image size has a target of its own there; else one holds for the whole path.
+            // There every image size has its own target; else one target holds for the whole path.
             target = world.share
                 * grid[0].1
                 * if i == 0 && number != 12 { typical(machine, &world, &views)? / grid[0].1 } else { 1.0 };
@@ -243,10 +242,10 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
     }
     let feasible = seen.iter().filter(|s| s.feasible).count();
     if 2 * feasible < seen.len() {
-        broken.push(format!("the script asks for what cannot be in {} frames", seen.len() - feasible));
+        broken.push(format!("the script requests an impossible state in {} frames", seen.len() - feasible));
     }
     if number == 12 {
-        // The first frame of a size is where its target is set too.
+        // The first frame of a size also sets its target.
         seen.iter_mut().for_each(|s| s.first = false);
     }
     Ok(judge(number, method, &seen, world.limits, broken))
@@ -269,7 +268,7 @@ fn typical(machine: &mut Machine<'_>, world: &World, views: &[VolumeView<'_>]) -
     entire_io::metrics::median(&mut times).context("a scene without frames")
 }
 
-/// The step that takes the target, between the grid's.
+/// The step that meets the target, interpolated on the grid.
 fn oracle(grid: &[(f64, f64)], target: f64) -> f64 {
     if grid[0].1 <= target {
         return grid[0].0;

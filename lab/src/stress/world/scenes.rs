@@ -61,16 +61,16 @@ pub(super) fn haze() -> Vec<GaussianLobe> {
     lobes(0.5, 0.5, 0.004)
 }
 
-/// What a frame of a scene is.
+/// A frame of a scene.
 #[derive(Clone)]
 pub(super) struct Shot {
     pub(super) volume: usize,
     pub(super) lobes: Vec<GaussianLobe>,
     pub(super) camera: Arcball,
     pub(super) size: (u32, u32),
-    /// The twin draws at this size and its counts are scaled: for images too large to draw.
+    /// The CPU version draws at this size and its counts are scaled: for images too large to draw.
     pub(super) drawn: (u32, u32),
-    /// What nobody models.
+    /// Speed factor that no predictor models.
     pub(super) speed: f64,
     pub(super) camera_cut: bool,
 }
@@ -98,7 +98,7 @@ pub(super) struct World {
     pub(super) limits: Limits,
 }
 
-/// The script of a scene; `None` for a number that is none of them.
+/// The script of a scene; `None` for other numbers.
 pub(super) fn scene(number: usize) -> Option<World> {
     let strict = |missed, run| Limits { missed, run, quality: 0.6, inside: 0.9 };
     let loose = |missed| Limits { quality: 0.5, ..Limits::missed(missed) };
@@ -213,7 +213,7 @@ pub(super) fn scene(number: usize) -> Option<World> {
                     ..Shot::plain(i)
                 }),
             );
-            // Few samples are all there are: little can be saved.
+            // There are few samples: little can be saved.
             World { share: 1.1, ..flat }
         }
         12 => world(

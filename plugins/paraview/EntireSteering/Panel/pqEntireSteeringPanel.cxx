@@ -34,9 +34,9 @@ struct pqEntireSteeringPanel::pqInternals
   QPointer<pqRenderView> View;
   // One steering per view, kept while the view lives.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Proxies;
-  // The proxies above are read in the client, these where a server draws.
+  // The proxies above are read in the client, these if a server draws.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Remotes;
-  // Frames that each had seen at the last read-out, and the one that saw the last of them.
+  // Frame counts at the last read-out, and the proxy that drew the last frame.
   QMap<vtkSMProxy*, double> Seen;
   QPointer<pqRenderView> ReadView;
   vtkSMProxy* DrawnBy = nullptr;
@@ -310,7 +310,7 @@ void pqEntireSteeringPanel::readOut()
     }
     return;
   }
-  // Who drew the last frame: the client, or its server.
+  // The process that drew the last frame: the client, or its server.
   if (in.ReadView != in.View)
   {
     in.ReadView = in.View;
@@ -336,7 +336,7 @@ void pqEntireSteeringPanel::readOut()
   const QString status = vtkSMPropertyHelper(proxy, "Status").GetAsString();
   in.Reason->setText(status.isEmpty() ? reason : reason + ": " + status);
   in.Frames->setText(QString::number(number("NumberOfSteeredFrames")));
-  // Still frames come after the moving ones: the read-out of the last moving frame stays.
+  // Still frames follow the moving ones: the read-out of the last moving frame stays.
   if (reason == "still" || !in.On->isChecked())
   {
     return;

@@ -41,7 +41,7 @@ public:
       this->Renderer->RemoveObserver(this->Tag);
     }
     this->Renderer = nullptr;
-    // Letting go puts mappers' settings back, which their observers hear of.
+    // Releasing restores mappers' settings, for which their observers are called.
     const auto volumes = std::move(this->Volumes);
     this->Volumes.clear();
   }
@@ -57,10 +57,10 @@ public:
     }
   }
 
-  // Meets the volumes that the view has now.
+  // Attaches to the view's current volumes.
   void Start()
   {
-    // An error that is reported here may be observed by whoever lets go of this object.
+    // An observer of an error that is reported here may release this object.
     const vtkSmartPointer<vtkEntireViewSteering> owner(this->Owner);
     const vtkSmartPointer<vtkRenderer> renderer(this->Renderer);
     vtkPropCollection* props = renderer ? renderer->GetViewProps() : nullptr;
@@ -74,7 +74,7 @@ public:
     while (vtkProp* prop = props->GetNextProp(at))
     {
       vtkVolume* volume = vtkVolume::SafeDownCast(prop);
-      // What cannot be steered (an unstructured grid's mapper) is left to ParaView.
+      // A mapper that cannot be steered (an unstructured grid's) is left to ParaView.
       if (volume && volume->GetVisibility() && vtkEntireSteering::CanSteer(volume->GetMapper()))
       {
         drawn.emplace_back(volume);
@@ -91,14 +91,14 @@ public:
         continue;
       }
       auto steering = vtkSmartPointer<vtkEntireSteering>::New();
-      // Before the volume is read: what reads it depends on the clock and the model.
+      // Before the volume is read, since its reading depends on the clock and the model.
       this->Configure(steering);
       if (steering->Attach(renderer, volume))
       {
         this->Volumes.push_back(steering);
         if (owner->StateFileName && *owner->StateFileName)
         {
-          // What is wrong with the file the steering reports.
+          // The steering reports an error in the file.
           static_cast<void>(steering->LoadState(owner->StateFileName));
         }
       }
@@ -125,7 +125,7 @@ public:
     steering->SetModelFileName(model && *model ? model : nullptr);
   }
 
-  // Whose volumes are read out.
+  // The source of the read-outs.
   vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
 
   // The steering of the volume that took longest in its last frame.
@@ -181,7 +181,7 @@ void vtkEntireViewSteering::SetView(vtkPVRenderView* view)
 //------------------------------------------------------------------------------
 void vtkEntireViewSteering::SetSource(vtkEntireViewSteering* source)
 {
-  // One that reads another in turn would lead in a circle.
+  // A source that reads another one in turn would make a cycle.
   this->Internals->Source = source && source != this && !source->Internals->Source ? source : nullptr;
 }
 
@@ -204,7 +204,7 @@ void vtkEntireViewSteering::SetStateFileName(const char* fileName)
     const auto volumes = this->Internals->Volumes;
     for (const auto& each : volumes)
     {
-      // What is wrong with the file the steering reports.
+      // The steering reports an error in the file.
       static_cast<void>(each->LoadState(name.c_str()));
     }
   }

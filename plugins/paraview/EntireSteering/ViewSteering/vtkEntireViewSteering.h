@@ -25,19 +25,19 @@ public:
   void PrintSelf(ostream& os, vtkIndent indent) override;
 
   /**
-   * The view; nullptr lets go of it. The view is not kept alive.
+   * The view; nullptr releases it. The view is not kept alive.
    */
   void SetView(vtkPVRenderView* view);
 
   /**
-   * Another one in this process whose read-outs are given instead of this one's own; nullptr for none. It is
+   * Another steering in this process whose read-outs are returned instead of this one's own; nullptr for none. It is
    * not kept alive.
    */
   void SetSource(vtkEntireViewSteering* source);
 
   ///@{
   /**
-   * As in vtkEntireSteering. They hold from the next frame on.
+   * As in vtkEntireSteering. They take effect with the next frame.
    */
   vtkSetMacro(Enabled, bool);
   vtkGetMacro(Enabled, bool);
@@ -55,25 +55,25 @@ public:
 
   ///@{
   /**
-   * A file that learning starts from, read when it is set; nullptr or an empty name for none.
+   * A file from which learning starts, read when it is set; nullptr or an empty name for none.
    */
   void SetStateFileName(VTK_FILEPATH const char* fileName);
   vtkGetFilePathMacro(StateFileName);
   ///@}
 
   /**
-   * Writes what was learned of the volume that was drawn last.
+   * Writes the learned state of the last drawn volume.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
 
   /**
-   * Forgets what was learned.
+   * Resets the learned state.
    */
   void Reset();
 
   ///@{
   /**
-   * Read-outs of the last frame on this process, as in vtkEntireSteering: of the volume that took longest.
+   * Read-outs of the last frame in this process, as in vtkEntireSteering: of the volume that took longest.
    */
   double GetPredictedTime();
   double GetMeasuredTime();

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Tells how long a volume-rendered frame will take, and holds renderers to a frame time.
+"""Predicts the time of a volume-rendered frame, and holds renderers to a frame time.
 
 With PyVista::
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""By which clock frames are timed, and which one their model predicts."""
+"""The clock of the frames, and the clock that their model predicts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ._core import Session
 
 
 def difference(session: Session) -> str:
-    """What to say of a model that predicts another clock than the one that times frames; empty where it does not.
+    """Warning for a model that predicts another clock than the one that times frames; empty where it does not.
 
     In the words of vtkEntireSteering.
     """
@@ -23,13 +23,13 @@ def difference(session: Session) -> str:
 
 
 def warn(session: Session, also: str = "", *, stacklevel: int) -> None:
-    """Says so, and what else makes a model of the clock. The caller's own frame is `stacklevel` 1."""
+    """Warns, and names the ways to make a model of the clock. The caller's own frame is `stacklevel` 1."""
     text = difference(session)
     if text:
         warnings.warn(text + also, stacklevel=stacklevel + 1)
 
 
 def both(session: Session) -> str:
-    """Both clocks, for what a holder says of itself."""
+    """Both clocks, for a holder's representation."""
     model = session.model_clock
     return f"{session.clock} clock" + ("" if model is None else f", model of the {model} clock")

@@ -36,7 +36,7 @@ _REASONS = {
 
 
 def models() -> list[str]:
-    """Names of the models that the package brings along.
+    """Names of the models in the package.
 
     Returns
     -------
@@ -84,8 +84,8 @@ class Model(_native.Model):
 
     @classmethod
     def machine(cls, shading: Shading = "none") -> Self:
-        """The model of this machine that ``entire calibrate`` left in the user's data folder. It predicts seconds of
-        entire's own raycaster, by the clock that ``metadata["entire.clock"]`` says.
+        """The model of this machine that ``entire calibrate`` stored in the user's data folder. It predicts seconds of
+        entire's own raycaster, by the clock in ``metadata["entire.clock"]``.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ def _model(given: ModelLike | None) -> Model | None:
 
 
 class Calibrated(NamedTuple):
-    """A model that was fitted to timed frames, and what is known of it."""
+    """A model that was fitted to timed frames, with its report."""
 
     #: The model.
     model: Model
@@ -147,7 +147,7 @@ class Calibrated(NamedTuple):
 
 
 class Session(_native.Session):
-    """Predicts and steers one render loop, whatever renders.
+    """Predicts and steers one render loop of any renderer.
 
     For every frame: :meth:`plan`, draw with the plan's step, then :meth:`observe` the time it took. A session
     may be used from any thread, by one at a time.
@@ -212,7 +212,7 @@ class Session(_native.Session):
         )
 
     def record(self, frames: int = 1000, *, model: ModelLike | None = None) -> None:
-        """Keeps planned and observed frames from now on, for :meth:`calibrate`. What was kept before is forgotten.
+        """Starts recording planned and observed frames for :meth:`calibrate`. Earlier recorded frames are dropped.
 
         Observations that are unusual or cancelled do not count, nor does the first frame of all, nor the first of a
         volume.
@@ -235,9 +235,8 @@ class Session(_native.Session):
         self.record_from(frames, _model(model))
 
     def calibrate(self) -> Calibrated:
-        """Fits a model to the frames that were kept since :meth:`record`: a model of the renderer and the machine
-        that drew them. A second or less for 500 frames. :meth:`set_model` puts it into the session, ``Model.save``
-        keeps it.
+        """Fits a model to the recorded frames (:meth:`record`): a model of their renderer and machine. Takes a second
+        or less for 500 frames. :meth:`set_model` puts it into the session, ``Model.save`` stores it.
 
         Returns
         -------
@@ -259,8 +258,8 @@ class Session(_native.Session):
         return Calibrated(Model(data), **report)
 
     def set_model(self, model: ModelLike) -> None:
-        """Steers by another model from now on. What was observed is forgotten; volume, transfer function, limits and
-        recorded frames stay. Where the model takes volume features, set the volume again.
+        """Steers by another model from now on. Observations are dropped; volume, transfer function, limits and recorded
+        frames stay. If the model takes volume features, set the volume again.
 
         Parameters
         ----------
@@ -281,7 +280,7 @@ class Session(_native.Session):
         return History(self.columns())
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Writes what was learned to a file, whole or not at all.
+        """Writes the learned state to a file, whole or not at all.
 
         Parameters
         ----------
@@ -295,7 +294,7 @@ class Session(_native.Session):
         _native.write_whole(path, self.save_state())
 
     def load(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Takes up what :meth:`save` wrote; on an error nothing changes.
+        """Loads a file of :meth:`save`; on an error nothing changes.
 
         Parameters
         ----------
@@ -313,7 +312,7 @@ class Session(_native.Session):
 
 
 def explain(plan: _native.Plan) -> str:
-    """In a sentence, why a plan is what it is.
+    """Reason of a plan, in a sentence.
 
     Parameters
     ----------
@@ -337,12 +336,12 @@ class Calibration(_native.Calibration):
 
     @property
     def median_error(self) -> float:
-        """float : Median of |predicted / measured - 1| over frames that the last fit left out; NaN before."""
+        """float : Median of |predicted / measured - 1| over the frames that the last fit held out; NaN before."""
         return float("nan") if self.report is None else self.report.median_error
 
     def fit(self, renderer: str = "", clock: str = "") -> Model:
         """Fits the model to the frames so far: some 50 from various sides, with various steps and transfer functions,
-        of several volumes where it is to hold for others.
+        of several volumes if it must hold for others.
 
         Parameters
         ----------

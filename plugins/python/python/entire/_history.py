@@ -89,7 +89,7 @@ def _ticks(high: float) -> list[float]:
 
 
 def _line(x: Any, y: Any, color: str, dash: str = "", width: float = 1.5) -> str:
-    """A line through the points that are there."""
+    """A line through the points that exist."""
     text: list[str] = []
     for a, b in zip(x, y):
         text.append("M" if not text or text[-1] == "" else "L")
@@ -130,7 +130,7 @@ def _svg(history: History) -> str:
     )
     for label, top, lines in series:
         finite = np.concatenate([y[np.isfinite(y)] for y, _, _ in lines])
-        # One outlier must not flatten everything else.
+        # One outlier must not compress the rest of the scale.
         high = 1.1 * max(float(np.percentile(finite, 99)), float(np.nanmedian(lines[-1][0])), 1e-6)
         tall = _HEIGHT - 20
 

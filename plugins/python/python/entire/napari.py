@@ -17,7 +17,7 @@ from ._core import ModelLike
 from .vispy import CannotSteer, Holder
 from .vispy import hold as _hold
 
-# How long after the camera's last move the view counts as still, seconds.
+# Seconds after the camera's last move from which the view counts as still.
 _REST = 0.25
 
 

@@ -19,7 +19,7 @@ from .vtk._mappers import gpu_in_place_of
 
 
 def _gpu_wrapper(smart: Any, keep: list[Any]) -> Any:
-    """PyVista's own GPU mapper in place of its smart one, with what PyVista keeps beside a mapper.
+    """PyVista's own GPU mapper instead of its smart one, with the attributes that PyVista sets on a mapper.
 
     PyVista's mappers lose that when Python lets go of them: they are kept in the list.
     """
@@ -120,7 +120,7 @@ class EntireComponent:
         """
         self._plotter.render()
         if self.steering is None:
-            # A smart mapper is exchanged for as long as it is measured.
+            # A smart mapper is exchanged during the measurement.
             passing = hold(self._plotter.renderer, None, 1.0, make_gpu=self._make_gpu)
             try:
                 return calibrate(self._plotter.renderer, frames=frames, **options)
@@ -148,7 +148,7 @@ class EntireComponent:
             yield
 
     def detach(self) -> None:
-        """Lets go of the active renderer; exchanged mappers are put back."""
+        """Releases the active renderer; exchanged mappers are put back."""
         self._end(self._plotter.renderers.active_index)
 
     def _end(self, index: int) -> None:
@@ -162,7 +162,7 @@ class EntireComponent:
             self._screenshots = {}
 
     def _guard_screenshots(self) -> None:
-        """A picture that is kept is drawn at full quality first, where the last frame was not."""
+        """Before a picture is kept, it is drawn at full quality if the last frame was not."""
         for name in ("screenshot", "write_frame"):
             if name in self._screenshots:
                 continue

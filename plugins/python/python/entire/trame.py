@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""trame's remote views: what encoding a picture for the browser costs is part of its frame.
+"""trame's remote views: the time of encoding a picture for the browser is part of its frame.
 
 ::
 
@@ -34,7 +34,7 @@ def _count(original: Any) -> Any:
         seconds = time.perf_counter() - before
         for steering, frames in zip(steerings, drawn):
             if steering.frames == frames + 1:
-                # Drawing is counted by itself; what is left is reading back and encoding.
+                # Drawing is counted separately; the rest is reading back and encoding.
                 steering.also(max(0.0, seconds - steering.frame_time))
         return reply
 

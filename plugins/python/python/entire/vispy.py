@@ -26,14 +26,14 @@ _STOPPING = {"translucent": 0.99, "iso": 0.99, "attenuated_mip": 0.99}
 
 
 class CannotSteer(ValueError):
-    """The visual cannot be steered; the text says why and what to do."""
+    """The visual cannot be steered; the text names the reason and the remedy."""
 
 
 def _matrix(visual: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """What takes the visual's coordinates to clip coordinates, as a matrix for columns."""
+    """Matrix, for column vectors, from the visual's coordinates to clip coordinates."""
     transform = visual.transforms.get_transform("visual", "render")
-    # Affine and projective maps are linear in homogeneous coordinates: four images of the unit vectors tell
-    # all.
+    # Affine and projective maps are linear in homogeneous coordinates: the images of the four unit vectors determine
+    # them.
     mapped = np.asarray(transform.map(np.eye(4)), np.float64)
     return mapped.T
 
@@ -95,7 +95,7 @@ class Holder:
         canvas.events.draw.connect(self._after, position="last")
 
     def detach(self) -> None:
-        """Lets go of the visual, at its own step."""
+        """Releases the visual, at its own step."""
         self.canvas.events.draw.disconnect(self._before)
         self.canvas.events.draw.disconnect(self._after)
         self._restore()
@@ -107,7 +107,7 @@ class Holder:
 
     @property
     def why(self) -> str:
-        """str : Why the last frame was drawn as it was, in a sentence."""
+        """str : Reason of the last frame's settings, in a sentence."""
         return self.status or (explain(self._explained) if self._explained else "")
 
     def __repr__(self) -> str:
@@ -139,8 +139,7 @@ class Holder:
     def _after(self, _event: Any) -> None:
         gl.glFinish()
         self.measured = time.perf_counter() - self._began
-        # Between frames the visual is as the application set it: what is rendered to an image is at full
-        # quality.
+        # Between frames the visual has the application's settings: a rendering to an image is at full quality.
         self._restore()
         plan, self._plan = self._plan, None
         if plan is not None:
@@ -165,13 +164,11 @@ class Holder:
         tf = None
         key = (method, limits)
         if key != self._key:
-            # Where rays stop at an opacity, it grows with the value; else every sample is taken and none is
-            # opaque.
+            # If rays stop at an opacity, it grows with the value; else every sample is taken and none is opaque.
             most = 0.2 if method in _STOPPING else 1e-3
             tf = TransferFunction.points([(0, 1e-3), (1, most)])
             self._key = key
-        # The visual's first voxel spans 0 to 1: its center, where a volume's own coordinates begin, lies at a
-        # half.
+        # The visual's first voxel spans 0 to 1: its center, the origin of a volume's own coordinates, is at a half.
         half = np.eye(4)
         half[:3, 3] = 0.5
         return Camera.projection(self._volume, _matrix(visual) @ half), tf, _STOPPING.get(method, 1.0)

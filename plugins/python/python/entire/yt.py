@@ -22,7 +22,7 @@ from ._native import Camera, Plan, TransferFunction, Volume
 
 
 class CannotSteer(ValueError):
-    """The scene cannot be steered; the text says why and what to do."""
+    """The scene cannot be steered; the text names the reason and the remedy."""
 
 
 def _source(scene: Any) -> Any:
@@ -35,8 +35,7 @@ def _source(scene: Any) -> Any:
 
 
 def _fixed_resolution(source: Any, edge: int) -> Volume:
-    """The field on a regular grid of at most `edge` cells along an axis, as yt's rays see it, in log where yt
-    takes logs."""
+    """The field on a regular grid of at most `edge` cells along an axis, as yt's rays see it, in log if yt takes logs."""
     data = source.data_source
     dataset = data.ds
     low, high = (
@@ -112,7 +111,7 @@ class Holder:
             fov = 2 * math.degrees(math.atan(0.5 * width[1] / width[2]))
             eye = position
         else:
-            # An eye far away that sees as much.
+            # A distant eye that sees as much.
             fov = 2.0
             forward = np.asarray(camera.unit_vectors[2])
             eye = focus - forward / np.linalg.norm(forward) * (0.5 * width[1] / math.tan(math.radians(1.0)))
@@ -123,7 +122,7 @@ class Holder:
 
     def _function(self) -> TransferFunction:
         alpha = np.clip(np.asarray(self.source.transfer_function.alpha.y, np.float64), 0, 1)
-        # yt's opacities belong to a length of one; rays never stop.
+        # yt's opacities are per unit length; rays never stop.
         return TransferFunction.table(np.clip(alpha, 1e-4, 1), unit_length=1.0)
 
     def render(self) -> Any:
@@ -163,7 +162,7 @@ class Holder:
         return picture
 
     def full_quality(self) -> Any:
-        """Draws the scene as it was set, whatever it takes.
+        """Draws the scene with its own settings, however long it takes.
 
         Returns
         -------
@@ -173,7 +172,7 @@ class Holder:
 
     @property
     def why(self) -> str:
-        """str : Why the last picture was drawn as it was, in a sentence."""
+        """str : Reason of the last picture's settings, in a sentence."""
         return explain(self._plan) if self._plan else "no picture was drawn yet"
 
     @property

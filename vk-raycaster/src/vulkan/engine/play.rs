@@ -1,4 +1,4 @@
-//! How a recording becomes a command buffer: one Vulkan call, or a few, for each command.
+//! Translation of a recording to a command buffer: one Vulkan call, or a few, for each command.
 
 use super::{Engine, Shader, Slot};
 use crate::error::{Error, Result};
@@ -145,7 +145,7 @@ impl Engine {
                     };
                     let shown = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
                     let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
-                    // Whoever shows the picture samples it, copies it, or both.
+                    // The window samples the picture, copies it, or both.
                     let readers = vk::PipelineStageFlags::FRAGMENT_SHADER | vk::PipelineStageFlags::TRANSFER;
                     let reads = vk::AccessFlags::SHADER_READ | vk::AccessFlags::TRANSFER_READ;
                     self.layout_barrier(
@@ -196,7 +196,7 @@ impl Engine {
     /// Records a layout change of a whole image.
     ///
     /// # Safety
-    /// The command buffer is being recorded, and `old` is the image's layout by then (or undefined).
+    /// The command buffer is being recorded, and `old` is the image's layout at that point (or undefined).
     unsafe fn image_barrier(
         &self,
         commands: vk::CommandBuffer,

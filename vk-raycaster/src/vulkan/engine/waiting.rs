@@ -1,4 +1,4 @@
-//! Waits for what was submitted, never for ever: devices get lost, and some hang.
+//! Waits for submissions with a time limit: devices may be lost or hang.
 
 use super::{Engine, with_pass};
 use crate::error::{Error, Result};
@@ -6,7 +6,7 @@ use crate::vulkan::gpu::NamedCall;
 use ash::vk;
 
 impl Engine {
-    /// Waits until nothing is running; what was cast can still be finished.
+    /// Waits until nothing is running; finished casts can still be collected.
     pub(crate) fn drain(&mut self) -> Result<()> {
         self.gpu.check()?;
         for slot in 0..self.slots.len() {
@@ -38,8 +38,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Waits for a slot's fence, which stays signaled, for as long as a submission may run; once one ran
-    /// longer it only looks whether it is done by now.
+    /// Waits for a slot's fence, which stays signaled, up to the time limit of a submission; after one
+    /// exceeded it, only polls the fence.
     fn wait_for_fence(&mut self, slot: usize, pass: &str) -> Result<()> {
         let longest = self.gpu.longest_wait;
         let nanoseconds = if self.hangs { 0 } else { u64::try_from(longest.as_nanos()).unwrap_or(u64::MAX) };
@@ -76,7 +76,8 @@ impl Engine {
 impl Drop for Engine {
     fn drop(&mut self) {
         for slot in 0..self.slots.len() {
-            // Nothing runs on a lost device. What runs on one that hangs may still use what would be freed.
+            // Nothing runs on a lost device. Submissions on a hanging one may still use resources that would
+            // be freed.
             if !self.gpu.is_lost()
                 && self.slots[slot].pending
                 && self.wait_for_fence(slot, "its last pass").is_err()

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the Rust peers share: a server that reads lines `NAME BATCH SECONDS` and answers each with
+//! Shared part of the Rust peers: a server that reads lines `NAME BATCH SECONDS` and answers each with
 //! `@@{json}`.
 
 use std::collections::HashMap;

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Measuring the host's renderer, so that the first frame is predicted too."""
+"""Calibration to the host's renderer, so that the first frame is predicted too."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ._mappers import CannotSteer
 from ._leaf import first_volume
 from ._steering import _volumes, timer
 
-# Sample distances, finest ones, and image sample distances at which pictures are compared with full quality.
+# Sample distances, in finest ones, and image sample distances of the pictures that are compared with full quality.
 _STEPS = (1.0, 1.5, 2.2, 3.3)
 _IMAGES = (1.0, 1.3, 1.7)
 
@@ -38,7 +38,7 @@ def calibrate(
     pictures: int = 4,
     picture_error: Callable[[np.ndarray, np.ndarray], float] = rmse,
 ) -> Model:
-    """Draws random frames of a volume in its window and fits the cost model to how long its mapper took.
+    """Draws random frames of a volume in its window and fits the cost model to its mapper's times.
 
     Directions, distances, steps and the opacity of the volume are varied. Then some scenes are drawn at coarser
     steps, as smaller images and at both, and compared with full quality: steering by the model coarsens what
@@ -103,7 +103,7 @@ class _Calibrator:
         self.window = renderer.GetRenderWindow()
         self.began = self.seconds = math.nan
 
-    # As frames are timed that are steered.
+    # Timed like steered frames.
     def start(self, _mapper: Any, _event: str) -> None:
         if self.gpu:
             self.window.WaitForCompletion()
@@ -205,7 +205,7 @@ class _Calibrator:
             for step in _STEPS:
                 self.mapper.SetSampleDistance(step * finest)
                 self.mapper.SetImageSampleDistance(own.image * image)
-                # The first makes buffers and tables for it.
+                # The first frame makes buffers and tables.
                 self.window.Render()
                 self.window.Render()
                 picture = self.picture()
@@ -213,7 +213,7 @@ class _Calibrator:
                 calibration.add_picture(scene, step, image, self.seconds, error(picture, full))
 
     def picture(self) -> np.ndarray:
-        """What the window shows, as [y, x, rgb] bytes."""
+        """Pixels of the window, as [y, x, rgb] bytes."""
         grab = vtkWindowToImageFilter()
         grab.SetInput(self.window)
         grab.ShouldRerenderOff()

@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("entire.vtk")
 
-# What coarser steps and smaller images cost the mappers' pictures (Session.set_quality) where the model states nothing, as
+# Quality laws of the mappers' pictures (Session.set_quality) for models that state none, as
 # vtkEntireSteering has it.
 _GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
 _FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
 _NAN = math.nan
-# Where a volume keeps Python's wrapper of its mapper.
+# Attribute in which a volume keeps Python's wrapper of its mapper.
 _KEPT = "_entire_mapper"
 _NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
 
 
 def weak(target: Any = None) -> Callable[[], Any]:
-    """What gives a VTK object that is not kept alive, or None once it is gone."""
+    """Weak reference to a VTK object: returns it, or None once it is gone."""
     reference = vtkWeakReference()
     if target is not None:
         reference.Set(target)
@@ -57,8 +57,8 @@ class Leaf:
         Seconds that the last reading of the voxels took.
     """
 
-    # Every page of memory that a frame touches costs as much as hundreds of instructions, because drawing has
-    # emptied the caches: what a frame does is flat, and reads no more of VTK than it has to.
+    # Every page of memory that a frame touches costs as much as hundreds of instructions, because drawing has emptied
+    # the caches: so the code of a frame is flat, and reads no more of VTK than it must.
     __slots__ = (
         "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
         "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
@@ -71,23 +71,23 @@ class Leaf:
 
     def __init__(self, steering: Steering, volume: Any, make_gpu: Callable[[Any], Any]) -> None:
         self._volume = weak(volume)
-        # By which the volume is known as held, also when it is gone.
+        # Key of the held volume, valid also when it is gone.
         self.address: str = volume.__this__
         self._steering = steering
         self._mapper = weak()
         self._tags: list[int] = []
         self._volume_tag = 0
-        # The smart mapper that another one stands in for.
+        # The smart mapper that was replaced.
         self._exchanged: Any = None
         self._make_gpu = make_gpu
         self._gpu = False
-        # Class of the mapper, which what was learned belongs to.
+        # Class of the mapper, to which the learned state belongs.
         self._class = ""
         self._session: Session
         self._forget()
         self.volume_time = _NAN
         self._weight = 0.0
-        # How often the last frame of the window drew it: two eyes, several viewports.
+        # Number of times that the last frame of the window drew it: two eyes, several viewports.
         self._passes, self._passes_now = 1, 0
         self._reset_readouts()
         self._observe(volume)
@@ -103,14 +103,14 @@ class Leaf:
         self._grid: Any = None
         self._tf: Any = None
         self._tf_key: Any = None
-        # What the session's transfer function was made from.
+        # Inputs of the session's transfer function.
         self._nodes: Any = None
         self._look: Any = None
         self._limits: Any = None
         self._held: Any = None
         self._plan: Plan | None = None
         self._explained: Plan | None = None
-        # The plan of the frame before with its seconds, which the session hears of with the next frame.
+        # The last frame's plan with its seconds, which the session observes with the next frame.
         self._due: tuple[Plan, float, bool] | None = None
         self._own: Any = None
         # The first of several volumes that one mapper draws, else None.
@@ -118,30 +118,30 @@ class Leaf:
         # The input that was read last, and modification times; -1 before.
         self._image: Any = None
         self._mapper_time = self._image_time = self._shown_time = -1
-        # Whether VTK's own rules are off, so that the distances alone are set.
+        # True if VTK's own rules are off, so that only the distances are set.
         self._plain = True
         self._pixels = self._finest = self._termination = self._step = 1.0
         self._shading: Literal["none", "local"] = "none"
         self._wrote = (_NAN, _NAN)
         self._steered = self._ready = self._drawing = self._ended = self._stale = False
         self._started = 0.0
-        # Held while a frame is drawn, and no longer.
+        # References that are held only while a frame is drawn.
         self._frame_mapper: Any = None
         self._frame_volume: Any = None
 
     @property
     def session(self) -> Session:
-        """entire.Session : What predicts this volume's frames; its ``history`` holds them."""
+        """entire.Session : The predictor of this volume's frames; its ``history`` holds them."""
         self._settle()
         return self._session
 
     def _restart(self, session: Session) -> None:
-        """Goes on with another session, which has learned nothing of this volume."""
+        """Continues with a new session."""
         self._forget()
         self._session = session
 
     def _settle(self) -> None:
-        """Tells the session of the last frame."""
+        """Gives the session the last frame's time."""
         due, self._due = self._due, None
         if due is not None:
             plan, seconds, cancelled = due
@@ -152,13 +152,13 @@ class Leaf:
 
     @property
     def predicted(self) -> float:
-        """float : Seconds that the mapper was expected to take in the last frame; NaN where nothing was."""
+        """float : Expected seconds of the mapper in the last frame; NaN without a prediction."""
         return _NAN if self._seen is None else self._seen.seconds
 
     @property
     def reason(self) -> str:
-        """str : Why the last frame was drawn as it was, in a word or two; "still", "off" or "fallback" where
-        it was not steered."""
+        """str : Reason of the last frame's settings, in a word or two; "still", "off" or "fallback" if it was not
+        steered."""
         return self._reason if self._explained is None else self._explained.reason
 
     @property
@@ -167,7 +167,7 @@ class Leaf:
         return self._volume()
 
     def _observe(self, volume: Any) -> None:
-        """Finds the mapper that draws and listens to it; exchanges a smart one."""
+        """Finds the mapper that draws and observes it; exchanges a smart one."""
         mapper = volume.GetMapper()
         why = _mappers.refusal(mapper)
         if why:
@@ -182,13 +182,13 @@ class Leaf:
             )
             mapper = gpu
         self._mapper = weak(mapper)
-        # Python's wrapper of the mapper lives as long as the volume: VTK makes and ends one for each event
-        # otherwise. The volume keeps the mapper itself alive anyway.
+        # Python's wrapper of the mapper lives as long as the volume, since VTK otherwise makes and destroys one for
+        # each event. The volume keeps the mapper itself alive anyway.
         volume.__dict__[_KEPT] = mapper
         self._gpu = _mappers.is_gpu(mapper)
         name = mapper.GetClassName()
         if name != self._class:
-            # What was learned of mappers of another class does not hold for this one.
+            # State learned from mappers of another class does not hold for this one.
             self._class, self._session = name, self._steering._session(name)
         self._tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self._start),
@@ -196,11 +196,11 @@ class Leaf:
         ]
 
     def _on_modified(self, _volume: Any, _event: str) -> None:
-        # Another mapper, perhaps.
+        # The mapper may be another one.
         self._stale = True
 
     def _leave(self) -> None:
-        """Lets go of the volume and its mapper."""
+        """Releases the volume and its mapper."""
         volume = self._volume()
         if volume is not None and self._volume_tag:
             volume.RemoveObserver(self._volume_tag)
@@ -224,13 +224,13 @@ class Leaf:
             smart, self._exchanged = self._exchanged, None
             volume = self._volume()
             if give_back and mapper is not None and volume is not None and volume.GetMapper() is mapper:
-                # What was set meanwhile holds on.
+                # Settings made meanwhile stay.
                 _mappers.copy_changed(mapper, smart)
                 volume.SetMapper(smart)
         self._grid = self._tf = self._nodes = self._image = None
 
     def _follow(self) -> None:
-        """Listens to another mapper where the application has set one."""
+        """Observes another mapper if the application has set one."""
         self._stale = False
         volume = self._volume()
         if volume is None:
@@ -269,7 +269,7 @@ class Leaf:
                 self._finish()
             self._prepare(mapper)
             steering._overhead += perf_counter() - before
-            # What was drawn before is not this mapper's.
+            # Earlier work on the device is not this mapper's.
             steering._frame_window.WaitForCompletion()
         elif not self._ready:
             return
@@ -282,17 +282,17 @@ class Leaf:
         self._started = steering._now()
 
     def _end(self, _mapper: Any, _event: str) -> None:
-        # Everything else is done with the renderer's end.
+        # The rest is done at the renderer's end.
         if self._drawing:
             if self._gpu:
-                # What the device was given is done: the time is the mapper's own.
+                # The device has finished earlier work: the time is the mapper's own.
                 self._steering._frame_window.WaitForCompletion()
             self.measured = self._steering._now() - self._started
             self._drawing = False
             self._ended = True
 
     def _finish(self) -> None:
-        """Puts the mapper back as it was, and counts what it took."""
+        """Restores the mapper's settings, and counts its time."""
         if self._steered:
             self._restore()
         self._frame_mapper = self._frame_volume = None
@@ -303,9 +303,9 @@ class Leaf:
         self._ended = False
         steering, seconds = self._steering, self.measured
         if plan is not None:
-            # Handed on with the next frame's plan, or when somebody looks.
+            # Observed with the next frame's plan, or when a read-out is requested.
             self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
-            # What the frame would have taken at full quality, roughly.
+            # Rough time of the frame at full quality.
             whole = seconds * self._step
             self._weight = whole if self._weight == 0 else 0.7 * self._weight + 0.3 * whole
         steering._mapper_seconds += seconds
@@ -322,7 +322,8 @@ class Leaf:
         mapper, own = self._frame_mapper, self._own
         self._steered = False
         if mapper.GetMTime() != self._mapper_time:
-            # The application has set something since: only what it left is put back, and read anew.
+            # The application has changed something since: only its unchanged settings are restored, and the rest is
+            # read again.
             own.restore(mapper, *self._wrote)
             self._mapper_time = -1
             return
@@ -360,8 +361,7 @@ class Leaf:
         self._reason, self.status = "fallback", why
 
     def _read_mapper(self, mapper: Any) -> None:
-        """Reads what changes seldom: the input, the volume's functions and place, the mapper's own
-        settings."""
+        """Reads data that seldom change: the input, the volume's functions and place, the mapper's own settings."""
         self._mapper_time = -1
         self._settle()
         steering, session, volume = self._steering, self._session, self._frame_volume
@@ -380,7 +380,7 @@ class Leaf:
         grid = self._grid
         tf_key = _scene.transfer_key(prop)
         if tf_key != self._tf_key:
-            # Functions change for many reasons; to the session only other nodes are new.
+            # Functions change for many reasons; only different nodes matter to the session.
             nodes = _scene.transfer_nodes(prop, grid.range)
             if nodes != self._nodes:
                 self._tf = _scene.transfer_function(nodes)
@@ -395,7 +395,7 @@ class Leaf:
             self._shading = "local" if look[0] else "none"
             self._termination = _scene.termination(look, self._gpu)
         own = self._own = _mappers.Settings(mapper)
-        # Where VTK adjusts by itself, the image sample distance that it left is that of an earlier frame.
+        # If VTK adjusts by itself, its image sample distance is that of an earlier frame.
         self._pixels = 1.0 if own.adjust else max(0.1, own.image)
         placed = _scene.elements(shown.GetMatrix())
         finest = _mappers.full_quality(own, image, placed, self._gpu)
@@ -423,8 +423,8 @@ class Leaf:
         if renderer is None or window is None or volume is None:
             raise _scene.Unreadable("the renderer has no window, or the volume is gone")
         self._frame_mapper, self._frame_volume = mapper, volume
-        # Modification times say whether anything but the camera is another; the volume's that of its
-        # functions, too. A producer that exchanges its output changes none of them.
+        # Modification times show changes other than the camera's; the volume's includes that of its functions. A
+        # producer that replaces its output changes none of them.
         if (
             mapper.GetMTime() != self._mapper_time
             or (volume.GetMTime() if self._shown is None else self._several(volume)) != self._shown_time
@@ -442,14 +442,13 @@ class Leaf:
             self._reason = "still" if still else "off"
             self.status = "a still frame, drawn by VTK alone" if still else "steering is off"
             if not still and own.adjust:
-                # Learned from where it is known how finely VTK draws it.
+                # The frame is observed if the resolution of VTK's drawing is known.
                 return
         step = None
         if steered:
             if steering.finest is not None:
                 step = max(1 / 64, steering.finest)
-            # VTK's GPU mapper draws smaller images in viewports at the window's origin alone; elsewhere they stay
-            # empty.
+            # VTK's GPU mapper draws smaller images only in viewports at the window's origin; elsewhere they stay empty.
             placed = self._gpu and renderer.GetOrigin() != (0, 0)
             coarsest_image = pixels if placed else steering.coarsest_image
             limits = (step, self._finest, steering.coarsest, coarsest_image, pixels)
@@ -458,7 +457,7 @@ class Leaf:
                 self._limits = limits
         camera = renderer.GetActiveCamera()
         matrix = camera.GetViewTransformMatrix()
-        # Python's wrappers of both stay for the next frame.
+        # Python's wrappers of both are kept for the next frame.
         steering._camera = camera, matrix
         due, self._due = self._due, None
         before, seconds, cancelled = _NONE_DUE if due is None else due
@@ -501,14 +500,14 @@ class Leaf:
         steering, session = self._steering, self._session
         session.set_limits(finest, max(finest, steering.coarsest))
         session.set_max_image_sample_distance(min(64.0, max(1.0, coarsest_image / self._pixels)))
-        # What the model states of this mapper's pictures, where it was calibrated with some.
+        # The quality law that the model states of this mapper's pictures, if it was calibrated with some.
         session.set_quality(None)
         if session.quality is None:
             session.set_quality(*(_GPU_QUALITY if self._gpu else _FIXED_POINT_QUALITY))
 
     @property
     def why(self) -> str:
-        """str : Why the last frame was drawn as it was, in a sentence."""
+        """str : Reason of the last frame's settings, in a sentence."""
         if self._explained is None:
             return self.status
         return explain(self._explained)
@@ -519,7 +518,7 @@ def _side(pixels: float) -> int:
 
 
 def first_volume(volume: Any) -> Any:
-    """The volume itself, or the first one of several that one mapper draws together."""
+    """The volume itself, or the first of several that one mapper draws together."""
     if not volume.IsA("vtkMultiVolume"):
         return volume
     for port in range(10):

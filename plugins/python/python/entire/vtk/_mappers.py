@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Volume mappers: which can be steered, what is set on them, and what takes the place of one that cannot."""
+"""Volume mappers: those that can be steered, their settings, and replacements for those that cannot."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper
 
 
 class CannotSteer(ValueError):
-    """The scene holds nothing that can be steered; the text says why and what to do."""
+    """The scene has no volume that can be steered; the text names the reason and the remedy."""
 
 
-# Below this many voxels along an axis VTK samples small volumes more finely.
+# Number of voxels along an axis below which VTK samples small volumes more finely.
 _SMALL = 100.0
 
 
@@ -42,7 +42,7 @@ def spacing_adjusted(image: Any) -> float:
 
 
 def full_quality(own: Settings, image: Any, placed: Sequence[float], gpu: bool) -> float:
-    """The sample distance at which a mapper draws by itself when it takes its time.
+    """The sample distance of a mapper's own still frames.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def full_quality(own: Settings, image: Any, placed: Sequence[float], gpu: bool) 
 
 
 class Settings:
-    """What steering changes of a mapper, as it was."""
+    """The application's values of the mapper settings that steering changes."""
 
     __slots__ = ("adjust", "image", "lock", "sample")
 
@@ -81,7 +81,7 @@ class Settings:
         self.lock: int = mapper.GetLockSampleDistanceToInputSpacing()
 
     def write(self, mapper: Any, image: float) -> None:
-        """Puts the settings back, where `image` is the image sample distance that steering wrote."""
+        """Restores the settings, where `image` is the image sample distance that steering wrote."""
         if self.adjust:
             mapper.SetAutoAdjustSampleDistances(self.adjust)
         if self.lock:
@@ -91,8 +91,7 @@ class Settings:
             mapper.SetImageSampleDistance(self.image)
 
     def restore(self, mapper: Any, sample: float, image: float) -> None:
-        """Puts the settings back, but for those that somebody else set since steering wrote `sample` and
-        `image`."""
+        """Restores the settings, except those that were changed since steering wrote `sample` and `image`."""
         if self.adjust and not mapper.GetAutoAdjustSampleDistances():
             mapper.SetAutoAdjustSampleDistances(self.adjust)
         if self.lock and not mapper.GetLockSampleDistanceToInputSpacing():
@@ -105,7 +104,7 @@ class Settings:
 
 
 def write(mapper: Any, own: Settings, sample: float, image: float) -> None:
-    """Sets both distances and switches VTK's own rules off, where they are on."""
+    """Sets both distances and switches VTK's own rules off, if they are on."""
     if own.adjust:
         mapper.SetAutoAdjustSampleDistances(0)
     if own.lock:
@@ -124,7 +123,7 @@ def is_fixed_point(mapper: Any) -> bool:
 
 
 def refusal(mapper: Any) -> str:
-    """Why a mapper cannot be steered; empty where it can, or can be exchanged for one that can."""
+    """Reason why a mapper cannot be steered; empty if it can, or can be replaced."""
     if mapper is None:
         return "the volume has no mapper; give it one before it is held"
     if is_gpu(mapper) or is_fixed_point(mapper) or mapper.IsA("vtkSmartVolumeMapper"):
@@ -162,8 +161,7 @@ def _copy(source: Any, target: Any, names: tuple[str, ...]) -> None:
 
 
 def copy_changed(source: Any, target: Any) -> None:
-    """Hands on what an application sets on a mapper while it is shown: cropping, clipping planes,
-    blending."""
+    """Copies an application's settings to a mapper while it is shown: cropping, clipping planes, blending."""
     _copy(source, target, ("Cropping", "CroppingRegionFlags", "CroppingRegionPlanes", "BlendMode"))
     planes = source.GetClippingPlanes()
     if planes is not None:
@@ -173,8 +171,7 @@ def copy_changed(source: Any, target: Any) -> None:
 
 
 def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> Any:
-    """A GPU mapper that draws what a smart mapper draws, pixel for pixel, as far as that one draws on the
-    GPU.
+    """A GPU mapper with the same pixels as a smart mapper, if that one draws on the GPU.
 
     Parameters
     ----------
@@ -235,7 +232,7 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
             "alone can; draw an array "
             "of that magnitude or component instead"
         )
-    # As the smart mapper keeps the mapper inside it.
+    # As in the smart mapper's inner mapper.
     gpu.SetLockSampleDistanceToInputSpacing(1)
     gpu.SetAutoAdjustSampleDistances(0)
     return gpu

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Overlay:
-    """Expected and measured time, step and reason of the frame before; hidden on still frames."""
+    """Expected and measured time, step and reason of the last frame; hidden on still frames."""
 
     def __init__(self, renderer: Any) -> None:
         self._renderer = vtkWeakReference()

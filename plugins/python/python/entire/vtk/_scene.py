@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""What a VTK scene says about a volume: voxels, transfer function, camera."""
+"""Reading of a volume from a VTK scene: voxels, transfer function, camera."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def input_of(mapper: Any) -> Any:
 
 
 class Grid:
-    """The voxels that a mapper draws, and where their middle lies."""
+    """The voxels that a mapper draws, and the position of their middle."""
 
     __slots__ = ("center", "direction", "range", "reference", "volume")
 
@@ -103,7 +103,7 @@ class Grid:
 
 
 def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
-    """The array that is drawn, and whether it belongs to cells."""
+    """The drawn array, and true if it belongs to cells."""
     point, cell = image.GetPointData(), image.GetCellData()
     mode = mapper.GetScalarMode()
     by_name = mapper.GetArrayAccessMode() != 0
@@ -141,7 +141,7 @@ def _cropped(
 
 
 def grid_key(mapper: Any, image: Any, component: int) -> tuple[Any, ...]:
-    """What a grid depends on. An image's time may be that of an array that it shares with another."""
+    """Inputs of a grid. An image's time may be that of an array that it shares with another."""
     cropping = mapper.GetCropping()
     return (
         image.__this__,
@@ -159,7 +159,7 @@ def _unit(value: float) -> float:
 
 
 def transfer_key(prop: Any) -> tuple[Any, ...]:
-    """What changes when :func:`transfer_nodes` may have: lighting and the like leave it alone."""
+    """Values that change when :func:`transfer_nodes` may have: lighting and the like leave them alone."""
     channels = prop.GetColorChannels(0)
     functions = [prop.GetScalarOpacity(0)]
     if channels == 3:
@@ -169,7 +169,7 @@ def transfer_key(prop: Any) -> tuple[Any, ...]:
 
 
 class Nodes(NamedTuple):
-    """What a transfer function is made from."""
+    """Inputs of a transfer function."""
 
     opacity: list[tuple[float, float, float, float]]
     #: Empty where the volume is gray.
@@ -234,7 +234,7 @@ def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
 
 
 def look(prop: Any, mapper: Any) -> tuple[int, int, int, bool]:
-    """How samples are shaded, interpolated and blended."""
+    """Shading, interpolation and blending of samples."""
     gradient = bool(prop.HasGradientOpacity(0)) and not prop.GetDisableGradientOpacity(0)
     return (prop.GetShade(0), prop.GetInterpolationType(), mapper.GetBlendMode(), gradient)
 

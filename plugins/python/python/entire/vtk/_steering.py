@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Steering by VTK's events: set before the mapper looks, put back after it drew, learned from how long it
-took."""
+"""Steering by VTK's events: settings are made before the mapper reads them, restored after it drew, and its time is
+observed."""
 
 from __future__ import annotations
 
@@ -28,24 +28,22 @@ from ._overlay import Overlay
 
 log = logging.getLogger("entire.vtk")
 
-# Rays along each side of the probe that measures frames for linear cost models: between large frames every
-# ray costs about a microsecond.
+# Rays along each side of the probe for linear cost models: between large frames every ray costs about a microsecond.
 _PROBE_SIDE = 6
-# Least share of the target that a mapper is given, however much the rest of the frame takes.
+# Smallest share of the target for a mapper, however long the rest of the frame takes.
 _LEAST_SHARE = 0.2
-# How many times the one that passes outside of the window's drawing is taken from.
+# Number of frames from which the time outside of the mappers is taken.
 _OUTSIDE_TIMES = 5
 _NAN = math.nan
-# What reads each clock.
+# Functions that read each clock.
 _TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
 
-# Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
-# else does.
+# Steerings by the address of their volume. Only the scene's observers keep steerings alive.
 _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
 
 
 def timer(clock: str) -> Callable[[], float]:
-    """What reads a clock, seconds."""
+    """Function that reads a clock, seconds."""
     if clock not in _TIMERS:
         raise ValueError(f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)")
     return _TIMERS[clock]
@@ -120,7 +118,7 @@ class Steering:
             "probe_side": _PROBE_SIDE,
         }
         self._clock, self._now = clock, now
-        # For no volume yet: what is said of the clocks is said once, before anything is attached.
+        # Without a volume: the warning about clocks comes once, before any volume is attached.
         unbound = self._new_session("")
         self._model_clock, self._clocks = unbound.model_clock, _clocks.both(unbound)
         _clocks.warn(unbound, f", as does entire.vtk.calibrate(..., clock={clock!r})", stacklevel=3)
@@ -132,12 +130,12 @@ class Steering:
         self._rest = self._outside_time = 0.0
         self.frames = 0
         self._rendering = self._in_frame = False
-        # Held while a frame is drawn, and no longer.
+        # References that are held only while a frame is drawn.
         self._frame_window: Any = None
         self._frame_renderer: Any = None
-        # The camera of the last frame and its matrix, which hold nothing of the scene.
+        # The camera of the last frame and its matrix, without references to the scene.
         self._camera: Any = None
-        # Of the frame at hand: seconds for the mappers, whether it is a still one, whether it is steered.
+        # Of the current frame: seconds for the mappers, flags for still and for steered.
         self._left = _NAN
         self._still_frame = self._steers = False
         self._clean = True
@@ -153,7 +151,7 @@ class Steering:
         self.on_frame: Callable[[Steering], None] | None = None
         self._renderer = weak(renderer)
         self._window = weak()
-        # Whether one pass of one volume is all that is drawn.
+        # True if one pass of one volume is all that is drawn.
         self._alone = True
         self._window_tags: list[int] = []
         self._renderer_tags: list[int] = []
@@ -197,18 +195,18 @@ class Steering:
         return session
 
     def _session(self, renderer: str) -> Session:
-        """A session for the frames that mappers of a class draw, with what :meth:`load` was given of them."""
+        """A session for frames of a mapper class, with the state of :meth:`load` for it."""
         session = self._new_session(renderer)
         if self._state is not None:
             try:
                 session.load_state(self._state)
             except ModelError as refused:
-                # What was learned of another class says nothing of this one.
+                # A state learned from another mapper class does not apply to this one.
                 self._note(f"load(): {refused}")
         return session
 
     def detach(self) -> None:
-        """Lets go of the scene: mappers are as the application left them, exchanged ones are put back."""
+        """Releases the scene: mappers get the application's settings, exchanged ones are put back."""
         for address in [a for a, s in _held.items() if s is self]:
             del _held[address]
         for leaf in self.leaves:
@@ -243,8 +241,8 @@ class Steering:
             self._still -= 1
 
     def also(self, seconds: float) -> None:
-        """Tells of time that belongs to a frame but passes outside of the window's drawing: encoding the
-        picture, sending it.
+        """Adds time that belongs to a frame but passes outside of the window's drawing: encoding the picture, sending
+        it.
 
         Later frames leave room for the median of the last five.
 
@@ -260,18 +258,18 @@ class Steering:
 
     @property
     def outside_time(self) -> float:
-        """float : Seconds of a frame that pass outside of the window's drawing, as :meth:`also` was told: the
-        median of the last five; 0 before."""
+        """float : Seconds of a frame outside of the window's drawing, from :meth:`also`: the median of the last five; 0
+        before."""
         return self._outside_time
 
     def reset(self) -> None:
-        """Forgets what was learned."""
+        """Resets the learned state."""
         self._state = None
         for leaf in self.leaves:
             leaf._restart(self._session(leaf._class))
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Writes what was learned of the volume that was drawn last.
+        """Writes the learned state of the last drawn volume.
 
         Parameters
         ----------
@@ -287,7 +285,7 @@ class Steering:
         self._last.session.save(path)
 
     def load(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Starts from what :meth:`save` wrote, now and whenever learning starts anew.
+        """Starts from a file of :meth:`save`, now and whenever learning restarts.
 
         A state belongs to the model, the class of the mapper and the clock: volumes that mappers of other classes
         draw go on without it.
@@ -305,7 +303,7 @@ class Steering:
         """
         state = Path(path).read_bytes()
         if not self.leaves:
-            # Whose it is shows with the volumes that are added; that it is whole shows now.
+            # The owner of the state is checked when volumes are added; its integrity is checked now.
             with contextlib.suppress(ModelError):
                 self._new_session("").load_state(state)
         refused: list[ModelError] = []
@@ -330,8 +328,8 @@ class Steering:
 
     @property
     def model_clock(self) -> str | None:
-        """str or None : The clock whose seconds the model predicts; None where its file states none, and without a
-        model. Where it is another than :attr:`clock`, the model's scale is learned from the first frames."""
+        """str or None : The clock whose seconds the model predicts; None if its file states none, and without a model.
+        If it differs from :attr:`clock`, the model's scale is learned from the first frames."""
         return self._model_clock
 
     @property
@@ -340,43 +338,42 @@ class Steering:
 
     @property
     def predicted(self) -> float:
-        """float : Seconds that the mappers were expected to take in the last frame."""
+        """float : Expected seconds of the mappers in the last frame."""
         return math.fsum(leaf.predicted for leaf in self.leaves) if self.leaves else _NAN
 
     @property
     def measured(self) -> float:
-        """float : Seconds that the mappers took in the last frame."""
+        """float : Measured seconds of the mappers in the last frame."""
         return math.fsum(leaf.measured for leaf in self.leaves) if self.leaves else _NAN
 
     @property
     def sample_distance(self) -> float:
-        """float : Sample distance along rays of the volume that was drawn last, in the unit of its
-        spacing."""
+        """float : Sample distance along rays of the last drawn volume, in the unit of its spacing."""
         return self._leaf.sample_distance if self._leaf else _NAN
 
     @property
     def image_sample_distance(self) -> float:
-        """float : Pixels between rays along each side of the image, of the volume that was drawn last."""
+        """float : Pixels between rays along each side of the image, of the last drawn volume."""
         return self._leaf.image_sample_distance if self._leaf else _NAN
 
     @property
     def reason(self) -> str:
-        """str : Why the last frame was drawn as it was, in a word or two."""
+        """str : Reason of the last frame's settings, in a word or two."""
         return self._leaf.reason if self._leaf else "detached"
 
     @property
     def status(self) -> str:
-        """str : In words, why the last frame was not steered; empty where it was."""
+        """str : Reason why the last frame was not steered; empty if it was."""
         return self._leaf.status if self._leaf else "attached to nothing"
 
     @property
     def why(self) -> str:
-        """str : Why the last frame was drawn as it was, in a sentence."""
+        """str : Reason of the last frame's settings, in a sentence."""
         return self._leaf.why if self._leaf else "attached to nothing"
 
     @property
     def history(self) -> History:
-        """History : The last frames of the volume that was drawn last; the others' are at ``leaves``."""
+        """History : The last frames of the last drawn volume; the others' are at ``leaves``."""
         return self._leaf.session.history if self._leaf else Session().history
 
     def __repr__(self) -> str:
@@ -390,7 +387,7 @@ class Steering:
     def _repr_html_(self) -> str:
         return self.history._repr_html_()
 
-    # Events. None of them may raise: VTK would go on with half a frame.
+    # Event handlers. None of them may raise: VTK would continue with half a frame.
 
     def _follow_window(self, window: Any) -> None:
         before = self._window()
@@ -412,7 +409,7 @@ class Steering:
         renderer = self._renderer()
         self._in_frame = renderer is None or renderer.GetSelector() is None
         if not self._in_frame:
-            # A pass that picks, not a frame.
+            # A picking pass, not a frame.
             return
         self._frame_window = window
         self._clean = True
@@ -432,7 +429,7 @@ class Steering:
             return
         for leaf in self.leaves:
             leaf._count_passes()
-        # The first frame holds what is done once.
+        # The first frame includes one-time work.
         if self.frames > 0 and self._clean:
             _, a, b = self._rests
             c = seconds - self._mapper_seconds
@@ -448,7 +445,7 @@ class Steering:
 
     def _on_renderer_start(self, renderer: Any, _event: str) -> None:
         if renderer.GetSelector() is not None:
-            # A pass that picks, not one that shows.
+            # A picking pass, not a visible one.
             return
         before = perf_counter()
         window = renderer.GetRenderWindow()
