@@ -52,6 +52,8 @@ enum Command {
     FarmWorker(commands::farm::WorkerOptions),
     /// Calibrate, play a path under several controllers, and report.
     Demo(commands::demo::Options),
+    /// Report what is installed here and what works with it.
+    Doctor(commands::doctor::Options),
 }
 
 /// Runs the command line: the program's name, then its arguments. Ends the process with status 2 for wrong
@@ -85,6 +87,7 @@ impl Cli {
             Command::Farm(options) => commands::farm::run(options),
             Command::FarmWorker(options) => commands::farm::work(options),
             Command::Demo(options) => commands::demo::run(options),
+            Command::Doctor(options) => commands::doctor::run(options),
         }
     }
 }

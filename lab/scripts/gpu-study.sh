@@ -8,12 +8,11 @@ target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 folder=${FOLDER:-out/gpu-study-folder}
 ${CARGO:-cargo} build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
 rm -rf "$folder"
-mkdir -p "$folder/bin" "$folder/lib" "$folder/models"
+mkdir -p "$folder/bin" "$folder/lib"
 for program in entire entire-lab; do
     cp "$target/release/$program" "$folder/bin/"
     ! command -v strip >/dev/null || strip "$folder/bin/$program"
 done
-cp models/*-selected.safetensors "$folder/models/"
 cp -r data "$folder/data"
 rm -rf "$folder/data/timings"
 # The loader of Vulkan drivers: compute-only drivers often come without it.

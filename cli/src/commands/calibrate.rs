@@ -4,7 +4,7 @@ use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
-use crate::steering::race::shipped_files;
+use crate::shipped::shipped_models;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::scene::Shading;
@@ -66,7 +66,7 @@ pub struct Options {
     /// Write the measured frames too, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// Prior model, of kind analytic or residual; default: the shipped ones of the mode in models/.
+    /// Prior model, of kind analytic or residual; default: the shipped ones of the mode.
     #[arg(long, value_name = "SAFETENSORS")]
     pub prior: Option<PathBuf>,
     /// Wall seconds that each mode may take.
@@ -197,12 +197,6 @@ pub fn run(options: &Options) -> Result<()> {
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     for (&shading, out) in options.shade.modes().iter().zip(&outs) {
         let priors = priors_of(options, shading)?;
-        if priors.is_empty() {
-            note(
-                "models/ is not here: the calibration starts from the unit costs of a software renderer; run it in \
-                 the project's root, or name a model with --prior",
-            );
-        }
         let settings = Settings {
             volumes: volumes.clone(),
             reading: options.volume_args.reading(),
@@ -266,11 +260,10 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
 
 /// The priors with their names: the given one, else the shipped ones.
 fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
-    let found = match &options.prior {
-        Some(path) => vec![(path.clone(), read_model_file(path)?.0)],
-        None => shipped_files(shading)?,
-    };
-    Ok(found.into_iter().map(|(path, file)| (path.display().to_string(), file)).collect())
+    match &options.prior {
+        Some(path) => Ok(vec![(path.display().to_string(), read_model_file(path)?.0)]),
+        None => shipped_models(shading),
+    }
 }
 
 /// Prints a note if the given prior predicts another clock's seconds.

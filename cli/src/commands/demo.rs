@@ -2,14 +2,15 @@
 
 use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, volumes_in};
-use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate};
+use crate::calibrate::{Calibrated, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
 use crate::commands::steer::describe;
+use crate::shipped::shipped_models;
 use crate::steering::calibrate::CALIBRATION_STEPS;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::play::DrawSettings;
-use crate::steering::race::{Race, machine_model_for, prepare, run as play, shipped_files, steering_model};
+use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
 use crate::steering::report::{Story, table, write};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
@@ -131,10 +132,7 @@ fn calibrated(
         seed: options.seed,
         picture_error: PictureError::default(),
     };
-    let priors: Vec<NamedPrior> = shipped_files(draw.shading)?
-        .into_iter()
-        .map(|(path, file)| (path.display().to_string(), file))
-        .collect();
+    let priors = shipped_models(draw.shading)?;
     let threads = thread_pool(None)?;
     let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
     let Calibrated { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;

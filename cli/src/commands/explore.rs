@@ -14,8 +14,8 @@ use std::path::PathBuf;
 /// Every frame is predicted before it is drawn, and the predictor learns from its measured time; a graph
 /// shows both beside the target. While nothing changes, the picture is refined to full quality in slices no
 /// longer than the target. Without --model, the model of this machine is used
-/// (`entire calibrate --clock wall`), else the shipped model if the working folder is the project's, else an
-/// untrained one; all learn from the frames. Drag to turn, shift-drag to pan, scroll to zoom, F to fly, 1 2 3
+/// (`entire calibrate --clock wall`), else the shipped model; both learn from the
+/// frames. Drag to turn, shift-drag to pan, scroll to zoom, F to fly, 1 2 3
 /// to look along an axis, R to reset, Ctrl+Z to take back.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:

@@ -3,6 +3,7 @@
 pub mod calibrate;
 pub mod collect;
 pub mod demo;
+pub mod doctor;
 pub mod encode;
 pub mod evaluate;
 pub mod explore;

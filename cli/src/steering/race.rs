@@ -7,6 +7,7 @@ use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
 use crate::calibrate::place::machine_model;
+use crate::shipped::shipped_model;
 use anyhow::{Context, Result};
 use entire_core::model::{Model, ModelFile};
 use entire_core::scene::{Shading, VolumeView};
@@ -18,9 +19,7 @@ use entire_io::scenes::SceneDistribution;
 use entire_steer::control::Prior;
 use entire_steer::control::StepLimits;
 use entire_steer::features::{SummaryOptions, VolumeSummary};
-use entire_steer::predict::AnalyticModel;
 use entire_vk_raycaster::Renderer;
-use std::path::PathBuf;
 
 /// Settings of a comparison of controllers.
 #[derive(Clone, Debug)]
@@ -59,7 +58,7 @@ pub struct Race<'a> {
 }
 
 /// Chooses the predictor: the given model, else the machine's, else the shipped one, whose scale every frame
-/// corrects, else unit costs of a software renderer. The second value is the prior for controllers.
+/// corrects. The second value is the prior for controllers.
 ///
 /// # Errors
 /// When a model cannot be read, or holds no predictor.
@@ -74,17 +73,12 @@ pub fn steering_model(
         (None, Some((title, file))) => Some((title, file.to_model()?)),
         (None, None) => None,
     };
-    let ((title, model), known) = match (given, shipped_file(shading)?) {
-        (Some(given), _) => (given, true),
-        (None, Some((path, file))) => {
-            ((format!("{}, corrected by every frame", path.display()), file.to_model()?), false)
-        }
-        (None, None) => {
-            let file = AnalyticModel::default().to_model_file()?;
-            (
-                ("unit costs of a software renderer, corrected by every frame".to_owned(), file.to_model()?),
-                false,
-            )
+    let known = given.is_some();
+    let (title, model) = match given {
+        Some(given) => given,
+        None => {
+            let (name, file) = shipped_model(shading)?;
+            (format!("{name}, corrected by every frame"), file.to_model()?)
         }
     };
     let model = SteeringModel::new(title, model, volume)?;
@@ -115,49 +109,6 @@ pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(Stri
         return Ok((None, asked));
     };
     Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
-}
-
-/// The model in `models/` that was selected for a shading mode, with its file; `None` if the working folder
-/// is not the project's.
-///
-/// # Errors
-/// When the file holds no model.
-pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
-    let set = match shading {
-        Shading::None => "unshaded",
-        other => other.into(),
-    };
-    let path = PathBuf::from(format!("models/{set}-selected.safetensors"));
-    if !path.is_file() {
-        return Ok(None);
-    }
-    let (file, _) = entire_io::files::read_model_file(&path)?;
-    Ok(Some((path, file)))
-}
-
-/// All models in `models/` that were selected for a shading mode, those of other makes of machine after the
-/// first (`unshaded-xeon-selected.safetensors`); none if the working folder is not the project's.
-///
-/// # Errors
-/// When a file holds no model.
-pub fn shipped_files(shading: Shading) -> Result<Vec<(PathBuf, ModelFile)>> {
-    let Some(first) = shipped_file(shading)? else { return Ok(Vec::new()) };
-    let name = first.0.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let begin = name.trim_end_matches("selected.safetensors");
-    let mut others: Vec<PathBuf> = std::fs::read_dir("models")?
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|path| {
-            let other = path.file_name().unwrap_or_default().to_string_lossy();
-            other != name && other.starts_with(begin) && other.ends_with("-selected.safetensors")
-        })
-        .collect();
-    others.sort();
-    let mut out = vec![first];
-    for path in others {
-        let (file, _) = entire_io::files::read_model_file(&path)?;
-        out.push((path, file));
-    }
-    Ok(out)
 }
 
 /// Results of the random scenes.

@@ -1,10 +1,10 @@
 //! Services of this program to the window: readers of volumes, predictors, controllers, path files.
 
 use crate::calibrate::place::machine_model;
+use crate::shipped::shipped_model;
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::model::SteeringModel;
 use crate::steering::play::RAYCASTER;
-use crate::steering::race::shipped_file;
 use crate::steering::rivals::StepResponse;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -18,7 +18,6 @@ use entire_io::volume::Reading;
 use entire_io::volume::{Volume, Watcher};
 use entire_steer::Session;
 use entire_steer::control::Prior;
-use entire_steer::predict::AnalyticModel;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -67,8 +66,7 @@ impl Watcher for Follower {
 
 /// A predictor for one volume.
 struct Predicts {
-    /// None for the untrained analytic model.
-    model: Option<SteeringModel>,
+    model: SteeringModel,
     /// True if the model was calibrated to this machine, which a given model is assumed to be.
     calibrated: bool,
     /// The clock that the model states.
@@ -82,11 +80,8 @@ const WINDOW: Clock = Clock::Wall;
 
 impl Steering for Predicts {
     fn title(&self) -> String {
-        let mut out = match &self.model {
-            Some(model) if self.calibrated => format!("predicted by {}", model.title()),
-            Some(model) => format!("predicted by {}, corrected by every frame", model.title()),
-            None => "predicted by an untrained analytic model, corrected by every frame".to_owned(),
-        };
+        let corrected = if self.calibrated { "" } else { ", corrected by every frame" };
+        let mut out = format!("predicted by {}{corrected}", self.model.title());
         if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
             out += &format!(
                 "; it predicts {} seconds, the window measures {} seconds: the factor is learned from the \
@@ -102,15 +97,12 @@ impl Steering for Predicts {
     }
 
     fn volume_features(&self) -> Option<&[f32]> {
-        self.model.as_ref().and_then(SteeringModel::volume_features)
+        self.model.volume_features()
     }
 
     fn session(&self, name: &str) -> Result<Session> {
         let kind = ControllerKind::from_name(name).with_context(|| format!("no controller {name:?}"))?;
-        let predictor = match &self.model {
-            Some(model) => model.predictor()?,
-            None => Box::new(AnalyticModel::default()),
-        };
+        let predictor = self.model.predictor()?;
         // A model's statement of its errors holds on the machine that it was fitted on.
         let prior = match predictor.log_sd() {
             Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
@@ -152,17 +144,12 @@ impl Host for Surroundings {
             // A machine's model of another clock does not predict the window's times.
             (None, here) => {
                 let left_out = here.map(|(path, _, clock)| takes_no_part(&path, clock));
-                match shipped_file(shading)? {
-                    Some((path, file)) => (path.display().to_string(), file.to_model()?, false, left_out),
-                    None => {
-                        let untrained = Predicts { model: None, calibrated: false, clock: None, left_out };
-                        return Ok(Arc::new(untrained));
-                    }
-                }
+                let (name, file) = shipped_model(shading)?;
+                (name, file.to_model()?, false, left_out)
             }
         };
         let clock = entire_io::clock::of(&model);
-        let model = Some(SteeringModel::new(title, model, volume)?);
+        let model = SteeringModel::new(title, model, volume)?;
         Ok(Arc::new(Predicts { model, calibrated, clock, left_out }))
     }
 
@@ -256,6 +243,7 @@ mod tests {
     use entire_core::GaussianLobe;
     use entire_core::scene::Scalars;
     use entire_explore::RecordedFrame;
+    use entire_steer::predict::AnalyticModel;
 
     #[test]
     fn a_recording_plays_as_it_was_made() {
@@ -305,7 +293,7 @@ mod tests {
         let model = file.to_model().unwrap();
         let mut predicts = Predicts {
             clock: entire_io::clock::of(&model),
-            model: Some(SteeringModel::new("m".into(), model, &view).unwrap()),
+            model: SteeringModel::new("m".into(), model, &view).unwrap(),
             calibrated: false,
             left_out: Some(takes_no_part(Path::new("here.safetensors"), Some(Clock::Device))),
         };

@@ -1,0 +1,252 @@
+//! `entire doctor`.
+
+use crate::calibrate::place::{DATA_FOLDER, file_of, machine_model};
+use crate::shipped::shipped_models;
+use anyhow::Result;
+use entire_core::nn::Level;
+use entire_core::scene::Shading;
+use entire_io::device::is_software;
+use entire_io::machine;
+use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Report what is installed here and what works with it.
+///
+/// Looks for a Vulkan device, models of this machine, VTK and PyVista in Python, ParaView, the C library and the engines
+/// of render farms. For a missing part it prints the use of that part and the command that installs it. The exit status
+/// is 0: no part is required, the CPU version of the raycaster renders anywhere.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire doctor
+  entire doctor --python venv/bin/python")]
+pub struct Options {
+    /// The Python that is asked for VTK, PyVista and the package entire.
+    #[arg(long, default_value = "python3", value_name = "PROGRAM")]
+    pub python: String,
+}
+
+/// The Python for which distributions package VTK.
+const SYSTEM_PYTHON: &str = "/usr/bin/python3";
+
+/// Longest wait for another program's answer.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Python packages, with their use.
+const PACKAGES: [(&str, &str); 5] = [
+    ("vtk", "three lines hold a volume's frame time in Python"),
+    ("pyvista", "pl.entire.hold(fps=15) in PyVista"),
+    ("trame", "volumes in a browser"),
+    ("napari", "steering of napari's volumes"),
+    ("entire", "this project's Python package"),
+];
+
+/// A line of the report.
+enum Finding {
+    /// Found: its version or place.
+    There(String),
+    /// Missing: its use, and the remedy.
+    Missing(&'static str, &'static str),
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When a model of this machine cannot be read.
+pub fn run(options: &Options) -> Result<()> {
+    println!("entire {}", machine::version());
+    heading("Machine");
+    found("processor", &machine::machine());
+    found("inference", &format!("by {} instructions", Level::detect().isa()));
+    print("raycaster", &raycaster());
+
+    heading("Models");
+    for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+        let name: &str = shading.into();
+        let shipped = shipped_models(shading)?.len();
+        print(
+            &format!("shading {name}"),
+            &match machine_model(shading)? {
+                Some((path, _, clock)) => Finding::There(format!(
+                    "{}, {} time",
+                    path.display(),
+                    clock.map_or("unstated", |c| c.name())
+                )),
+                None => Finding::There(format!(
+                    "{shipped} shipped; none of this machine (`entire calibrate --shade {name}` makes {})",
+                    file_of(shading).map_or("one with --out".into(), |p| p.display().to_string())
+                )),
+            },
+        );
+    }
+    let data = Path::new(DATA_FOLDER);
+    let volumes = crate::calibrate::place::volumes_in(data).map_or(0, |v| v.len());
+    match volumes {
+        0 => found("volumes", "none in data/: name your own, `entire calibrate VOLUME…`"),
+        n => found("volumes", &format!("{n} in data/, for calibration")),
+    }
+
+    heading("Renderers");
+    for (package, used_for) in PACKAGES {
+        print(&format!("{package} (Python)"), &python_package(&options.python, package, used_for));
+    }
+    print(
+        "ParaView",
+        &version_of(
+            "pvbatch",
+            &["--version"],
+            "the plugin of entire (`make test-paraview`)",
+            "apt-get install paraview",
+        ),
+    );
+    print("VTK for C++", &vtk_for_cxx());
+    print(
+        "libentire",
+        &version_of(
+            "pkg-config",
+            &["--modversion", "entire"],
+            "C and C++ renderers",
+            "make install PREFIX=…",
+        ),
+    );
+
+    heading("Render farms");
+    let engines = "more than this machine for `entire farm`";
+    print("Slurm", &version_of("sbatch", &["--version"], engines, "apt-get install slurm-wlm"));
+    print(
+        "HyperQueue",
+        &version_of("hq", &["--version"], engines, "unpack a release of HyperQueue into a folder of PATH"),
+    );
+    Ok(())
+}
+
+fn heading(text: &str) {
+    println!("\n{text}");
+}
+
+fn found(name: &str, text: &str) {
+    println!("  {name:<17} {text}");
+}
+
+fn print(name: &str, finding: &Finding) {
+    match finding {
+        Finding::There(text) => found(name, text),
+        Finding::Missing(used_for, remedy) => found(name, &format!("not found; for {used_for}: {remedy}")),
+    }
+}
+
+/// The renderer that `--device auto` opens.
+fn raycaster() -> Finding {
+    match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
+        Ok(renderer) => {
+            let kind = if is_software(&renderer) { "a software driver" } else { "a GPU" };
+            let clock = if renderer.has_timestamps() && !is_software(&renderer) {
+                "device"
+            } else {
+                "processor or wall"
+            };
+            Finding::There(format!(
+                "Vulkan on {} ({kind}); frames are timed in {clock} time",
+                renderer.device()
+            ))
+        }
+        Err(error) => Finding::There(format!("on the CPU, without Vulkan: {error}")),
+    }
+}
+
+/// The first line that a program prints in time, or `None` where it is missing, fails, or takes too long.
+fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
+    let mut child = Command::new(program)
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .ok()?;
+    let start = Instant::now();
+    while child.try_wait().ok()?.is_none() {
+        if start.elapsed() > PATIENCE {
+            let _ = child.kill();
+            let _ = child.wait();
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let output = child.wait_with_output().ok()?;
+    if !output.status.success() {
+        return None;
+    }
+    let text = String::from_utf8_lossy(&output.stdout);
+    Some(text.lines().map(str::trim).find(|l| !l.is_empty()).unwrap_or("installed").to_owned())
+}
+
+fn version_of(program: &str, arguments: &[&str], used_for: &'static str, remedy: &'static str) -> Finding {
+    match first_line(program, arguments) {
+        Some(line) => Finding::There(line),
+        None => Finding::Missing(used_for, remedy),
+    }
+}
+
+/// The newest CMake package of VTK in the places where CMake looks by itself.
+fn vtk_for_cxx() -> Finding {
+    let children = |folder: &Path| -> Vec<PathBuf> {
+        std::fs::read_dir(folder)
+            .map_or(Vec::new(), |entries| entries.filter_map(|e| Some(e.ok()?.path())).collect())
+    };
+    let lib = ["/usr/lib", "/usr/local/lib"].map(PathBuf::from);
+    let folders = lib.iter().cloned().chain(lib.iter().flat_map(|folder| children(folder)));
+    let mut versions: Vec<(Vec<u32>, String)> = folders
+        .flat_map(|folder| children(&folder.join("cmake")))
+        .filter(|package| package.join("vtk-config.cmake").is_file())
+        .filter_map(|package| {
+            let version = package.file_name()?.to_str()?.strip_prefix("vtk-")?.to_owned();
+            Some((version.split('.').filter_map(|n| n.parse().ok()).collect(), version))
+        })
+        .collect();
+    versions.sort();
+    match versions.pop() {
+        Some((_, version)) => Finding::There(version),
+        None => Finding::Missing("the class vtkEntireSteering", "apt-get install libvtk9-dev"),
+    }
+}
+
+/// A package of a Python: its version by its metadata, without importing it; VTK of Debian has none.
+fn python_package(python: &str, package: &str, used_for: &'static str) -> Finding {
+    let script = format!(
+        "import importlib.metadata as m, importlib.util as u
+try: print(m.version('{package}'))
+except m.PackageNotFoundError:
+    if u.find_spec('{package}') is None and not ('vtk' == '{package}' and u.find_spec('vtkmodules')): raise SystemExit(1)
+    print('vtk' == '{package}' and __import__('vtkmodules.vtkCommonCore', fromlist=['x']).vtkVersion.GetVTKVersion() or 'installed')"
+    );
+    if let Some(version) = first_line(python, &["-c", &script]) {
+        return Finding::There(version);
+    }
+    match first_line(SYSTEM_PYTHON, &["-c", &script]) {
+        Some(version) => Finding::There(format!("{version}, in {SYSTEM_PYTHON} alone")),
+        None if package == "entire" => {
+            Finding::Missing(used_for, "make wheel, then pip install out/wheels/entire-*.whl")
+        }
+        None => Finding::Missing(used_for, "pip install it into this Python"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_is_its_first_line_and_a_failure_none() {
+        assert_eq!(first_line("sh", &["-c", "echo; echo ' 9.1 '; echo more"]).as_deref(), Some("9.1"));
+        assert_eq!(first_line("sh", &["-c", "true"]).as_deref(), Some("installed"));
+        assert_eq!(first_line("sh", &["-c", "echo 9.1; false"]), None);
+        assert_eq!(first_line("entire-no-such-program", &[]), None);
+    }
+
+    #[test]
+    fn a_missing_package_has_a_remedy() {
+        let finding = python_package("entire-no-such-python", "entire_no_such_package", "a test");
+        assert!(matches!(finding, Finding::Missing("a test", remedy) if remedy.contains("pip install")));
+    }
+}

@@ -1,0 +1,81 @@
+//! The shipped models that were selected for the shading modes, built into the program, so that it has them wherever
+//! it is installed.
+
+use anyhow::{Context, Result};
+use entire_core::model::ModelFile;
+use entire_core::scene::Shading;
+
+/// Bytes of `models/NAME-selected.safetensors`.
+macro_rules! selected {
+    ($name:literal) => {
+        ($name, include_bytes!(concat!("../models/", $name, "-selected.safetensors")).as_slice())
+    };
+}
+
+/// Names and bytes of a mode's models: the selected one, then those of other makes of machine.
+fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
+    match shading {
+        Shading::None => vec![selected!("unshaded"), selected!("unshaded-epyc"), selected!("unshaded-xeon")],
+        Shading::Local => vec![selected!("local")],
+        Shading::Scatter => vec![selected!("scatter")],
+        _ => Vec::new(),
+    }
+}
+
+/// The shipped models of a shading mode with their names; the first is the selected one.
+///
+/// # Errors
+/// When a file holds no model.
+pub fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
+    files(shading)
+        .into_iter()
+        .map(|(name, bytes)| Ok((format!("the shipped model {name}"), ModelFile::from_bytes(bytes)?)))
+        .collect()
+}
+
+/// The shipped model that was selected for a shading mode, with its name.
+///
+/// # Errors
+/// When there is none.
+pub fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
+    shipped_models(shading)?
+        .into_iter()
+        .next()
+        .with_context(|| format!("no shipped model predicts shading {shading}; name one with --model"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+    use std::path::Path;
+
+    #[test]
+    fn every_selected_model_is_built_in() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models");
+        let mut there = BTreeMap::new();
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_str().unwrap();
+            if let Some(name) = name.strip_suffix("-selected.safetensors") {
+                there.insert(name.to_owned(), std::fs::read(&path).unwrap());
+            }
+        }
+        let built: BTreeMap<String, Vec<u8>> = [Shading::None, Shading::Local, Shading::Scatter]
+            .into_iter()
+            .flat_map(files)
+            .map(|(name, bytes)| (name.to_owned(), bytes.to_vec()))
+            .collect();
+        assert!(there == built, "models/ has {:?}, the program {:?}", there.keys(), built.keys());
+    }
+
+    #[test]
+    fn every_mode_has_a_model_that_predicts() {
+        for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+            for (name, file) in shipped_models(shading).unwrap() {
+                let loaded = entire_steer::predict::load(&file.to_model().unwrap());
+                assert!(loaded.is_ok(), "{name}: {}", loaded.err().unwrap());
+            }
+        }
+    }
+}
