@@ -301,6 +301,12 @@ def dependency_tree(package, edges, *options):
     return {line.split()[0] for line in done.stdout.splitlines() if line.strip()}
 
 
+def addresses():
+    """Files that name another address of the project than Cargo.toml."""
+    address = re.search(r'^repository = "(.+)"', (ROOT / "Cargo.toml").read_text(), re.M).group(1)
+    return [name for name in ("plugins/python/pyproject.toml", "CITATION.cff") if address not in (ROOT / name).read_text()]
+
+
 def public_items(crate):
     done = run(sys.executable, "lab/scripts/public_items.py", crate)
     counts = re.findall(r"\d+", done.stdout)
@@ -361,6 +367,8 @@ def main():
     ):
         found = sorted(set(found))
         bars.at_most(name, len(found), 0, found)
+    found = addresses()
+    bars.at_most("other-addresses", len(found), 0, found)
     lengths = sorted(file_lengths(), reverse=True)
     bars.at_most("longest-file", lengths[0][0], FILE_LINES, [f"{n} {path}" for n, path in lengths if n > FILE_LINES])
 

@@ -1,0 +1,63 @@
+#!/usr/bin/env bash
+# Rehearses a release: packs all that a release publishes, builds and checks it from the packages alone, and publishes
+# nothing.
+#
+#   scripts/release.sh [FOLDER]        default out/release
+#
+# FOLDER then holds the crates, wheel and sdist, the C library's archive, an SBOM, the notes, and checksums of them.
+# RELEASE_DIRTY=1 packs a checkout with local changes. Needs no network once the crates are downloaded, but for twine.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+folder=$(realpath -m "${1:-out/release}")
+cargo=${CARGO:-cargo}
+python=${PYTHON:-python3}
+target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
+version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+rm -rf "$folder"
+mkdir -p "$folder"
+
+step() { printf '==> %s (%d s)\n' "$1" $SECONDS; }
+
+step "crates: packed, and each built from its package"
+private=$("$cargo" metadata --no-deps --format-version 1 | "$python" -c '
+import json, sys
+print(" ".join("--exclude " + p["name"] for p in json.load(sys.stdin)["packages"] if p["publish"] == []))')
+# shellcheck disable=SC2086
+"$cargo" package --quiet --locked --workspace $private ${RELEASE_DIRTY:+--allow-dirty} --target-dir "$target/release-crates"
+cp "$target"/release-crates/package/*-"$version".crate "$folder/"
+
+step "C library: installed, archived, and a program built against the archive"
+name=entire-$version-$(uname -s | tr '[:upper:]' '[:lower:]')-$(uname -m)
+ffi/package/install.sh --prefix /usr/local --destdir "$scratch/$name"
+tar -C "$scratch/$name/usr/local" -czf "$folder/$name.tar.gz" .
+mkdir "$scratch/unpacked"
+tar -C "$scratch/unpacked" -xzf "$folder/$name.tar.gz"
+pkg_config_path=$(dirname "$(find "$scratch/unpacked" -name entire.pc)")
+# shellcheck disable=SC2046
+cc -o "$scratch/plan" examples/c/03_plan_observe.c \
+    $(PKG_CONFIG_PATH=$pkg_config_path pkg-config --define-prefix --cflags --libs entire) -lm
+LD_LIBRARY_PATH=$scratch/unpacked/lib "$scratch/plan" >"$scratch/plan.txt"
+head -n 3 "$scratch/plan.txt"
+
+step "Python package: wheel and sdist, described as the index wants, imported in a clean environment"
+plugins/python/run.sh wheel
+cp out/wheels/entire-"$version"*.whl out/wheels/entire-"$version".tar.gz "$folder/"
+"$python" -m venv "$scratch/twine"
+"$scratch/twine/bin/pip" install --quiet twine
+"$scratch/twine/bin/twine" check --strict "$folder"/*.whl "$folder/entire-$version.tar.gz"
+"$python" -m venv "$scratch/clean"
+"$scratch/clean/bin/pip" install --quiet "$folder"/*.whl
+(cd "$scratch" && clean/bin/python -c 'import entire; print("models:", ", ".join(entire.models()))' && clean/bin/entire --version)
+
+step "SBOM, notes and checksums"
+"$python" scripts/sbom.py "$("$cargo" pkgid --package entire-cli)" >"$folder/entire-$version.cdx.json"
+awk -v version="$version" '
+    /^## / { if (told) exit; told = index($0, version) || $0 == "## Unreleased"; next }
+    told' CHANGELOG.md >"$folder/NOTES.md"
+test -s "$folder/NOTES.md" || { echo "release.sh: CHANGELOG.md has no section of $version" >&2; exit 1; }
+(cd "$folder" && sha256sum -- * >"$scratch/sums" && mv "$scratch/sums" SHA256SUMS && sha256sum --quiet --check SHA256SUMS)
+
+step "done: $folder"
+ls -l "$folder"
