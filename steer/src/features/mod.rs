@@ -2,11 +2,11 @@
 //! per frame.
 //!
 //! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume, or updated
-//! from one time step to the next by a [`SummarySeries`].
+//!   from one time step to the next by a [`SummarySeries`].
 //! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, recomputed in
-//! place at each edit.
+//!   place at each edit.
 //! * [`FrameFeatures`]: a camera's view: footprint, ray lengths and the coarse ray probe, measured once per
-//! frame and then evaluated for any ray step and image size.
+//!   frame and then evaluated for any ray step and image size.
 //! * [`SceneFeature`]: names under which a model file requests these features.
 
 mod classify;

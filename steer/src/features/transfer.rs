@@ -344,8 +344,8 @@ impl TransferSummary {
 
     /// Extinction of a cell per reference step; 0 where it is empty.
     ///
+    /// # Panics
     /// Where the cell lies outside the grid.
-    /// When the cell lies outside the grid.
     #[cfg(test)]
     pub(crate) fn extinction(&mut self, volume: &VolumeSummary, [x, y, z]: [usize; 3]) -> f32 {
         let g = self.grid;
