@@ -1,5 +1,5 @@
-//! Times PredNet per network, level and storage, VolumeNet and resampling per level, on one thread, against
-//! the machine's limits, measured in the same run.
+//! Times PredNet by network, level and storage, and VolumeNet and resampling by level, on one thread, and
+//! compares them with the machine's limits, measured in the same run.
 //!
 //! ```text
 //! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
@@ -9,7 +9,7 @@
 //! | column | meaning |
 //! |---|---|
 //! | setup | packing the weights |
-//! | warm | smallest, median, 99th percentile and worst of successive calls |
+//! | warm | minimum, median, 99th percentile and maximum of successive calls |
 //! | cold | median with the weights evicted from the first two cache levels before each call |
 //! | flushed | median with the weights (resampling: the voxels) flushed from every cache before each call; not for VolumeNet |
 //! | bytes | weights (VolumeNet: and voxels; resampling: voxels) read by one call |
@@ -18,9 +18,9 @@
 //! VolumeNet `vol A` has the channels 1-8-16-32-64-128-256, `vol B` 1-16-32-64-128-256-256 (kernel 3, stride
 //! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
 //!
-//! The second form judges storages on a trained model and real inputs (one row per frame, in the model's
-//! order, no header): their difference from f32, and with measured seconds (one number per line) their error
-//! beside that of f32.
+//! The second form measures the accuracy of storages on a trained model and real inputs (one row per frame,
+//! in the model's order, no header): their difference from f32 and, with measured seconds (one number per
+//! line), their error beside that of f32.
 
 use entire_core::model::Model;
 use entire_core::nn::{
@@ -33,7 +33,7 @@ use std::fmt::Write;
 use std::hint::black_box;
 use std::time::{Duration, Instant, SystemTime};
 
-/// Hidden widths after the input; the halving tail is part of them.
+/// Networks: name, number of inputs, hidden widths including the halving tail.
 const NETWORKS: [(&str, usize, &[usize]); 5] = [
     ("2x64", 24, &[64, 64]),
     ("0C256", 16, &[256, 128, 64, 32, 16]),
@@ -42,7 +42,7 @@ const NETWORKS: [(&str, usize, &[usize]); 5] = [
     ("12C256", 16, &[256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 128, 64, 32, 16]),
 ];
 
-/// Normal numbers from a fixed seed.
+/// Normally distributed pseudo-random numbers.
 struct Normal(u64);
 
 impl Normal {
@@ -82,14 +82,14 @@ fn network(inputs: usize, hidden: &[usize]) -> PredNetParts {
     }
 }
 
-/// Output channels of the blocks.
+/// VolumeNets: name, output channels of the blocks.
 const VOLUME_NETWORKS: [(&str, [usize; 6]); 2] =
     [("vol A", [8, 16, 32, 64, 128, 256]), ("vol B", [16, 32, 64, 128, 256, 256])];
 
-/// Edge of VolumeNet's input.
+/// Edge of VolumeNet's input, in voxels.
 const INPUT_EDGE: usize = 128;
 
-/// Edge of the volume that is resampled to it.
+/// Edge of the volume that is resampled to VolumeNet's input, in voxels.
 const LARGE_EDGE: usize = 512;
 
 fn volume_network(channels: &[usize]) -> VolumeNetParts {
@@ -125,7 +125,7 @@ fn volume_network(channels: &[usize]) -> VolumeNetParts {
     VolumeNetParts { input: INPUT_EDGE, blocks, fc }
 }
 
-/// Smooth bytes with some noise.
+/// A volume of smooth bytes with some noise.
 fn volume(edge: usize) -> Vec<u8> {
     let mut noise = Normal(99);
     (0..edge * edge * edge)
@@ -136,7 +136,7 @@ fn volume(edge: usize) -> Vec<u8> {
         .collect()
 }
 
-/// What one line says; times in nanoseconds, `warm` sorted.
+/// Contents of one line; times in nanoseconds, `warm` sorted.
 struct Row<'a> {
     network: &'a str,
     level: Level,
@@ -180,7 +180,7 @@ impl Row<'_> {
     }
 }
 
-/// The larger of two floors in nanoseconds.
+/// The larger of the two floors, in nanoseconds.
 fn floor(
     bytes: usize,
     macs: usize,
@@ -195,7 +195,7 @@ fn floor(
     }
 }
 
-/// What the machine can do with one level's instructions.
+/// Measured limits of the machine with one level's instructions.
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code, reason = "peak rates can only be measured with the instructions themselves")]
 mod limits {
@@ -291,9 +291,9 @@ mod limits {
         (rounds * 24 * 64) as f64 / seconds
     }
 
-    /// FLOP per second (integer operations with `int8`), where the level has such instructions.
+    /// FLOP per second (integer operations with `int8`); `None` where the level lacks such instructions.
     pub(super) fn peak(level: super::Level, int8: bool) -> Option<f64> {
-        // Many short runs: the best of them is one that nothing disturbed.
+        // Many short runs: the fastest one was not disturbed.
         let best = |f: &dyn Fn() -> f64| Some((0..600).map(|_| f()).fold(0.0, f64::max));
         match level.isa() {
             // SAFETY: the level proves the instructions, here and below.
@@ -307,10 +307,10 @@ mod limits {
         }
     }
 
-    /// Bytes per second when `bytes` are read over and over.
+    /// Bytes per second of repeated reads of `bytes` bytes.
     pub(super) fn bandwidth(level: super::Level, bytes: usize) -> Option<f64> {
-        // Whole cache lines, as packed weights lie; written, since memory that never was is one page of
-        // zeros.
+        // Whole cache lines, as in packed weights; written first, since untouched memory is one shared page
+        // of zeros.
         let all = vec![1f32; bytes.next_multiple_of(256) / 4 + 16];
         let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
         let rounds = (1 << 22) / bytes + 1;
@@ -331,7 +331,7 @@ mod limits {
         Some(bytes as f64 / (0..60).map(time).fold(f64::INFINITY, f64::min))
     }
 
-    /// Takes memory out of every cache.
+    /// Evicts memory from every cache.
     pub(super) fn flush(bytes: &[u8]) {
         for line in bytes.chunks(64) {
             // SAFETY: CLFLUSH is part of SSE2, which x86-64 always has, and the line belongs to a live slice.
@@ -353,7 +353,7 @@ mod limits {
     pub(super) fn flush(_: &[u8]) {}
 }
 
-/// Sorted times of single calls in nanoseconds, less what the clock takes.
+/// Sorted times of single calls in nanoseconds, the clock's own time subtracted.
 fn times(
     calls: usize,
     limit: Duration,
@@ -474,7 +474,7 @@ fn main() {
         let wanted =
             |name: &str, storage: &str| format!("{name} {} {storage}", level.isa()).contains(&options.only);
         let short = Duration::from_millis(150);
-        // A million calls where they take seconds; the count says how many there were.
+        // Up to a million calls within the time limit; the output states their number.
         let long = if level == Level::detect() { Duration::from_millis(2500) } else { short };
         for (network, inputs, hidden) in NETWORKS {
             let parts = self::network(inputs, hidden);
@@ -533,7 +533,7 @@ fn main() {
                     floor: floor(bytes, macs, bandwidth, peak),
                 };
                 line.report(&mut csv);
-                // Without the arithmetic's peak, nothing is known about a batch.
+                // The floor of a batch depends on the arithmetic's peak; without it there is none.
                 let floor = peak.and_then(|peak| floor(bytes, macs * rows, bandwidth, Some(peak)));
                 Row { rows, setup: None, warm: many, cold: None, flushed: None, floor, ..line }
                     .report(&mut csv);
@@ -620,7 +620,7 @@ fn main() {
     }
 }
 
-/// Judges storages on a trained model and real inputs.
+/// Measures the accuracy of storages on a trained model and real inputs.
 fn accuracy(arguments: &[String]) {
     let read = |path: &str| std::fs::read(path).unwrap_or_else(|e| panic!("{path}: {e}"));
     let numbers = |path: &str| -> Vec<f32> {

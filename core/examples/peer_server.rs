@@ -1,15 +1,15 @@
-//! This crate's inference behind the protocol of the peer benchmark: a line `NAME BATCH SECONDS` in, a line
-//! `@@{json}` out, so that it is timed interleaved with other libraries.
+//! Serves this crate's inference by the protocol of the peer benchmark, a line `NAME BATCH SECONDS` in, a
+//! line `@@{json}` out, so that it is timed interleaved with other libraries.
 //!
 //! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
 //!
-//! `MODELS` is a folder of networks as the peers read them (`NAME.safetensors` with `l0.weight`, …,
-//! `inputs.safetensors`). Threads come from the environment variable `PEER_THREADS` (1 or 2). Some names
-//! answer something else: `accuracy/NAME` the largest relative error against a float64 evaluation, the output
-//! taken as the logarithm of seconds; `small/warm` and `small/cold` the times of a 2×64 network on 24 inputs,
-//! cold with its weights evicted from the first two cache levels before each call. `vol_…` is a VolumeNet on
-//! a byte volume (`vol_…:f32` on the floats that the peers take), `resample/N` resampling N³ bytes to 128³,
-//! with the time of reading them once as `read`.
+//! `MODELS` is a folder of networks in the peers' format (`NAME.safetensors` with `l0.weight`, …,
+//! `inputs.safetensors`). The environment variable `PEER_THREADS` sets the number of threads (1 or 2).
+//! Special names: `accuracy/NAME` returns the largest relative error against a float64 evaluation, the output
+//! taken as the logarithm of seconds; `small/warm` and `small/cold` return the times of a 2×64 network on 24
+//! inputs, cold with its weights evicted from the first two cache levels before each call; `vol_…` runs a
+//! VolumeNet on a byte volume (`vol_…:f32` on the peers' floats); `resample/N` resamples N³ bytes to 128³ and
+//! returns the time of reading them once as `read`.
 
 use entire_core::nn::Level;
 use entire_core::nn::{
@@ -86,7 +86,7 @@ fn inputs(models: &Path, rows: usize) -> Result<Vec<f32>, Problem> {
     Ok(numbers)
 }
 
-/// A prepared case: each call runs one inference; the result is the sum of the outputs.
+/// A prepared case: each call runs one inference and returns the sum of the outputs.
 type Case<'a> = Box<dyn FnMut() -> f64 + 'a>;
 
 fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -> Result<Case<'a>, Problem> {
@@ -113,7 +113,7 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
     }))
 }
 
-/// A VolumeNet as the peers read it, batch normalization folded in.
+/// A VolumeNet in the peers' format, batch normalization folded in.
 fn volumenet(path: &Path) -> Result<VolumeNetParts, Problem> {
     let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
     let file = SafeTensors::deserialize(&bytes)?;
@@ -161,7 +161,7 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
     let (mut scratch, mut features) = (net.scratch(), vec![0.0; net.feature_len()]);
     Ok(Box::new(move || {
         let view = if from_floats {
-            // The range whose map to [-1, 1] changes nothing: the peers feed the floats as they are.
+            // The identity: this range maps to [-1, 1] unchanged, since the peers use the floats as they are.
             VolumeView::with(
                 Scalars::F32(&volume),
                 [128; 3],
@@ -176,7 +176,7 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
     }))
 }
 
-/// Times of resampling `n`³ bytes to 128³, and the smallest time in which the same threads read them once.
+/// Times of resampling `n`³ bytes to 128³, and the minimum time in which the same threads read them once.
 fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Result<String, Problem> {
     let bytes: Vec<u8> = (0..n * n * n).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&bytes), [n; 3])?;
@@ -195,7 +195,7 @@ fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Res
     Ok(format!(r#"{{"min":{min},"med":{median},"n":{},"read":{read},"check":{check}}}"#, times.len()))
 }
 
-/// Nanoseconds in which the executor's threads read all bytes once.
+/// Time in nanoseconds in which the executor's threads read all bytes once.
 fn reading(bytes: &[u8], executor: Executor<'_>, threads: usize) -> f64 {
     let begin = Instant::now();
     if threads > 1 {
@@ -280,9 +280,9 @@ fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem>
             Box::new(move || f64::from(net.predict(std::hint::black_box(&x), &mut scratch)));
         return Ok(measure(&mut case, seconds));
     }
-    // Twice the second-level cache of any current core: what was there lies in the third level afterwards.
+    // Twice the second-level cache of any current core: evicts the weights to the third level.
     let mut eviction = vec![1u8; 8 << 20];
-    // What the clock itself takes is no part of the call.
+    // The clock's own time, subtracted from each call.
     let clock = (0..1000).map(|_| Instant::now().elapsed().as_nanos()).min().unwrap_or(0);
     let end = Instant::now() + Duration::from_secs_f64(seconds);
     let mut times = Vec::new();
@@ -306,7 +306,7 @@ fn measure(case: &mut Case<'_>, seconds: f64) -> String {
         warm += 1;
     }
     let estimate = start.elapsed().as_secs_f64() / f64::from(warm);
-    // The clock takes tens of nanoseconds: short calls are timed in groups.
+    // The clock takes tens of nanoseconds, so short calls are timed in groups.
     let group = if estimate < 3e-6 { (3e-6 / estimate).ceil() as u32 } else { 1 };
     let end = Instant::now() + Duration::from_secs_f64(seconds);
     let mut times = Vec::with_capacity(1 << 16);

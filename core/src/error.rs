@@ -1,14 +1,14 @@
-//! The one error type: what went wrong, where, and what to change.
+//! The error type.
 
 use alloc::borrow::Cow;
 use core::fmt;
 
-/// What kind of mistake an [`Error`] reports. The numbers are stable and are the C ABI's result codes.
+/// Kind of an [`Error`]. The numbers are stable and are the C ABI's result codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[repr(u32)]
 pub enum ErrorKind {
-    /// A value handed in is outside what the call accepts (zero size, NaN, negative time, …).
+    /// An argument is outside the range that the call accepts (zero size, NaN, negative time, …).
     InvalidArgument = 1,
     /// A buffer is too short, or a product of sizes overflows.
     SizeMismatch = 2,
@@ -18,34 +18,34 @@ pub enum ErrorKind {
     InvalidTensor = 4,
     /// The model needs an input group that the caller did not supply, or the reverse.
     MissingInput = 5,
-    /// The call needs something that was not set before it (volume, transfer function, model).
+    /// The call needs a volume, transfer function or model that has not been set.
     NotReady = 6,
     /// An observation was rejected (unknown plan, a time that is not positive, duplicate).
     RejectedObservation = 7,
-    /// A feature that this build or this model does not have.
+    /// This build or this model lacks the feature.
     Unsupported = 8,
-    /// There is no memory for what was asked for.
+    /// The allocation failed.
     OutOfMemory = 104,
 }
 
-/// An error that says what was wrong and what to do about it: `Display` writes the text.
+/// An error; `Display` writes what is wrong and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     kind: ErrorKind,
     message: Cow<'static, str>,
 }
 
-/// Shorthand used throughout the crate.
+/// Result with this crate's error.
 pub type Result<T> = core::result::Result<T, Error>;
 
 impl Error {
-    /// Makes an error; `message` names the thing, what was expected, what was found, and the remedy.
-    /// A text that stands in the program allocates nothing.
+    /// Makes an error; `message` names the object, what was expected, what was found, and the remedy. A
+    /// static message does not allocate.
     pub fn new(kind: ErrorKind, message: impl Into<Cow<'static, str>>) -> Self {
         Self { kind, message: message.into() }
     }
 
-    /// The kind, for code that decides.
+    /// The kind of error.
     pub fn kind(&self) -> ErrorKind {
         self.kind
     }
@@ -59,7 +59,8 @@ impl fmt::Display for Error {
 
 impl core::error::Error for Error {}
 
-/// Returns an [`Error`] of a kind with a formatted message. The calling crate needs `extern crate alloc`.
+/// Returns an [`Error`] of the given kind with a formatted message. The calling crate needs `extern crate
+/// alloc`.
 #[macro_export]
 macro_rules! bail {
     ($kind:ident, $($arg:tt)*) => {

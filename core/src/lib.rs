@@ -1,15 +1,15 @@
-//! Inference of the two networks that predict how long a volume-rendered frame takes: VolumeNet turns a volume into
-//! a short feature vector, PredNet turns features, camera, transfer function and resolution into seconds. Beside
-//! them stand the scene types that a frame is described with, and the safetensors model file.
+//! Inference of the two networks that predict how long a volume-rendered frame takes: VolumeNet reduces a
+//! volume to a short feature vector, PredNet maps features, camera, transfer function and resolution to
+//! seconds. The crate also has the types that describe a scene and the safetensors model file.
 //!
-//! Sessions, cost models and controllers that pick a ray step are in the crate `entire-steer`.
+//! Sessions, cost models and controllers that choose a ray step are in the crate `entire-steer`.
 //!
 //! # Units
 //!
 //! | quantity | unit |
 //! |---|---|
 //! | time | seconds (`f32`) |
-//! | angles | degrees at the door (`Arcball`), radians inside |
+//! | angles | degrees in the interface (`Arcball`), radians inside |
 //! | scene space | origin at the volume's center, unit length = radius of its bounding sphere |
 //! | image sizes | pixels |
 //!
@@ -23,7 +23,7 @@
 //! use entire_core::model::{InputGroup, ModelFile};
 //! use entire_core::nn::{DenseParts, Dtype, PredNet, PredNetParts, Target};
 //!
-//! // Bytes of a model file; here those of one layer: seconds = exp(0.5·a − 0.25·b − 4).
+//! // Bytes of a model file; here one with a single layer: seconds = exp(0.5·a − 0.25·b − 4).
 //! let layer =
 //!     DenseParts { inputs: 2, outputs: 1, weight: vec![0.5, -0.25], bias: vec![-4.0], dtype: Dtype::F32 };
 //! let parts = PredNetParts { layers: vec![layer], input: None, output: None, target: Target::LogSeconds };
@@ -41,9 +41,9 @@
 //!
 //! # Contract
 //!
-//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give. A
-//! prediction is a pure function: same model, same inputs, same SIMD level, same bits, with and without the
-//! feature `std`.
+//! The crate is `no_std` with `alloc`. It uses no files, no GPU and no threads except those of the caller. A
+//! prediction is a pure function: the same model, inputs and SIMD level give the same bits, with and without
+//! the feature `std`.
 #![cfg_attr(not(any(feature = "std", test)), no_std)]
 #![deny(unsafe_code)]
 

@@ -1,10 +1,9 @@
-//! Memory whose size a file or a caller decides: asked for in a way that can fail.
+//! Fallible allocation, for sizes that a file or a caller decides.
 
 use crate::{Error, ErrorKind, Result};
 use alloc::vec::Vec;
 
-/// The error where the allocator has no such room. Its text stands in the program: there may be no memory for
-/// another.
+/// The error of a failed allocation. Its message is static: there may be no memory for another.
 #[cold]
 pub fn no_memory() -> Error {
     Error::new(
@@ -23,25 +22,25 @@ pub fn room<T>(len: usize) -> Result<Vec<T>> {
     }
 }
 
-/// `len` times a value.
+/// A vector of `len` copies of `value`.
 pub fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
     let mut out = room(len)?;
     out.resize(len, value);
     Ok(out)
 }
 
-/// `len` zeros, as fresh memory has them: what is not touched costs nothing.
+/// A vector of `len` zeros from zeroed pages: untouched pages take no memory.
 pub fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
     bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())
 }
 
-/// A longer vector of zeros in place of one that has no room for `len` elements; what is not touched of it costs
-/// nothing.
+/// A new vector of `len` zeros where the given one lacks the capacity, otherwise `None`; untouched pages of
+/// it take no memory.
 pub fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
     if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
 }
 
-/// Takes the longer vector, if there is one, and makes it as long as asked for.
+/// Replaces the vector by the longer one, if any; otherwise resizes it to `len`.
 pub fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
     match longer {
         Some(longer) => *vector = longer,
@@ -49,8 +48,8 @@ pub fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Ve
     }
 }
 
-/// Room for `len` elements in all, and for some more where the vector has grown before: what grows piece by
-/// piece is moved a few times, not once per piece.
+/// Reserves capacity for `len` elements in all, and for more where the vector has grown before, so that a
+/// vector that grows piece by piece is moved only a few times.
 pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
     match vector.try_reserve(len.saturating_sub(vector.len())) {
         Ok(()) => Ok(()),
@@ -58,7 +57,7 @@ pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
     }
 }
 
-/// Makes a vector as long as `len`; new elements are `value`.
+/// Resizes a vector to `len`; new elements are `value`.
 pub fn resize<T: Clone>(vector: &mut Vec<T>, len: usize, value: T) -> Result<()> {
     reserve(vector, len)?;
     vector.resize(len, value);
@@ -72,19 +71,20 @@ pub fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>> {
     Ok(out)
 }
 
-/// The elements of an iterator that knows how many they are.
+/// Collects the elements of an iterator of known length.
 pub fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>> {
     let mut out = room(elements.len())?;
     out.extend(elements);
     Ok(out)
 }
 
-/// Whether so many bytes can be had: for work in many small pieces, none of which can fail by itself.
+/// Checks that `bytes` bytes can be allocated; for work in many small allocations that cannot fail one by
+/// one.
 pub fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
 }
 
-/// Takes another number into a fingerprint: different runs of numbers hardly ever give the same one.
+/// Mixes a number into a fingerprint; different sequences of numbers are very unlikely to collide.
 pub fn mixed(fingerprint: u64, number: u64) -> u64 {
     let mut z = (fingerprint ^ number).wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -1,6 +1,6 @@
 //! The macro `names!`.
 
-/// Names of the variants of an enum: the one table behind `Display` and `&'static str`.
+/// Implements `name`, `Display` and the conversion to `&'static str` of an enum from a table of names.
 #[macro_export]
 macro_rules! names {
     ($type:ty: $($variant:ident $name:literal,)*) => {

@@ -1,9 +1,9 @@
-//! Node transfer functions against tables that VTK itself computed (`golden/vtk_transfer/make.py`).
+//! Compares node transfer functions with tables computed by VTK (`golden/vtk_transfer/make.py`).
 
 use entire_core::scene::{ColorNode, Nodes, OpacityNode, TABLE_LEN, TransferFunction};
 use serde_json::Value;
 
-/// The agreement that the module documents, per table entry.
+/// Bound on the difference per table entry, as documented in the module.
 const TOLERANCE: f64 = 1e-6;
 
 fn number(v: &Value) -> f64 {

@@ -1,7 +1,7 @@
-//! What features, predictions and plans cost, on one core: the median and the 99th percentile of many calls.
+//! Times features, predictions and plans on one core: the median and the 99th percentile of many calls.
 //!
 //! ```text
-//! cargo bench -p entire-core --bench predict
+//! cargo bench -p entire-steer --bench predict
 //! ```
 
 use entire_core::scene::{

@@ -1,20 +1,20 @@
-//! Predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step that keeps
-//! the frame inside its budget.
+//! Predicts how long a volume-rendered frame takes, before it is drawn, and picks the ray step that keeps the
+//! frame inside its budget.
 //!
 //! # Units
 //!
 //! | quantity | unit |
 //! |---|---|
 //! | time | seconds (`f32`, or `f64` where they are accumulated) |
-//! | ray step | multiples of the *reference step*, which is the volume's smallest voxel spacing |
-//! | angles | degrees at the door (`Arcball`), radians inside |
+//! | ray step | multiples of the *reference step*, the volume's smallest voxel spacing |
+//! | angles | degrees in the interface (`Arcball`), radians inside |
 //! | scene space | origin at the volume's center, unit length = radius of its bounding sphere |
 //! | image sizes | pixels |
 //!
 //! # Steering a render loop
 //!
-//! A [`Session`] knows the volume and the transfer function. Before each frame it plans the ray step, and
-//! after it hears how long the frame took:
+//! A [`Session`] holds the volume and the transfer function. Before each frame it plans the ray step; after
+//! the frame, the caller reports the seconds it took:
 //!
 //! ```
 //! use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction};
@@ -39,7 +39,7 @@
 //! let seconds = 0.012;
 //! session.observe(plan.id, seconds, ObserveFlags::default())?;
 //!
-//! // What a frame will take, corrected by what was observed:
+//! // Predicted time of a frame, corrected by the observations:
 //! let expected = session.predict(&frame)?;
 //! assert!(expected.seconds > 0.0 && expected.upper >= expected.seconds);
 //! # Ok::<(), entire_core::Error>(())
@@ -47,7 +47,7 @@
 //!
 //! # Loading a model
 //!
-//! [`predict::load`] makes the predictor that a model file holds; [`Session::new`] steers by it:
+//! [`predict::load`] makes the predictor of a model file; [`Session::new`] steers by it:
 //!
 //! ```
 //! use entire_core::Model;
@@ -55,7 +55,7 @@
 //! use entire_steer::predict::{AnalyticModel, load};
 //! use entire_steer::Session;
 //!
-//! // Bytes of a model file; here those of an analytic model.
+//! // Bytes of a model file; here of an analytic model.
 //! let bytes = AnalyticModel::default().to_model_file()?.to_bytes()?;
 //! let model = Model::from_bytes(&bytes)?;
 //! let session = Session::new(load(&model)?, HybridOptions::default());
@@ -65,10 +65,10 @@
 //!
 //! # Contract
 //!
-//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give.
-//! Hot calls (predict, plan, observe) never allocate, lock or call the system once set-up is done. A
-//! prediction is a pure function: same model, same inputs, same SIMD level, same bits, with and without the
-//! feature `std`.
+//! The crate is `no_std` with `alloc`. It uses no files, no GPU and no threads except those of the caller.
+//! Hot calls (predict, plan, observe) never allocate, lock or make a system call once set-up is done. A
+//! prediction is a pure function: the same model, inputs and SIMD level give the same bits, with and without
+//! the feature `std`.
 #![cfg_attr(not(any(feature = "std", test)), no_std)]
 #![forbid(unsafe_code)]
 

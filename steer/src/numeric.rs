@@ -1,9 +1,10 @@
-//! Numerics that several rooms share: small dense linear algebra in `f64`, medians, errors.
+//! Numerics shared by the modules: small dense linear algebra in `f64`, medians, errors.
 
 use alloc::vec::Vec;
 
-/// Replaces a symmetric positive matrix of n rows, given by its lower half, row by row, by its Cholesky factor. Returns
-/// false, and leaves the matrix unfit for use, where it is not positive.
+/// Replaces a symmetric positive definite matrix of n rows, given by its lower half in row-major order, by
+/// its Cholesky factor. Returns false, and leaves the matrix in an unspecified state, where it is not
+/// positive definite.
 pub fn cholesky(a: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         for k in 0..j {
@@ -44,14 +45,13 @@ pub fn back(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
-/// Solves A·x = b for a symmetric positive matrix A given by its lower half, row by row; its Cholesky factor is left in
-/// place. `None` where it is not positive.
+/// Solves A·x = b for a symmetric positive definite matrix A, given by its lower half in row-major order, and
+/// replaces A by its Cholesky factor. `None` where A is not positive definite.
 pub fn solve(a: &mut [f64], b: Vec<f64>) -> Option<Vec<f64>> {
     cholesky(a, b.len()).then(|| back(a, forward(a, b)))
 }
 
-/// Median of some numbers, the mean of the middle two where their number is even; reorders them. `None` when
-/// empty.
+/// Median of the values, the mean of the middle two for an even number; reorders them. `None` when empty.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
@@ -61,12 +61,13 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     Some(if values.len() % 2 == 1 { values[mid] } else { 0.5 * (values[mid - 1] + values[mid]) })
 }
 
-/// Sum of products.
+/// Dot product.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
-/// Root of the mean squared error over the standard deviation of the measured seconds; `None` without pairs.
+/// RMSE of (predicted, measured) pairs over the standard deviation of the measured values; `None` without
+/// pairs.
 pub fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.is_empty() {
         return None;

@@ -1,13 +1,13 @@
 //! After set-up, predictions, plans, observations and repeated encodings make no system call.
 //!
-//! Each case runs in a process of its own that, once everything is set up, enters seccomp's strict mode: from
-//! there on the kernel kills it at the first system call other than read, write and exit. Where the kernel
-//! refuses that mode the cases are reported as ignored.
+//! Each case runs in a process of its own. After set-up it enters seccomp's strict mode, in which the kernel
+//! kills it at the first system call other than read, write and exit. Where the kernel refuses this mode, the
+//! cases are reported as ignored.
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::process::ExitCode;
 
-/// Names the case that a child process runs.
+/// Environment variable with the name of the case that a child process runs.
 const CASE: &str = "ENTIRE_NO_SYSCALL_CASE";
 
 fn main() -> ExitCode {
@@ -43,7 +43,7 @@ fn status(case: &str) -> std::io::Result<std::process::ExitStatus> {
 mod child {
     pub(crate) const CASES: [&str; 0] = [];
 
-    /// Never succeeds: the cases are written for x86-64 Linux.
+    /// Fails always: the cases are written for x86-64 Linux.
     pub(crate) fn run(_: &str) -> ! {
         std::process::exit(77)
     }
@@ -89,7 +89,7 @@ mod child {
         }
     }
 
-    /// Runs a case: whatever it does after `strict` must not call the system.
+    /// Runs a case: after `strict` it must not make a system call.
     pub(crate) fn run(case: &str) -> ! {
         match case {
             "predict" => predict(),
@@ -106,7 +106,7 @@ mod child {
         }
     }
 
-    /// Ends the process before anything is dropped: giving memory back may call the system.
+    /// Ends the process before destructors run: freeing memory may make a system call.
     fn end(fine: bool) -> ! {
         exit(usize::from(!fine))
     }

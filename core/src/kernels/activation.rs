@@ -8,8 +8,8 @@ pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
 /// SELU's α: SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise.
 pub const SELU_ALPHA: f64 = 1.673_263_242_354_377_2;
 #[cfg(test)]
-/// Largest relative error of [`selu`] against float64, wherever the result is a normal number; subnormal
-/// results are within one unit in the last place. Holds for every finite f32.
+/// Bound on the relative error of [`selu`] against float64 for every finite f32 whose result is a normal
+/// number; subnormal results are within one unit in the last place.
 const SELU_TOLERANCE: f64 = 2e-7;
 
 /// Applies SELU to every element: relative error at most 2e-7 against float64 wherever the result is a normal
@@ -28,14 +28,14 @@ impl Kernel for Selu<'_> {
         let mut chunks = self.0.chunks_exact_mut(S::LANES);
         for chunk in &mut chunks {
             let p = chunk.as_mut_ptr();
-            // SAFETY: the chunk holds LANES numbers.
+            // SAFETY: the chunk holds LANES floats.
             unsafe { simd.store(p, simd.selu(simd.load(p))) };
         }
         let rest = chunks.into_remainder();
         let mut padded = [0.0; 16];
         padded[..rest.len()].copy_from_slice(rest);
         let p = padded.as_mut_ptr();
-        // SAFETY: 16 numbers are at least LANES.
+        // SAFETY: 16 floats are at least LANES.
         unsafe { simd.store(p, simd.selu(simd.load(p))) };
         rest.copy_from_slice(&padded[..rest.len()]);
     }
@@ -51,7 +51,7 @@ mod tests {
         if x > 0.0 { SELU_SCALE * x } else { SELU_SCALE * SELU_ALPHA * libm::expm1(x) }
     }
 
-    /// Largest relative error over the given bit patterns on one level.
+    /// Largest relative error over the given bit patterns on one level, and the input where it occurs.
     fn worst(level: Level, bits: impl Iterator<Item = u32>) -> (f64, f32) {
         let mut worst = (0.0, 0.0);
         let mut x: Vec<f32> = Vec::with_capacity(1 << 16);

@@ -1,4 +1,4 @@
-//! From a level to a kernel compiled for it: the only place that knows every instruction set.
+//! Dispatch from a level to a kernel compiled for it: the only module that names every instruction set.
 
 #[cfg(target_arch = "x86_64")]
 use super::Isa;
@@ -24,8 +24,8 @@ impl Level {
         }
     }
 
-    /// Runs a kernel that lives on [`Simd::dot4`](super::Simd::dot4): AVX-512 only together with VNNI, since without it twice
-    /// the width gains nothing.
+    /// Runs a kernel dominated by [`Simd::dot4`](super::Simd::dot4). AVX-512 is used only with VNNI: without
+    /// it, wider vectors gain nothing here.
     #[inline]
     pub fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {

@@ -1,13 +1,13 @@
-//! Who runs the parallel parts: the calling thread alone, or a pool that the caller owns.
+//! Executors of parallel work: the calling thread alone, or threads that the caller owns.
 
 use super::Helper;
 use super::helper::Join;
 
-/// Where encoding and resampling run: on the calling thread alone, or split over threads that the caller
-/// gives.
+/// Threads on which encoding and resampling run: the calling thread alone, or threads that the caller
+/// provides.
 ///
-/// The result never depends on it: every output is computed by one thread, with the same operations in the
-/// same order, whatever the split.
+/// The executor never changes the result: every output is computed by one thread, with the same operations in
+/// the same order.
 #[derive(Clone, Copy, Debug, Default)]
 #[non_exhaustive]
 pub enum Executor<'a> {
@@ -17,13 +17,13 @@ pub enum Executor<'a> {
     /// The work is split over the threads of a pool; the caller waits.
     #[cfg(feature = "rayon")]
     Rayon(&'a rayon::ThreadPool),
-    /// The work is split between the caller and the thread that serves the helper: no lock and no system
-    /// call.
+    /// The work is split between the caller and the thread that serves the helper, without locks or system
+    /// calls.
     Helper(&'a Helper),
 }
 
 impl Executor<'_> {
-    /// Number of threads that work is split for.
+    /// Number of threads over which work is split.
     pub fn threads(&self) -> usize {
         match self {
             Self::Serial => 1,
@@ -33,7 +33,7 @@ impl Executor<'_> {
         }
     }
 
-    /// Runs both closures, at the same time where there are threads for it.
+    /// Runs both closures, concurrently where a second thread is free.
     pub fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B) {
         match self {
             Self::Serial => {

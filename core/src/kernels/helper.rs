@@ -1,24 +1,25 @@
-//! A second thread for work of a few microseconds: no queue, no lock, no system call, just one cache line.
+//! A second thread for work of a few microseconds, synchronized through one cache line: no queue, no lock, no
+//! system call.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-/// No thread serves.
+/// State: no thread serves.
 const ABSENT: u32 = 0;
-/// The helping thread waits for work.
+/// State: the serving thread waits for work.
 const IDLE: u32 = 1;
-/// A caller is about to post work.
+/// State: a caller is about to post work.
 const CLAIMED: u32 = 2;
-/// Work is there, or being done.
+/// State: work is posted or in progress.
 const POSTED: u32 = 3;
-/// The work is done; its caller has not seen it yet.
+/// State: the work is done; its caller has not seen it yet.
 const DONE: u32 = 4;
-/// The work unwound.
+/// State: the work panicked.
 const FAILED: u32 = 5;
 
-/// Rounds of waiting after which a waiting thread tells the processor that it waits.
+/// Number of polls after which a waiting thread issues the processor's spin-loop hint.
 const EAGER_ROUNDS: u32 = 4096;
-/// Rounds of waiting after which an idle helper offers its core to others (with the feature `std` only).
+/// Number of polls after which an idle helper yields its core (with the feature `std` only).
 #[cfg(feature = "std")]
 const IDLE_ROUNDS: u32 = 200_000;
 
@@ -28,17 +29,17 @@ struct Job {
     call: unsafe fn(*mut ()),
 }
 
-/// Two halves of a computation that run at the same time.
+/// Runs the two halves of a computation concurrently.
 pub(crate) trait Join {
     fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B);
 }
 
-/// A thread that the caller gives, for networks whose weights outgrow one core's cache: each core then keeps
+/// A thread provided by the caller, for networks whose weights exceed one core's cache: each core then caches
 /// its half.
 ///
-/// The thread calls [`serve`](Self::serve) and spins there until [`stop`](Self::stop): it burns a core for as
-/// long as it serves. Whenever no thread serves, or it is busy for another caller, work is simply done by the
-/// caller, with the same result.
+/// The thread calls [`serve`](Self::serve) and spins there until [`stop`](Self::stop): it keeps one core busy
+/// for as long as it serves. Where no thread serves, or it works for another caller, the caller does all the
+/// work itself, with the same result.
 ///
 /// ```
 /// let helper = entire_core::nn::Helper::new();
@@ -59,7 +60,7 @@ pub struct Helper {
 // SAFETY: `job` is written only by the caller that moved `state` from IDLE to CLAIMED, and read only by the
 // serving thread after it has seen POSTED; `data` points to closures that are Send.
 unsafe impl Sync for Helper {}
-// SAFETY: as above; between calls `job` holds nothing that belongs to a thread.
+// SAFETY: as above; between calls `job` holds nothing that is bound to a thread.
 unsafe impl Send for Helper {}
 
 impl core::fmt::Debug for Job {
@@ -80,12 +81,12 @@ impl Helper {
         Self { state: AtomicU32::new(ABSENT), stop: AtomicBool::new(false), job: UnsafeCell::new(None) }
     }
 
-    /// Whether a thread serves.
+    /// True while a thread serves.
     pub(crate) fn is_served(&self) -> bool {
         self.state.load(Ordering::Relaxed) != ABSENT
     }
 
-    /// Does the posted work until [`stop`](Self::stop) is called. Returns at once where another thread serves
+    /// Does posted work until [`stop`](Self::stop) is called. Returns at once where another thread serves
     /// already.
     pub fn serve(&self) {
         if self.state.compare_exchange(ABSENT, IDLE, Ordering::Relaxed, Ordering::Relaxed).is_err() {
@@ -118,8 +119,8 @@ impl Helper {
         }
     }
 
-    /// Ends [`serve`](Self::serve) once the work in flight is done; a helper that no thread serves yet will
-    /// not serve longer than a moment.
+    /// Ends [`serve`](Self::serve) once the work in progress is done. Called before any thread serves, it
+    /// makes the next `serve` return at once.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -128,7 +129,8 @@ impl Helper {
 impl Join for Helper {
     fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B) {
         /// # Safety
-        /// `data` must point to an `Option<B>` that no one else uses.
+        ///
+        /// `data` must point to an `Option<B>` that nothing else accesses.
         unsafe fn call<B: FnOnce()>(data: *mut ()) {
             // SAFETY: the caller vouches for `data`.
             if let Some(b) = unsafe { &mut *data.cast::<Option<B>>() }.take() {
@@ -142,17 +144,17 @@ impl Join for Helper {
         }
         let mut b = Some(b);
         let job = Job { data: (&raw mut b).cast(), call: call::<B> };
-        // SAFETY: the state is CLAIMED by this call, so no one else touches the job.
+        // SAFETY: this call has set the state to CLAIMED, so nothing else accesses the job.
         unsafe { *self.job.get() = Some(job) };
         self.state.store(POSTED, Ordering::Release);
-        // Waits even if `a` unwinds: `b` lives in this frame.
+        // The drop of `posted` waits even if `a` panics: `b` lives in this frame.
         let posted = Posted(self);
         a();
         drop(posted);
     }
 }
 
-/// Stores its state when dropped.
+/// Stores its state in the atomic when dropped.
 struct Outcome<'a>(&'a AtomicU32, u32);
 
 impl Drop for Outcome<'_> {
@@ -170,7 +172,7 @@ impl Drop for Posted<'_> {
             match self.0.state.load(Ordering::Acquire) {
                 DONE => break self.0.state.store(IDLE, Ordering::Release),
                 FAILED => {
-                    // The serving thread is gone, and half of the result with it.
+                    // The serving thread has ended, and half of the result is missing.
                     self.0.state.store(ABSENT, Ordering::Release);
                     panic!("the helping thread unwound");
                 }

@@ -1,4 +1,4 @@
-//! Which instructions the kernels may use, found at run time.
+//! Detection at run time of the instructions that kernels may use.
 
 use crate::Result;
 use crate::error::bail;
@@ -8,15 +8,15 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
 ///
-/// Read only with the feature `std`, and once: at the first [`Level::detect`] or [`Level::check_override`] of
-/// the process. It can lower the level, never raise it above what the CPU has.
+/// Read once, and only with the feature `std`: at the first [`Level::detect`] or [`Level::check_override`] of
+/// the process. It can lower the level, never raise it above the CPU's.
 pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
-/// The instruction set a kernel is written for, in rising order.
+/// Instruction sets that kernels are written for, in rising order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum Isa {
-    /// Portable Rust, vectorized by the compiler; the standard that the others are tested against.
+    /// Portable Rust, vectorized by the compiler; the reference in tests of the others.
     Scalar,
     /// x86-64 with AVX2, FMA, F16C and POPCNT.
     Avx2,
@@ -25,10 +25,10 @@ pub enum Isa {
 }
 
 impl Isa {
-    /// Every instruction set this version has kernels for, lowest first.
+    /// Every instruction set with kernels, lowest first.
     pub const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
 
-    /// The name used by [`LEVEL_VARIABLE`] and in reports.
+    /// Name in [`LEVEL_VARIABLE`] and in reports.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Isa::Scalar => "scalar",
@@ -41,7 +41,7 @@ impl Isa {
 impl FromStr for Isa {
     type Err = crate::Error;
 
-    /// Reads a name as `Display` writes it.
+    /// Parses a name as `Display` writes it.
     ///
     /// # Errors
     ///
@@ -73,7 +73,7 @@ const PROBED: u32 = 1 << 31;
 
 /// Proof that the CPU has the instructions of one [`Isa`].
 ///
-/// Same model, same inputs, same level: same bits, with and without the feature `std`.
+/// Results are bit-identical for the same model, inputs and level, with and without the feature `std`.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Level {
     isa: Isa,
@@ -81,12 +81,12 @@ pub struct Level {
 }
 
 impl Level {
-    /// The portable level, which every machine has.
+    /// The portable level, available on every machine.
     pub(crate) const SCALAR: Level = Level { isa: Isa::Scalar, extras: 0 };
 
     /// The highest level of this CPU, capped by the environment variable `ENTIRE_LEVEL` (`scalar`, `avx2` or
-    /// `avx512`) where the feature `std` is on. An unknown
-    /// value there is ignored here and reported by [`Level::check_override`].
+    /// `avx512`) where the feature `std` is on. An unknown value there is ignored here and reported by
+    /// [`Level::check_override`].
     pub fn detect() -> Self {
         #[cfg(feature = "std")]
         if let Ok(Some(cap)) = Self::override_isa() {
@@ -95,14 +95,13 @@ impl Level {
         Self::at_most(Isa::Avx512)
     }
 
-    /// The highest level of this CPU that is not above `cap`, whatever the environment says: the override for
-    /// programs.
+    /// The highest level of this CPU that is not above `cap`; ignores the environment.
     pub(crate) fn at_most(cap: Isa) -> Self {
         let best = Isa::ALL.into_iter().rev().filter(|&isa| isa <= cap).find_map(Self::exactly);
         best.unwrap_or(Self::SCALAR)
     }
 
-    /// The level of exactly this instruction set, or `None` where the CPU (or the architecture) lacks it.
+    /// The level of exactly this instruction set; `None` where the CPU or the architecture lacks it.
     pub(crate) fn exactly(isa: Isa) -> Option<Self> {
         let found = features();
         match isa {
@@ -139,8 +138,8 @@ impl Level {
         Ok(())
     }
 
-    /// What [`LEVEL_VARIABLE`] says, asked once: reading the environment while another thread changes it is
-    /// not safe in C.
+    /// Value of [`LEVEL_VARIABLE`], read once: reading the environment while another thread changes it is not
+    /// safe in C.
     #[cfg(feature = "std")]
     fn override_isa() -> &'static Result<Option<Isa>> {
         static SAID: std::sync::OnceLock<Result<Option<Isa>>> = std::sync::OnceLock::new();
@@ -157,17 +156,17 @@ impl Level {
         self.isa
     }
 
-    /// Whether the level includes AVX512_VNNI (8-bit integer dot products).
+    /// True where the level includes AVX512_VNNI (8-bit integer dot products).
     pub(crate) const fn has_vnni(self) -> bool {
         self.extras & HAS_VNNI != 0
     }
 
-    /// Whether the level includes AVX512_BF16.
+    /// True where the level includes AVX512_BF16.
     pub(crate) const fn has_bf16(self) -> bool {
         self.extras & HAS_BF16 != 0
     }
 
-    /// Whether the level includes AVX512_FP16.
+    /// True where the level includes AVX512_FP16.
     pub(crate) const fn has_fp16(self) -> bool {
         self.extras & HAS_FP16 != 0
     }
@@ -191,7 +190,7 @@ impl fmt::Display for Level {
     }
 }
 
-/// What the CPU has, asked once: `cpuid` is slow under a hypervisor.
+/// Features of this CPU as bit flags, queried once: `cpuid` is slow under a hypervisor.
 fn features() -> u32 {
     static FOUND: AtomicU32 = AtomicU32::new(0);
     let known = FOUND.load(Ordering::Relaxed);
@@ -203,14 +202,14 @@ fn features() -> u32 {
     found
 }
 
-// Miri has no such instructions: under it, everything runs on the portable level.
+// Miri has no such instructions: everything runs on the portable level there.
 #[cfg(any(not(target_arch = "x86_64"), miri))]
 fn probe() -> u32 {
     0
 }
 
-/// Asks `cpuid` for the instructions and `xgetbv` whether the operating system saves the wide registers; the
-/// same code with and without `std`, so that both choose the same level.
+/// Queries `cpuid` for the instructions and `xgetbv` for the registers that the operating system saves. With
+/// and without `std` the same code runs, so that both choose the same level.
 #[cfg(all(target_arch = "x86_64", not(miri)))]
 fn probe() -> u32 {
     use core::arch::x86_64::{__cpuid, __cpuid_count, _xgetbv};
@@ -232,7 +231,7 @@ fn probe() -> u32 {
     if !osxsave {
         return 0;
     }
-    // SAFETY: OSXSAVE says that the CPU has XGETBV and that the operating system enabled it.
+    // SAFETY: OSXSAVE states that the CPU has XGETBV and that the operating system enabled it.
     let state = unsafe { enabled_state() };
     let ymm = state & 0b110 == 0b110;
     let zmm = state & 0b1110_0110 == 0b1110_0110;

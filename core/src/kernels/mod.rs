@@ -1,7 +1,8 @@
 //! Vector kernels behind a level token: the only module of this crate with `unsafe`.
 //!
-//! A [`Level`] can only be had by asking the CPU, so holding one proves that the instructions of its ISA may
-//! be used. Networks keep the level they were built for and dispatch once per call, never once per layer.
+//! Only detection on the CPU creates a [`Level`], so a value of this type proves that the instructions of its
+//! ISA may be used. Networks keep the level for which they were built and dispatch once per call, not once
+//! per layer.
 #![allow(unsafe_code, reason = "SIMD intrinsics and packed storage; every block states why it is sound")]
 
 mod activation;

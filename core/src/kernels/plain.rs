@@ -15,7 +15,7 @@ impl<R, F: FnOnce() -> R> Kernel for Plain<F> {
 }
 
 impl Level {
-    /// Runs a small closure of plain loops, compiled with the instructions of this level. Additions and
+    /// Runs a closure of plain loops, compiled with the instructions of this level. Additions and
     /// multiplications are never fused, so the results do not depend on the level.
     #[inline(always)]
     pub fn vectorize<R>(self, loops: impl FnOnce() -> R) -> R {

@@ -1,5 +1,4 @@
-//! The portable level: four lanes of plain Rust, laid out so that compilers turn them into whatever vectors
-//! they have.
+//! The portable level: four lanes of plain Rust, in a form that compilers vectorize.
 
 use super::simd::Simd;
 
@@ -136,7 +135,7 @@ impl Simd for Scalar {
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
-        // 2²³ rounds to nearest even, as the vector units do; values are below 2²².
+        // Adding 2²³ rounds to nearest even, as the vector units do; values are below 2²².
         const SHIFT: f32 = 8_388_608.0;
         let bytes = map(v, |v| (v.clamp(0.0, 255.0) + SHIFT - SHIFT) as u8);
         // SAFETY: the caller vouches for room for four bytes at `p`.
@@ -229,7 +228,7 @@ impl Simd for Scalar {
         for (i, (low, high)) in low.as_chunks::<8>().0.iter().zip(high.as_chunks::<8>().0).enumerate() {
             let flags: [u8; 8] =
                 core::array::from_fn(|k| u8::from(low[k] <= last) & u8::from(high[k] >= first));
-            // Bit 8k of the flags goes to bit 56 + k of the product; nothing else reaches those bits.
+            // Bit 8k of the flags moves to bit 56 + k of the product; no other term reaches those bits.
             let byte = u64::from_le_bytes(flags).wrapping_mul(0x0102_0408_1020_4080) >> 56;
             bits |= byte << (8 * i);
         }
@@ -250,12 +249,12 @@ impl Simd for Scalar {
     }
 }
 
-/// Exact widening of an IEEE half-precision number.
+/// Widens an IEEE half-precision number exactly.
 #[inline(always)]
 pub(crate) fn f16_to_f32(bits: u16) -> f32 {
     let sign = u32::from(bits & 0x8000) << 16;
     let rest = u32::from(bits & 0x7fff);
-    // A multiplication moves the exponent and makes subnormals normal; infinity and NaN keep their exponent.
+    // A multiplication adjusts the exponent and normalizes subnormals; infinity and NaN keep their exponent.
     let scaled = f32::from_bits(rest << 13) * f32::from_bits(0x7780_0000);
     let magnitude = if rest >= 0x7c00 { rest << 13 | 0x7f80_0000 } else { scaled.to_bits() };
     f32::from_bits(sign | magnitude)
@@ -267,7 +266,7 @@ mod tests {
 
     #[test]
     fn every_half_widens_exactly() {
-        // Miri takes some of them.
+        // Miri tests a sample of them.
         for bits in (0..=u16::MAX).step_by(if cfg!(miri) { 97 } else { 1 }) {
             let expected = half::f16::from_bits(bits).to_f32_const();
             let found = f16_to_f32(bits);

@@ -1,23 +1,24 @@
-//! The few vector operations that the kernels are written in, once for every instruction set.
+//! The vector operations used by the kernels, one vocabulary for every instruction set.
 //!
-//! A kernel implements [`Kernel`]: one generic body, everything in it `#[inline(always)]`. The module
-//! `dispatch` enters a function that has a level's instructions enabled and hands the body that level's
-//! [`Simd`] token, so a network is dispatched once and compiled once per instruction set.
+//! A kernel implements [`Kernel`]: one generic body in which every function is `#[inline(always)]`. The
+//! module `dispatch` enters a function that has a level's instructions enabled and passes the level's
+//! [`Simd`] token to the body, so a network is dispatched once per call and compiled once per instruction
+//! set.
 
 use super::activation::{SELU_ALPHA, SELU_SCALE};
 
 /// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it
-/// calls: what is not inlined is compiled without the level's instructions.
+/// calls: code that is not inlined is compiled without the level's instructions.
 pub trait Kernel {
-    /// What the work gives back.
+    /// Result of the work.
     type Output;
 
     /// Does the work.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// The token of one instruction set: whoever holds one may use its instructions, so its methods are safe
-/// except for those that take pointers.
+/// Token of one instruction set. Holding a token proves that the instructions may be used, so its methods are
+/// safe except for those that take pointers.
 ///
 /// Pointers need no alignment beyond that of their element.
 #[allow(dead_code, reason = "one vocabulary for all kernels, whichever of them are compiled in")]
@@ -26,32 +27,34 @@ pub trait Simd: Copy + 'static {
     type F: Copy;
     /// A vector of `LANES` i32.
     type I: Copy;
-    /// A choice of lanes.
+    /// A mask of lanes.
     type M: Copy;
-    /// 4, 8 or 16.
+    /// Number of lanes: 4, 8 or 16.
     const LANES: usize;
-    /// Rows and vectors of the accumulator tile that fits the register file.
+    /// Rows of the accumulator tile that fits the register file.
     const TILE_ROWS: usize;
-    /// See `TILE_ROWS`.
+    /// Vectors of the accumulator tile that fits the register file.
     const TILE_VECTORS: usize;
 
-    /// Asks for the cache line at `p` to be brought into the second-level cache; a hint that may do nothing.
+    /// Prefetches the cache line at `p` into the second-level cache; a hint that may do nothing.
     fn prefetch(self, p: *const f32);
     /// As [`prefetch`](Self::prefetch), into the first-level cache.
     fn prefetch_near(self, p: *const f32);
-    /// The same number in every lane.
+    /// `x` in every lane.
     fn splat(self, x: f32) -> Self::F;
     /// # Safety
-    /// `p` must be valid for reading `LANES` numbers.
+    ///
+    /// `p` must be valid for reading `LANES` floats.
     unsafe fn load(self, p: *const f32) -> Self::F;
     /// # Safety
-    /// `p` must be valid for writing `LANES` numbers.
+    ///
+    /// `p` must be valid for writing `LANES` floats.
     unsafe fn store(self, p: *mut f32, v: Self::F);
     /// Widens `LANES` IEEE half-precision numbers.
     /// # Safety
     /// `p` must be valid for reading `LANES` numbers.
     unsafe fn load_f16(self, p: *const u16) -> Self::F;
-    /// Widens `LANES` pairs of bfloat16: the lower and the upper halves of 32-bit words.
+    /// Widens `LANES` pairs of bfloat16, the lower and the upper halves of 32-bit words.
     /// # Safety
     /// `p` must be valid for reading `LANES` words.
     unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F);
@@ -62,9 +65,9 @@ pub trait Simd: Copy + 'static {
     fn sub(self, a: Self::F, b: Self::F) -> Self::F;
     /// a·b.
     fn mul(self, a: Self::F, b: Self::F) -> Self::F;
-    /// a·b + c, rounded once where the instruction set has it.
+    /// a·b + c, fused where the instruction set allows.
     fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
-    /// c − a·b.
+    /// c − a·b, fused where the instruction set allows.
     fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
     /// The larger; `b` where either is NaN.
     fn max(self, a: Self::F, b: Self::F) -> Self::F;
@@ -93,8 +96,8 @@ pub trait Simd: Copy + 'static {
     /// # Safety
     /// `p` must be valid for reading 4·`LANES` bytes.
     unsafe fn load_bytes(self, p: *const i8) -> Self::I;
-    /// Adds to each 32-bit lane of `sum` the four products of unsigned bytes of `a` with signed bytes of `w`.
-    /// Never saturates.
+    /// Adds to each 32-bit lane of `sum` the dot product of four unsigned bytes of `a` and four signed bytes
+    /// of `w`. Never saturates.
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I;
     /// a + b, wrapping.
     fn add_i(self, a: Self::I, b: Self::I) -> Self::I;
@@ -103,101 +106,102 @@ pub trait Simd: Copy + 'static {
     /// `p` must be valid for writing `LANES` bytes.
     unsafe fn store_u8(self, p: *mut u8, v: Self::F);
 
-    /// The first `LANES` numbers.
+    /// Loads the first `LANES` floats.
     ///
     /// # Panics
-    /// When there are fewer.
+    /// Where `from` is shorter.
     #[inline(always)]
     fn read(self, from: &[f32]) -> Self::F {
         assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
-        // SAFETY: as many numbers as lanes are there.
+        // SAFETY: the assertion has checked the length.
         unsafe { self.load(from.as_ptr()) }
     }
-    /// Writes the first `LANES` numbers.
+    /// Stores `v` to the first `LANES` floats.
     ///
     /// # Panics
-    /// When there is less room.
+    /// Where `to` is shorter.
     #[inline(always)]
     fn write(self, v: Self::F, to: &mut [f32]) {
         assert!(to.len() >= Self::LANES, "less room than lanes");
-        // SAFETY: there is room for as many numbers as lanes.
+        // SAFETY: the assertion has checked the length.
         unsafe { self.store(to.as_mut_ptr(), v) }
     }
-    /// The first `LANES` integers.
+    /// Loads the first `LANES` integers.
     ///
     /// # Panics
-    /// When there are fewer.
+    /// Where `from` is shorter.
     #[inline(always)]
     fn read_i(self, from: &[i32]) -> Self::I {
         assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
-        // SAFETY: as many integers as lanes are there.
+        // SAFETY: the assertion has checked the length.
         unsafe { self.load_bytes(from.as_ptr().cast()) }
     }
-    /// Writes the first `LANES` integers.
+    /// Stores `v` to the first `LANES` integers.
     fn write_i(self, v: Self::I, to: &mut [i32; 16]);
     /// a / b, correctly rounded.
     fn div(self, a: Self::F, b: Self::F) -> Self::F;
     /// Square root, correctly rounded.
     fn sqrt(self, a: Self::F) -> Self::F;
-    /// a < b; not where either is NaN.
+    /// a < b; false where either is NaN.
     fn lt(self, a: Self::F, b: Self::F) -> Self::M;
-    /// a ≤ b; not where either is NaN.
+    /// a ≤ b; false where either is NaN.
     fn le(self, a: Self::F, b: Self::F) -> Self::M;
-    /// Lanes that both choose.
+    /// Intersection of two masks.
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M;
-    /// a without b.
+    /// Lanes of `a` that are not in `b`.
     fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M;
-    /// Whether any lane is chosen.
+    /// True where the mask has a lane set.
     fn any(self, m: Self::M) -> bool;
-    /// A bit per lane, the first lane lowest.
+    /// The mask as bits, the first lane lowest.
     fn lane_bits(self, m: Self::M) -> u32;
-    /// `yes` in the chosen lanes, `no` in the others.
+    /// `yes` in the lanes of `m`, `no` in the others.
     fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F;
     /// As [`select`](Self::select), for integers.
     fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I;
-    /// The same integer in every lane.
+    /// `x` in every lane.
     fn splat_i(self, x: i32) -> Self::I;
-    /// a + b in the chosen lanes, a in the others.
+    /// a + b in the lanes of `m`, a in the others.
     fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I;
     /// a·b, wrapping.
     fn mul_i(self, a: Self::I, b: i32) -> Self::I;
-    /// Rounds towards zero; what no i32 holds gives anything.
+    /// Rounds towards zero; unspecified for values that no i32 holds.
     fn trunc(self, v: Self::F) -> Self::I;
-    /// The same bits as floating-point numbers.
+    /// Reinterprets the bits as floats.
     fn as_f(self, v: Self::I) -> Self::F;
-    /// The words at `index`, taken as unsigned; beyond the end, the last one. There must be one.
+    /// Gathers the words at `index`, taken as unsigned; an index beyond the end reads the last word. `from`
+    /// must not be empty.
     fn gather(self, from: &[u32], index: Self::I) -> Self::I;
-    /// Bits of a that are also in b.
+    /// Bitwise and.
     fn and_i(self, a: Self::I, b: i32) -> Self::I;
-    /// Bits of either, not of both.
+    /// Bitwise exclusive or.
     fn xor_i(self, a: Self::I, b: Self::I) -> Self::I;
-    /// Which lanes are not zero.
+    /// Mask of the lanes that are not zero.
     fn nonzero(self, a: Self::I) -> Self::M;
-    /// Writes the chosen lanes one after another, and gives their number. There must be room for 16.
+    /// Stores the lanes of `m` contiguously and returns their number. `to` must have room for 16.
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize;
 
-    /// A bit for each pair of bounds, set where `low` ≤ `last` and `high` ≥ `first`.
+    /// One bit per pair of bounds, set where `low` ≤ `last` and `high` ≥ `first`.
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64;
-    /// Up to how many values that bytes may have [`count_eight`](Self::count_eight) is the fastest way to
-    /// count them.
+    /// Largest number of distinct values for which [`count_eight`](Self::count_eight) counts bytes faster
+    /// than a table does.
     const COUNTED: usize;
-    /// How many bytes have each of eight values from `first` on, which is 248 at most. There must be fewer
-    /// than 2³² bytes.
+    /// Number of bytes with each of the eight values from `first` on, which is 248 at most. There must be
+    /// fewer than 2³² bytes.
     fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8];
 
-    /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within
-    /// the tolerance of [`selu`](super::selu). NaN stays NaN.
+    /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within the tolerance of [`selu`](super::selu). NaN
+    /// stays NaN.
     ///
-    /// eˣ − 1 = 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2): exact near zero, where eˣ − 1 cancels.
+    /// eˣ − 1 = 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2): accurate near zero, where eˣ − 1 cancels.
     #[inline(always)]
     fn selu(self, x: Self::F) -> Self::F {
-        /// 1.5·2²³: adding it rounds to an integer, which then stands in the low bits.
+        /// 1.5·2²³: adding it rounds to an integer, held in the low bits.
         const SHIFT: f32 = 12_582_912.0;
         const LAMBDA: f32 = SELU_SCALE as f32;
         const LAMBDA_ALPHA: f32 = (SELU_SCALE * SELU_ALPHA) as f32;
-        // Minimax for (eʳ − 1 − r) / r² on |r| ≤ ln 2 / 2; relative error of eʳ − 1 below 2e-8.
+        // Minimax polynomial for (eʳ − 1 − r) / r² on |r| ≤ ln 2 / 2; relative error of eʳ − 1 below 2e-8.
         const Q: [f32; 5] = [0.499_999_97, 0.166_665_43, 0.041_667_2, 0.008_366_547_5, 0.001_388_251_7];
-        // Below -20 the result is -λα to the last bit.
+        // Below -20 the result equals -λα to the last bit.
         let t = self.max(self.splat(-20.0), x);
         let shifted = self.mul_add(t, self.splat(core::f32::consts::LOG2_E), self.splat(SHIFT));
         let n = self.sub(shifted, self.splat(SHIFT));

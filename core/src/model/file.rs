@@ -14,14 +14,14 @@ use alloc::vec::Vec;
 use safetensors::Dtype as Stored;
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-/// Bytes of the length field that a safetensors file starts with.
+/// Length of the field that opens a safetensors file, in bytes.
 const PREFIX: usize = 8;
-/// Longest header that is accepted or written, in bytes.
+/// Largest accepted header, in bytes.
 const MAX_HEADER: usize = 16 << 20;
-/// Bytes of memory, at most about, for a byte of a header while it is read.
+/// Memory used per byte of header while it is parsed, in bytes (upper estimate).
 const HEADER_MEMORY: usize = 16;
 
-/// One tensor as the file holds it: little-endian numbers, last axis fastest.
+/// One tensor as stored in the file: little-endian values, last axis fastest.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TensorData<'a> {
     pub(super) dtype: Stored,
@@ -30,7 +30,7 @@ pub(super) struct TensorData<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// Splits the bytes into tensors and metadata. Every size is checked against the bytes that are there
+    /// Splits the bytes into tensors and metadata. Every size is checked against the length of the bytes
     /// before anything is allocated for it.
     pub(super) fn parse(bytes: &'a [u8]) -> Result<Self> {
         let Some((prefix, rest)) = bytes.split_first_chunk::<PREFIX>() else {
@@ -46,7 +46,7 @@ impl<'a> Source<'a> {
             );
         }
         let (header, data) = rest.split_at(stated as usize);
-        // What is read of it lies in many small pieces, together some times its length.
+        // Parsing makes many small allocations, in all several times the header's length.
         check_bytes(header.len().saturating_mul(HEADER_MEMORY))?;
         let header: safetensors::tensor::Metadata = match serde_json::from_slice(header) {
             Ok(header) => header,
@@ -79,19 +79,19 @@ impl<'a> Source<'a> {
     }
 }
 
-/// A model file being written: named tensors and metadata. Those it does not know stay as they are, so that
-/// fine-tuning a file loses nothing (training's decoder tensors, notes, …).
+/// A model file being written: named tensors and metadata. Unknown entries are kept, so that fine-tuning a
+/// file loses nothing (training's decoder tensors, notes, …).
 ///
-/// The bytes depend on the content alone, never on the order in which it was put in.
+/// The bytes depend only on the content, not on the order of insertion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelFile {
     tensors: BTreeMap<String, TensorData<'static>>,
-    /// All metadata: what [`Key`] names, and anything else.
+    /// All metadata: the entries of [`Key`] and any other.
     pub metadata: BTreeMap<String, String>,
 }
 
 impl Default for ModelFile {
-    /// An empty file: nothing but the format's version.
+    /// An empty file: only the format's version.
     fn default() -> Self {
         Self { tensors: BTreeMap::new(), metadata: BTreeMap::from([(Key::Format.into(), FORMAT.into())]) }
     }
@@ -102,7 +102,7 @@ impl ModelFile {
     ///
     /// # Errors
     ///
-    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are no safetensors file.
+    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are not a safetensors file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         let own = |(name, t): (String, TensorData<'_>)| {
@@ -111,13 +111,13 @@ impl ModelFile {
         Ok(Self { tensors: source.tensors.into_iter().map(own).collect(), metadata: source.metadata })
     }
 
-    /// Names of the tensors in alphabetical order.
+    /// Names of the tensors, in alphabetical order.
     #[cfg(test)]
     pub(crate) fn tensor_names(&self) -> impl Iterator<Item = &str> {
         self.tensors.keys().map(String::as_str)
     }
 
-    /// Puts a tensor in, rounding to `dtype` (to nearest, ties to even).
+    /// Inserts a tensor, rounded to `dtype` (to nearest, ties to even).
     ///
     /// # Errors
     ///
@@ -165,15 +165,14 @@ impl ModelFile {
         Ok(self)
     }
 
-    /// Removes one tensor; says whether it was there.
+    /// Removes one tensor; returns true where it existed.
     #[cfg(test)]
     pub(crate) fn remove_tensor(&mut self, name: &str) -> bool {
         self.tensors.remove(name).is_some()
     }
 
     /// Replaces every tensor under `prednet.`, the target and the input groups. Weights are stored in each
-    /// layer's
-    /// [`dtype`](crate::nn::DenseParts::dtype), everything else of PredNet as F32.
+    /// layer's [`dtype`](crate::nn::DenseParts::dtype), every other tensor of PredNet as F32.
     ///
     /// # Errors
     ///
@@ -198,7 +197,7 @@ impl ModelFile {
         Ok(self)
     }
 
-    /// Names the scene features, in order.
+    /// Sets the names of the scene features, in order.
     pub fn set_scene_features<S: ToString>(&mut self, names: &[S]) -> Result<&mut Self> {
         let names: Vec<String> = names.iter().map(ToString::to_string).collect();
         let text = json(&names)?;
@@ -216,15 +215,14 @@ impl ModelFile {
         Source { tensors: self.tensors.iter().map(borrow).collect(), metadata: self.metadata.clone() }.model()
     }
 
-    /// The file's bytes. Refuses to write what could not be read back as a model.
+    /// The file's bytes. Refuses content that could not be read back as a model.
     ///
     /// # Errors
     ///
     /// As [`Model::from_bytes`].
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         self.to_model()?;
-        // Widest numbers first keeps every tensor aligned to its own size, as the format's other writers do
-        // it.
+        // Widest types first keeps every tensor aligned to its own type, as in the format's other writers.
         let mut order: Vec<_> = self.tensors.iter().collect();
         order.sort_by(|(name, t), (other, o)| o.dtype.cmp(&t.dtype).then_with(|| name.cmp(other)));
         let mut header = json(&Header { metadata: &self.metadata, tensors: &order })?.into_bytes();

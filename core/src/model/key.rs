@@ -1,4 +1,4 @@
-//! The names that a model file uses, each stated once.
+//! Names of metadata entries and input groups in a model file.
 
 use crate::Result;
 use crate::error::bail;
@@ -7,10 +7,10 @@ use alloc::string::String;
 use core::fmt;
 use core::str::FromStr;
 
-/// The one format that this version reads and writes.
+/// The format version that this crate reads and writes.
 pub(crate) const FORMAT: &str = "1";
 
-/// What the metadata of a model file states. Files may hold other entries, which stay as they are.
+/// Metadata entries of a model file. Files may hold other entries, which are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Key {
@@ -24,39 +24,38 @@ pub enum Key {
     VolumeNet,
     /// `entire.scene_features`: JSON array of the scene features' names in order.
     SceneFeatures,
-    /// `entire.renderer`: what rendered the frames that the timings come from (free text).
+    /// `entire.renderer`: the renderer of the timings (free text).
     Renderer,
-    /// `entire.device`: the device that the timings come from (free text).
+    /// `entire.device`: the device of the timings (free text).
     Device,
     /// `entire.clock`: the clock whose seconds the model predicts: `cpu` (processor time), `wall` or `device`.
     Clock,
-    /// `entire.step_reference`: what a step of 1 meant in the timings (free text).
+    /// `entire.step_reference`: the meaning of step 1 in the timings (free text).
     StepReference,
-    /// `entire.provenance`: where the weights come from (free text, JSON where structured).
+    /// `entire.provenance`: origin of the weights (free text, JSON where structured).
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
-    /// for analytic models `low` and `high` (the range of their work), and for learned factors `input_low` and
-    /// `input_high` (one number per input, within which inputs are held: `InputRange` of `entire-steer`).
+    /// for analytic models `low` and `high` (the range of their work), and for learned factors `input_low`
+    /// and `input_high` (one number per input, to which inputs are clamped: `InputRange` of `entire-steer`).
     /// Optional.
     Calibration,
-    /// `entire.unit_costs`: JSON object of seconds by name behind the input `estimated_seconds`: `frame` and
-    /// those of `COST_QUANTITIES` of `entire-steer`; names that are missing cost nothing.
+    /// `entire.unit_costs`: JSON object that maps names to seconds, from which the input `estimated_seconds`
+    /// is computed: `frame` and those of `COST_QUANTITIES` of `entire-steer`; a missing name costs nothing.
     UnitCosts,
-    /// `entire.probe_side`: rays along each side of the probe behind the scene features, 1 to
-    /// `MAX_PROBE_SIDE` of `entire-steer` in decimal;
-    /// `PROBE_SIDE` of `entire-steer` where it is missing.
+    /// `entire.probe_side`: rays along each side of the probe that measured the scene features, 1 to
+    /// `MAX_PROBE_SIDE` of `entire-steer` in decimal; `PROBE_SIDE` of `entire-steer` where it is missing.
     ProbeSide,
-    /// `entire.lobe_order`: the order in which a model takes Gaussian lobes: `center` for ascending centers.
-    /// Without it, lobes go in as they are given. A sum of lobes does not depend on their order; a network
-    /// that always sees the same order need not learn so.
+    /// `entire.lobe_order`: order of Gaussian lobes in a model's inputs: `center` for ascending centers.
+    /// Without it, lobes keep the caller's order. A sum of lobes does not depend on their order; a network
+    /// that always sees the same order need not learn this.
     LobeOrder,
-    /// `entire.quality`: JSON object of the four numbers of `Quality` of `entire-steer`: what coarser
-    /// steps and smaller images cost the pictures of the renderer that [`Key::Renderer`] names. Optional.
+    /// `entire.quality`: JSON object of the four numbers of `Quality` of `entire-steer`: picture errors of
+    /// coarser steps and smaller images, for the renderer that [`Key::Renderer`] names. Optional.
     Quality,
 }
 
 impl Key {
-    /// The key as files have it.
+    /// The key in files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Format => "entire.format",
@@ -90,8 +89,8 @@ impl From<Key> for String {
     }
 }
 
-/// The input groups that this version supplies. `Display` writes a group's name as model files have it,
-/// `FromStr` reads it.
+/// Input groups that this version supplies. `Display` writes a group's name in model files, `FromStr` reads
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GroupKind {
     /// `volume_features`: VolumeNet's output.
@@ -118,7 +117,7 @@ impl GroupKind {
         Self::SceneFeatures,
     ];
 
-    /// The group of this name, where this version knows it.
+    /// The group with this name; `None` where this version lacks it.
     pub(crate) fn find(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|g| g.name() == name)
     }

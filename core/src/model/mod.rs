@@ -1,8 +1,7 @@
 //! The safetensors model file, read all or nothing.
 //!
-//! [`Model::from_bytes`] checks everything there is to check; what it returns can be run. [`ModelFile`] is
-//! the writing side: it keeps the tensors and the metadata that it does not know, so that a fine-tuned file
-//! loses nothing.
+//! [`Model::from_bytes`] checks the whole file; a model that it returns can be run. [`ModelFile`] writes: it
+//! keeps unknown tensors and metadata, so that a fine-tuned file loses nothing.
 
 mod file;
 mod key;

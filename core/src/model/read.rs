@@ -1,4 +1,4 @@
-//! From bytes to a checked [`Model`].
+//! Reads bytes into a checked [`Model`].
 
 use super::file::TensorData;
 use super::key::{FORMAT, GroupKind, Key};
@@ -15,25 +15,25 @@ use alloc::string::String;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Largest edge of VolumeNet's input that is accepted, in voxels (512³ voxels are 512 MiB as f32).
+/// Largest accepted edge of VolumeNet's input, in voxels (512³ voxels are 512 MiB as f32).
 pub(crate) const MAX_VOLUMENET_INPUT: usize = 512;
 
-/// Most input groups that a model may name.
+/// Largest number of input groups in a model.
 pub(crate) const MAX_INPUT_GROUPS: usize = 1024;
 
 /// Variance offset of batch normalization.
 const BATCH_NORM_EPSILON: f64 = 1e-5;
 
-/// A named run of inputs: the model's inputs are the groups one after another.
+/// A named group of consecutive inputs; a model's inputs are its groups in order.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct InputGroup {
     /// Name, such as `camera`.
     pub name: String,
-    /// How many numbers.
+    /// Number of values.
     pub size: usize,
 }
 
-/// A checked model file: every tensor that its networks need is there, fits, and holds finite numbers.
+/// A checked model file: every tensor that its networks need is present, has the right shape and is finite.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     inputs: Vec<InputGroup>,
@@ -48,10 +48,10 @@ impl Model {
     ///
     /// # Errors
     ///
-    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not such a file or metadata that does not
-    /// fit;
-    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, misshapen or not finite.
-    /// [`OutOfMemory`](ErrorKind::OutOfMemory) where there is no room for its numbers. Nothing half-loads.
+    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not a model file or for invalid metadata;
+    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, has a wrong shape or is not
+    /// finite; [`OutOfMemory`](ErrorKind::OutOfMemory) where there is no room for the weights. No model is
+    /// returned in part.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         source.model()
@@ -62,17 +62,17 @@ impl Model {
         &self.inputs
     }
 
-    /// The size of an input group, or `None` where the model has no such group.
+    /// Size of an input group; `None` where the model has no such group.
     pub fn input_size(&self, group: GroupKind) -> Option<usize> {
         self.inputs.iter().find(|own| own.name == group.name()).map(|group| group.size)
     }
 
-    /// PredNet's weights, or `None` where the file lacks one.
+    /// PredNet's weights; `None` where the file has none.
     pub fn prednet(&self) -> Option<&PredNetParts> {
         self.prednet.as_ref()
     }
 
-    /// The encoder's weights with batch normalization folded in, or `None` where the file lacks one.
+    /// The encoder's weights with batch normalization folded in; `None` where the file has none.
     pub fn volumenet(&self) -> Option<&VolumeNetParts> {
         self.volumenet.as_ref()
     }
@@ -82,13 +82,13 @@ impl Model {
         &self.scene_features
     }
 
-    /// Everything under `__metadata__`, known ([`Key`]) or not.
+    /// All entries of `__metadata__`, known ([`Key`]) or not.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata
     }
 }
 
-/// Tensors and metadata that are about to become a model.
+/// Tensors and metadata of which a model is made.
 pub(super) struct Source<'a> {
     pub(super) tensors: BTreeMap<String, TensorData<'a>>,
     pub(super) metadata: BTreeMap<String, String>,
@@ -135,7 +135,7 @@ impl Source<'_> {
         }
     }
 
-    /// Number of PredNet's layers, or `None` without any tensor of it.
+    /// Number of PredNet's layers; `None` where the file has no tensor of PredNet.
     fn prednet_layers(&self) -> Result<Option<usize>> {
         let last =
             self.tensors.keys().filter_map(|name| numbered(name, "prednet.", &["weight", "bias"])).max();
@@ -158,7 +158,7 @@ impl Source<'_> {
                 bail!(InvalidModel, "{} is {other:?}, expected \"seconds\" or \"log_seconds\"", Key::Target)
             }
         };
-        // A number in a name bounds nothing; the tensors that exist do.
+        // Reserves nothing: the count comes from a name, and the loop ends at the first missing tensor.
         let mut parts = Vec::new();
         for i in 0..layers {
             let known = parts.last().map(|layer: &DenseParts| layer.outputs);
@@ -347,8 +347,8 @@ impl Source<'_> {
                 Key::VolumeNet
             );
         }
-        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings that existing
-        // weights bound.
+        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings, which the sizes of
+        // existing weights bound.
         let padded = input_edge + 2 * padding;
         if kernel > padded {
             bail!(
@@ -427,7 +427,7 @@ impl Source<'_> {
         Ok(tensor.numbers(name)?.0)
     }
 
-    /// A dense layer whose input and output sizes may be known beforehand.
+    /// Reads a dense layer; input and output sizes are checked where they are known.
     fn dense(&self, name: &str, inputs: Option<usize>, outputs: Option<usize>) -> Result<DenseParts> {
         let weight_name = format!("{name}.weight");
         let size = |known: Option<usize>, unknown: &str| known.map_or(unknown.to_owned(), |n| format!("{n}"));
@@ -458,7 +458,7 @@ impl Source<'_> {
 }
 
 impl TensorData<'_> {
-    /// The numbers, widened exactly to f32, and the format they had. Refuses other formats, NaN and infinity.
+    /// The values, widened exactly to f32, and their format. Refuses other formats, NaN and infinity.
     fn numbers(&self, name: &str) -> Result<(Vec<f32>, Dtype)> {
         use safetensors::Dtype as Stored;
         let (values, dtype): (Vec<f32>, Dtype) = match self.dtype {
@@ -493,7 +493,7 @@ impl TensorData<'_> {
     }
 }
 
-/// A flat index as the tensor's own indices, such as `[3, 17]`.
+/// Converts a flat index to the tensor's own indices, such as `[3, 17]`.
 fn index_of(flat: usize, shape: &[usize]) -> String {
     let mut rest = flat;
     let mut indices: Vec<usize> = shape
@@ -515,6 +515,6 @@ fn numbered(name: &str, prefix: &str, suffixes: &[&str]) -> Option<usize> {
     if !suffixes.contains(&suffix) || (number.len() > 1 && number.starts_with('0')) {
         return None;
     }
-    // Six digits are far more layers than a file of any size holds, and cannot overflow.
+    // Six digits exceed the number of layers in any file and cannot overflow.
     (number.len() <= 6 && number.bytes().all(|b| b.is_ascii_digit())).then(|| number.parse().ok())?
 }

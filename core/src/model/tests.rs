@@ -1,4 +1,4 @@
-//! Round trips, and every way in which a model file can be wrong.
+//! Round trips, and every kind of invalid model file.
 
 use super::read::MAX_INPUT_GROUPS;
 use super::*;
@@ -129,7 +129,7 @@ fn volumenet_shapes_are_followed_and_batch_normalization_is_folded() {
     let net = model.volumenet().unwrap();
     assert_eq!((net.input, net.features(), net.blocks.len()), (8, 4, 2));
     assert_eq!((net.blocks[0].output_edge, net.blocks[1].output_edge), (4, 2));
-    // gamma / sqrt(var + eps) with gamma = var = 0.5, on a weight of 0.5.
+    // gamma / sqrt(var + eps) with gamma = var = 0.5, applied to a weight of 0.5.
     let scale = 0.5 / libm::sqrt(0.5 + 1e-5);
     assert_eq!(net.blocks[0].weight[0], (0.5 * scale) as f32);
     assert_eq!(net.blocks[0].bias[0], 0.5, "(bias - mean) * scale + beta");
@@ -251,8 +251,8 @@ fn metadata_is_checked() {
     fails(&set(Key::VolumeNet, &two(padded, good)), invalid, &["padding 3"]);
 }
 
-/// A file with an encoder of blocks of (outputs, kernel, stride, padding) whose dense layer gives `features`
-/// numbers.
+/// A file with an encoder of blocks of (outputs, kernel, stride, padding) and a dense layer of `features`
+/// outputs.
 fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features: usize) -> ModelFile {
     let mut file = ModelFile::default();
     let (mut edge, mut channels, mut layout) = (input, 1, Vec::new());
@@ -279,7 +279,7 @@ fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features:
 
 #[test]
 fn a_stride_beyond_the_padded_input_is_refused() {
-    // A machine of 32 bits reads as many of them as it can hold.
+    // On a 32-bit machine, only the strides that fit `usize`.
     let strides = [6, 1 << 31, 1 << 40, (1 << 59) + 7, 1 << 60, (1 << 60) + 7, 1 << 62, u64::MAX];
     for stride in strides.into_iter().filter_map(|s| usize::try_from(s).ok()) {
         let says = format!("stride {stride}");
@@ -293,10 +293,10 @@ fn a_stride_beyond_the_padded_input_is_refused() {
 fn an_encoder_whose_memory_leaves_the_bound_is_refused_whatever_the_files_size() {
     let says = ["bytes", "2147483648", "smaller"];
     for blocks in [
-        // The second layer gives 64 x 512³ numbers: 34 GB.
+        // The second layer gives 64 × 512³ values: 34 GB.
         &[(1, 1, 1, 0), (64, 1, 1, 0), (1, 1, 512, 0)][..],
         &[(1, 1, 1, 0), (4096, 1, 1, 0), (1, 1, 512, 0)],
-        // The first layer's planes, kept as wide as the second kernel spans.
+        // The first layer's planes, as many as the second kernel spans.
         &[(4096, 1, 1, 0), (1, 1, 512, 0)],
         // Prepared planes: 80 of 512 rows of 440 phases.
         &[(1, 80, 440, 0)],
@@ -333,7 +333,7 @@ fn the_number_of_groups_and_their_check_are_bounded() {
 fn tensors_are_checked() {
     let invalid = ErrorKind::InvalidTensor;
     for name in with_volumenet().tensor_names().map(String::from).collect::<Vec<_>>() {
-        // A bias of a convolution is optional; a block less is a matter of the metadata.
+        // The bias of a convolution is optional; the number of blocks is checked with the metadata.
         let mut f = with_volumenet();
         f.remove_tensor(&name);
         if name == "volumenet.encoder.0.conv.bias" {
@@ -390,7 +390,7 @@ fn nan_and_infinity_are_refused_by_name_and_index() {
         let mut f = file();
         assert!(f.set_tensor("x", Dtype::F32, &[1], &[bad]).unwrap_err().to_string().contains("x[0]"));
     }
-    // Finite as F32, not as F16.
+    // Finite in F32, infinite in F16.
     assert!(file().set_tensor("x", Dtype::F16, &[1], &[1e6]).unwrap_err().to_string().contains("F16"));
     assert!(file().set_tensor("x", Dtype::F32, &[2], &[1.0]).unwrap_err().to_string().contains("[2]"));
 }

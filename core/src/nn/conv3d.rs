@@ -1,4 +1,4 @@
-//! The plain definition of a block, in float64: the standard that the kernels are tested against.
+//! The definition of a block, in float64: the reference in tests of the kernels.
 
 use super::parts::ConvBlockParts;
 use super::{SELU_ALPHA, SELU_SCALE};

@@ -1,8 +1,7 @@
-//! Networks in plain meaning: dense layers, activation, PredNet, VolumeNet. Speed lives in `kernels`.
+//! Networks: dense layers, activation, PredNet, VolumeNet. The fast loops are in `kernels`.
 //!
-//! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds,
-//! what training writes. [`PredNet`] is built from them for one [`Level`] and one
-//! [`Storage`].
+//! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without a memory layout, as a model file holds
+//! them and training writes them. [`PredNet`] is built from them for one [`Level`] and one [`Storage`].
 
 #[cfg(test)]
 mod conv3d;

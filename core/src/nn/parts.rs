@@ -1,4 +1,4 @@
-//! Checked weights without any layout: the seam between model files, training and the networks.
+//! Checked weights without a memory layout: the interface between model files, training and the networks.
 
 use crate::Result;
 use crate::error::bail;
@@ -17,7 +17,7 @@ pub enum Dtype {
 }
 
 impl Dtype {
-    /// Bytes per number.
+    /// Bytes per value.
     pub(crate) const fn bytes(self) -> usize {
         match self {
             Dtype::F32 => 4,
@@ -32,7 +32,7 @@ names! { Dtype:
     Bf16 "BF16",
 }
 
-/// What PredNet's last layer stands for.
+/// Quantity that PredNet's last layer predicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Target {
     /// Seconds.
@@ -42,7 +42,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// The name in the model file's metadata.
+    /// Name in the model file's metadata.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Target::Seconds => "seconds",
@@ -58,20 +58,20 @@ pub struct DenseParts {
     pub inputs: usize,
     /// Length of y.
     pub outputs: usize,
-    /// W, row by row: `outputs` × `inputs` numbers.
+    /// W, row-major: `outputs` × `inputs` values.
     pub weight: Vec<f32>,
-    /// b: `outputs` numbers.
+    /// b: `outputs` values.
     pub bias: Vec<f32>,
-    /// The format W had in the file; the numbers above are its exact values.
+    /// Format of W in the file; `weight` holds its exact values.
     pub dtype: Dtype,
 }
 
 impl DenseParts {
-    /// Checks sizes and that every number is finite.
+    /// Checks sizes, and that every value is finite.
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first index at fault.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first invalid index.
     pub(crate) fn check(&self, name: &str) -> Result<()> {
         if self.inputs == 0 || self.outputs == 0 {
             bail!(
@@ -98,21 +98,21 @@ impl DenseParts {
     }
 }
 
-/// x ← (x − mean) / std, or y ← y·std + mean on the way out.
+/// Normalization of inputs, x ← (x − mean) / std, or of the output, y ← y·std + mean.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
-    /// Subtracted on the way in.
+    /// Mean of each value.
     pub mean: Vec<f32>,
-    /// Divided by on the way in; finite and above zero.
+    /// Standard deviation of each value; finite and above zero.
     pub std: Vec<f32>,
 }
 
 impl Normalization {
-    /// Checks lengths, that every number is finite and that every std is above zero.
+    /// Checks lengths, that every value is finite and that every standard deviation is above zero.
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first index at fault.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first invalid index.
     pub(crate) fn check(&self, name: &str, length: usize) -> Result<()> {
         for (part, values) in [("mean", &self.mean), ("std", &self.std)] {
             if values.len() != length {
@@ -152,7 +152,7 @@ pub struct PredNetParts {
     pub input: Option<Normalization>,
     /// De-normalization of the output, if any (length 1).
     pub output: Option<Normalization>,
-    /// What the output stands for.
+    /// Quantity of the output.
     pub target: Target,
 }
 
@@ -162,12 +162,11 @@ impl PredNetParts {
         self.layers.first().map_or(0, |layer| layer.inputs)
     }
 
-    /// Checks that the layers fit together and that every number is usable.
+    /// Checks that the layers fit together and that every value is valid.
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, what was expected and what was
-    /// found.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, the expected and the found.
     pub(crate) fn check(&self) -> Result<()> {
         let Some(last) = self.layers.last() else {
             bail!(InvalidTensor, "PredNet has no layer: expected at least prednet.0.weight");
@@ -222,13 +221,13 @@ pub struct ConvBlockParts {
     pub padding: usize,
     /// `outputs` × `inputs` × kernel × kernel × kernel, the last axis along x.
     pub weight: Vec<f32>,
-    /// One number per output channel.
+    /// One value per output channel.
     pub bias: Vec<f32>,
     /// Edge of the cubic input, in voxels.
     pub input_edge: usize,
     /// Edge of the cubic output, in voxels: (input_edge + 2·padding − kernel) / stride + 1.
     pub output_edge: usize,
-    /// The format the weights had in the file.
+    /// Format of the weights in the file.
     pub dtype: Dtype,
 }
 
@@ -240,7 +239,7 @@ pub struct VolumeNetParts {
     pub input: usize,
     /// The blocks, first to last; the first has one input channel.
     pub blocks: Vec<ConvBlockParts>,
-    /// From the last block's output, flattened in (C, D, H, W) order, to the features.
+    /// Dense layer from the last block's output, flattened in (C, D, H, W) order, to the features.
     pub fc: DenseParts,
 }
 

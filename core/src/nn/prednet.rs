@@ -1,4 +1,4 @@
-//! PredNet: from a frame's inputs to seconds.
+//! PredNet: prediction of seconds from a frame's inputs.
 
 use super::parts::{Dtype, PredNetParts, Target};
 use crate::Result;
@@ -24,44 +24,44 @@ pub struct PredScratch {
     mlp: MlpScratch,
 }
 
-/// A prediction network ready to run: dense layers with SELU after every layer but the last, then the
-/// target's transform (paper, section on the prediction network).
+/// A prediction network ready to run: dense layers with SELU after every layer but the last, then the inverse
+/// of the target's transform (paper, section on the prediction network).
 ///
-/// Weights are packed when it is built. A prediction is a pure function of the inputs, the level and the
-/// storage.
+/// Weights are packed when the network is built. A prediction is a pure function of the inputs, the level and
+/// the storage.
 ///
-/// Nothing is kept from one prediction to the next. The only work that unchanged input groups could save is
-/// the first layer's share of them: 0.5 % of a 12C256, and tens of nanoseconds of the smallest networks, less
-/// than it takes to find out what has changed. What changes once per volume or transfer function is kept
-/// where it is dear: in the features.
+/// Nothing is cached between predictions. Input groups that did not change could save only their share of the
+/// first layer: 0.5 % of a 12C256, and tens of nanoseconds of the smallest networks, less than finding out
+/// which inputs changed. Quantities that change once per volume or transfer function are cached in the
+/// features.
 #[derive(Clone, Debug)]
 pub struct PredNet {
     mlp: Mlp,
     target: Target,
-    /// Mean and std of the output.
+    /// Mean and standard deviation of the output.
     output: (f64, f64),
 }
 
 impl PredNet {
-    /// Builds the network for this CPU's best level, weights stored as the file stores its first layer's.
+    /// Builds the network for this CPU's best level, with the storage of the first layer in the file.
     ///
     /// # Errors
     ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) or [`SizeMismatch`](crate::ErrorKind::SizeMismatch)
-    /// for parts that do not fit together, numbers that are not finite, or a standard deviation that is not
+    /// for parts that do not fit together, values that are not finite, or a standard deviation that is not
     /// positive.
     pub fn new(parts: &PredNetParts) -> Result<Self> {
         let storage = parts.layers.first().map_or(Storage::F32, |layer| layer.dtype.into());
         Self::with(parts, Level::detect(), storage)
     }
 
-    /// Largest error of a prediction with weights kept in `storage` that the file holds as `file`, against a
-    /// float64 evaluation of the same file.
+    /// Bound on the error of a prediction with weights kept in `storage` where the file holds `file`, against
+    /// a float64 evaluation of the same file.
     ///
     /// Where nothing is rounded ([`Storage::F32`], or the file's own format), relative to the prediction:
-    /// 1e-5. Else relative to the largest output over the inputs: 5e-3 for [`Storage::F16`], 5e-2 for
-    /// [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. Judge the last on frames of your own before choosing
-    /// it: it depends on the network.
+    /// 1e-5. Otherwise relative to the largest output over the inputs: 5e-3 for [`Storage::F16`], 5e-2 for
+    /// [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. The last depends on the network: measure it on frames
+    /// of your own first.
     pub fn tolerance(storage: Storage, file: Dtype) -> f64 {
         match storage {
             Storage::F32 => 1e-5,
@@ -72,14 +72,14 @@ impl PredNet {
         }
     }
 
-    /// Builds the network for a given level and storage. Storing wider than the file costs memory and changes
-    /// nothing; storing narrower rounds the weights.
+    /// Builds the network for a given level and storage. A storage wider than the file's costs memory and
+    /// changes no result; a narrower one rounds the weights.
     ///
     /// # Errors
     ///
-    /// As [`PredNet::new`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when a weight overflows
-    /// half precision;
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed weights.
+    /// As [`PredNet::new`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where a weight overflows half
+    /// precision; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed
+    /// weights.
     pub fn with(parts: &PredNetParts, level: Level, storage: Storage) -> Result<Self> {
         parts.check()?;
         if matches!(storage, Storage::F16 | Storage::Bf16) {
@@ -121,13 +121,13 @@ impl PredNet {
         self.mlp.bytes()
     }
 
-    /// The packed weights as they lie in memory, for benchmarks that evict them from the caches.
+    /// The packed weights, for benchmarks that evict them from the caches.
     pub fn memory(&self) -> &[u8] {
         self.mlp.memory()
     }
 
-    /// Working memory for [`predict`](Self::predict), and for batches of which `rows` rows are worked on at once: 1 for
-    /// single predictions, which then go through batches row by row; at most 384 are used.
+    /// Allocates working memory for [`predict`](Self::predict) and for batches. `rows` is the number of rows
+    /// processed at once: 1 for single predictions, where batches run row by row; at most 384.
     ///
     /// # Errors
     ///
@@ -136,11 +136,11 @@ impl PredNet {
         Ok(PredScratch { mlp: self.mlp.scratch(rows)? })
     }
 
-    /// Predicts one frame's time in seconds from [`inputs`](Self::inputs) numbers in the model's order.
+    /// Predicts one frame's time in seconds from [`inputs`](Self::inputs) values in the model's order.
     ///
-    /// The result is the network's own: it may be zero, negative (target `seconds`) or infinite. NaN in, NaN
-    /// out (with [`Storage::Int8`], anything not finite in, NaN out); a wrong number of inputs or another
-    /// network's scratch gives NaN as well. Never allocates.
+    /// The result is not clamped: it may be zero, negative (target `seconds`) or infinite. It is NaN for a
+    /// NaN input (with [`Storage::Int8`], for any input that is not finite), for a wrong number of inputs and
+    /// for another network's scratch. Never allocates.
     #[inline]
     pub fn predict(&self, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward(inputs, &mut scratch.mlp) {
@@ -150,9 +150,9 @@ impl PredNet {
     }
 
     /// As [`predict`](Self::predict), each large layer split between the caller and one more thread: same
-    /// bits. Worth it where the weights outgrow one core's cache and the executor is a
-    /// [`Helper`](super::Helper); a pool's hand-over takes longer than it saves. A helper adds no allocation,
-    /// lock or system call.
+    /// bits. It pays where the weights exceed one core's cache and the executor is a
+    /// [`Helper`](super::Helper); handing work to a pool takes longer than it saves. A helper adds no
+    /// allocation, lock or system call.
     pub fn predict_on(&self, executor: Executor<'_>, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward_split(&executor, inputs, &mut scratch.mlp) {
             Some(y) => self.seconds(y),
@@ -160,15 +160,15 @@ impl PredNet {
         }
     }
 
-    /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) numbers per element of
-    /// `seconds`. Rows are as in [`predict`](Self::predict), up to the order of summation, and are split over as many
-    /// parts as there are `scratches`; a row's result depends neither on the others, nor on the executor, nor on the
-    /// scratches. Never allocates on success.
+    /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) values per element of
+    /// `seconds`. Rows equal [`predict`](Self::predict) up to the order of summation, and are split into as
+    /// many parts as there are `scratches`. A row's result does not depend on the other rows, the executor or
+    /// the scratches. Never allocates on success.
     ///
     /// # Errors
     ///
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) when the lengths disagree or a scratch is another
-    /// network's; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any scratch.
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where the lengths disagree or a scratch belongs to
+    /// another network; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any scratch.
     pub fn predict_batch(
         &self,
         executor: Executor<'_>,
@@ -182,7 +182,7 @@ impl PredNet {
             _ => {
                 let parts = scratches.len();
                 let (left, right) = scratches.split_at_mut(parts / 2);
-                // Whole tiles of six rows on the left.
+                // The left part is a multiple of six rows: whole tiles.
                 let rows = (seconds.len() * left.len() / parts).next_multiple_of(6).min(seconds.len());
                 let Some((inputs_left, inputs_right)) = inputs.split_at_checked(rows * self.inputs()) else {
                     return self.rows(inputs, seconds, &mut right[0]);
@@ -215,7 +215,7 @@ impl PredNet {
         Ok(())
     }
 
-    /// From the last layer's output to seconds.
+    /// Seconds from the last layer's output.
     #[inline]
     fn seconds(&self, y: f32) -> f32 {
         let y = f64::from(y) * self.output.1 + self.output.0;
@@ -264,7 +264,7 @@ mod tests {
         PredNetParts { layers, input: Some(input), output: Some(output), target }
     }
 
-    /// Plain loops in float64.
+    /// Reference: plain loops in float64.
     fn plain(parts: &PredNetParts, row: &[f32]) -> f64 {
         let norm = parts.input.as_ref().unwrap();
         let mut x: Vec<f64> = (0..row.len())
@@ -289,8 +289,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
-        /// Every width, whatever panels and padding it needs, on every level: all sizes that are not
-        /// multiples of anything, and any number of rows.
+        /// Random widths that need every kind of panel and padding, on every level, with any number of rows.
         #[test]
         fn any_shape_agrees_with_plain_loops(
             sizes in prop::collection::vec(1usize..150, 1..5),
@@ -314,8 +313,8 @@ mod tests {
                         let single = net.predict(row, &mut scratch);
                         prop_assert_eq!(single.to_bits(), split.to_bits());
                         for found in [single, batch[i]] {
-                            // Rounded weights are judged against the size of the output, whose logarithm this
-                            // is.
+                            // Errors of rounded weights are relative to the network's output, of which this
+                            // is the logarithm.
                             let size = ((libm::log(exact[i]) + 4.0) / 0.5).abs().max(1.0);
                             let size = if storage == Storage::F32 { 1.0 } else { size };
                             let error = (f64::from(found) - exact[i]).abs() / exact[i] / size;
@@ -328,7 +327,7 @@ mod tests {
         }
     }
 
-    /// Small enough for Miri: every storage of the portable kernels, alone and in batches, with whole and cut
+    /// Small enough for Miri: every storage on the portable level, single rows and batches, whole and partial
     /// panels.
     #[test]
     fn small_networks_agree_with_plain_loops() {

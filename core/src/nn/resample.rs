@@ -1,6 +1,6 @@
 //! Resampling of any volume to a cube of floats.
 //!
-//! Each axis is treated alone, on voxel counts (the spacing plays no part):
+//! Each axis is resampled on its own, on voxel counts (the spacing is not used):
 //!
 //! - An axis of `m` voxels **shrinks** to `n < m` by area average: output `i` is the mean of the input over
 //!   `[i·m/n, (i+1)·m/n)`, each voxel counted by the exact fraction of it that lies inside.
@@ -8,8 +8,8 @@
 //!   `(i + ½)·m/n − ½` in voxel coordinates, clamped to the first and last voxel.
 //! - An axis with `m = n` is copied.
 //!
-//! Voxels are mapped to [0, 1] by the view's range first ([`VolumeView::normalize`]), so values outside the
-//! range, NaN and infinities never reach an average.
+//! Voxels are first mapped to [0, 1] by the view's range ([`VolumeView::normalize`]), so values outside the
+//! range, NaN and infinities never enter an average.
 
 use crate::Result;
 use crate::error::bail;
@@ -21,15 +21,15 @@ use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
 #[cfg(test)]
-/// Largest absolute difference between [`Resampler::resample`]'s values and the exact average of the exactly
-/// normalized voxels, for at most 64 input voxels per output voxel and axis.
+/// Bound on the absolute difference between [`Resampler::resample`]'s values and the exact average of the
+/// exactly normalized voxels, for at most 64 input voxels per output voxel and axis.
 const RESAMPLE_TOLERANCE: f32 = 2e-6;
 
-/// Longest axis that [`Resampler::resample`] takes.
+/// Longest axis that [`Resampler::resample`] accepts, in voxels.
 const MAX_AXIS: u64 = 1 << 31;
 
-/// Resamples volumes. Holds the SIMD level and working memory that grows to what the longest row so far
-/// needed, so that a second call with the same sizes allocates nothing.
+/// Resamples volumes. Holds the SIMD level, and working memory as large as the longest row so far, so that a
+/// second call with the same sizes does not allocate.
 #[derive(Clone, Debug)]
 pub struct Resampler {
     level: Level,
@@ -51,9 +51,9 @@ impl Resampler {
 
     /// Resamples a volume to `n`³ values in [0, 1], written to `out` with x fastest, then y, then z.
     ///
-    /// The result depends on the volume, its range and `n` alone: neither on the executor nor on the level.
-    /// Up to 64 input voxels per output voxel and axis, values are within 2e-6 of the exact average of the
-    /// exactly normalized voxels; beyond, the error grows with the ratio.
+    /// The result depends on the volume, its range and `n`, and not on the executor or the level. Up to 64
+    /// input voxels per output voxel and axis, values are within 2e-6 of the exact average of the exactly
+    /// normalized voxels; beyond, the error grows with the ratio.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`](crate::ErrorKind) when `n` is 0 or an axis is longer than 2³¹ voxels,
@@ -87,7 +87,7 @@ impl Resampler {
         reserve(&mut self.columns, n)?;
         self.columns.extend((0..n).map(|i| Span::of(i, dims[0], n)));
         let row_len = kernel::scratch_len(dims[0], n);
-        // A few parts per thread even out a thread that the system holds up.
+        // A few parts per thread balance the load where the system delays a thread.
         let parts = match executor.threads() {
             1 => 1,
             threads => (4 * threads).min(n),
@@ -103,7 +103,7 @@ impl Resampler {
         let affine = Affine::of((low, high));
         match view.scalars() {
             Scalars::U8(s) if low <= 0.0 && high >= 255.0 && affine.is_some() => {
-                // Nothing is clamped, so the map is applied to the averages.
+                // The range holds every voxel: nothing is clamped, so the map can be applied to the averages.
                 let width = f64::from(high) - f64::from(low);
                 let (scale, offset) = (1.0 / width, -f64::from(low) / width);
                 if kernel::integer_ratio(&dims, n) {
@@ -124,7 +124,7 @@ impl Resampler {
     }
 }
 
-/// Fills planes from a first number on, with row scratch.
+/// Fills planes; arguments: first plane, planes, scratch of rows.
 type Fill<'a> = dyn Fn(usize, &mut [f32], &mut [f32]) + Sync + 'a;
 
 /// The view's own normalization, for ranges without a usable reciprocal.
@@ -178,7 +178,7 @@ impl Job<'_> {
     }
 
     /// Fills the planes of the output, split over the executor's threads. Where z grows, the input's planes
-    /// go to the last places of the output and are then spread in place.
+    /// are stored in the last planes of the output and then interpolated in place.
     fn run(&self, out: &mut [f32], rows: &mut [f32], fill: &Fill<'_>) {
         let g = self.geometry;
         let plane = g.n * g.n;
@@ -191,7 +191,7 @@ impl Job<'_> {
     }
 }
 
-/// Halves planes and row scratch until one piece of scratch is left.
+/// Halves planes and scratch recursively, until one piece of scratch is left.
 fn split(
     executor: Executor<'_>,
     plane: usize,
@@ -228,7 +228,7 @@ mod tests {
     use crate::scene::VolumeOptions;
     use alloc::vec;
 
-    /// The definition, in float64: the weight of input voxel `j` in output `i` along one axis.
+    /// Reference in float64: weight of input voxel `j` in output `i` along one axis.
     fn weight(i: usize, j: usize, m: usize, n: usize) -> f64 {
         let ratio = m as f64 / n as f64;
         if m >= n {
@@ -239,7 +239,7 @@ mod tests {
         (1.0 - (p - j as f64).abs()).max(0.0)
     }
 
-    /// Every output as the sum over every voxel of the product of three weights.
+    /// Reference: every output as the sum over all voxels of the product of three weights.
     fn definition(view: &VolumeView<'_>, n: usize) -> Vec<f64> {
         let [nx, ny, nz] = view.dims();
         let mut out = vec![0.0; n * n * n];
@@ -323,7 +323,7 @@ mod tests {
         ([23, 130, 140], 2),
     ];
 
-    /// Long rows, so that every width of the inner loops has its turn.
+    /// Rows long enough for every width of the inner loops.
     #[test]
     fn bytes_give_the_same_bits_on_every_level() {
         for (dims, n) in
@@ -438,7 +438,7 @@ mod tests {
 
     #[test]
     fn long_averages_do_not_pile_up_rounding_errors() {
-        // 64 voxels per axis and output; a constant makes all roundings go the same way.
+        // 64 voxels per axis and output; with a constant, all rounding errors have the same sign.
         let dims = [128, 128, 128];
         for value in [0.1f32, 0.7, 0.3333] {
             let floats = vec![value; 128 * 128 * 128];

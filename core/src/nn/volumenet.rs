@@ -1,4 +1,4 @@
-//! VolumeNet's encoder: from a volume to a few numbers that stand for it.
+//! VolumeNet's encoder: a few features that describe a volume.
 
 use super::parts::VolumeNetParts;
 use super::resample::Exact;
@@ -12,16 +12,16 @@ use crate::memory::{collected, resize};
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
-/// Largest error of [`VolumeNet::encode`]'s features against a float64 evaluation of the same weights on the
-/// same volume, as a fraction of the feature vector's Euclidean norm.
+/// Bound on the error of [`VolumeNet::encode`]'s features against a float64 evaluation of the same weights on
+/// the same volume, as a fraction of the feature vector's Euclidean norm.
 pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 
-/// Most memory that an encoder may take, in bytes (2 GiB): its packed weights and the working memory of one
-/// thread. The cube that a volume is resampled to comes on top, at most 512 MiB. Sizes in a model file that
-/// ask for more are refused before anything is allocated for them, the same on every level.
+/// Limit on an encoder's memory, in bytes (2 GiB): its packed weights and the working memory of one thread.
+/// The resampled cube comes on top, at most 512 MiB. A model file whose sizes need more is refused before
+/// anything is allocated, equally on every level.
 pub(crate) const MAX_ENCODER_MEMORY: u64 = 2 << 30;
 
-/// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per thread that calls. Empty until the
+/// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per calling thread. Empty until the
 /// first encoding.
 #[derive(Clone, Debug)]
 pub struct EncodeScratch {
@@ -35,8 +35,8 @@ pub struct EncodeScratch {
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
 /// [`input_size`](Self::input_size)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
-/// = (z, y, x). A block maps a tensor `x` of `Cin × n³` numbers to `Cout × m³` numbers, m = (n + 2·padding −
-/// k) / stride + 1 rounded down:
+/// = (z, y, x). A block maps a tensor `x` of `Cin × n³` values to `Cout × m³` values, m = (n + 2·padding − k)
+/// / stride + 1 rounded down:
 ///
 /// ```text
 /// y[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · x[i, z·stride + a − padding,
@@ -45,7 +45,7 @@ pub struct EncodeScratch {
 /// ```
 ///
 /// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D,
-/// H, W) order, goes through the dense layer, which no activation follows.
+/// H, W) order, goes through the dense layer, without an activation after it.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
     input: usize,
@@ -59,8 +59,7 @@ impl VolumeNet {
     ///
     /// # Errors
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together;
-    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than
-    /// 2 GiB;
+    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than 2 GiB;
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for its weights.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {
         Self::with(parts, Level::detect())
@@ -99,26 +98,25 @@ impl VolumeNet {
         self.features
     }
 
-    /// Working memory for [`encode`](Self::encode), which allocates it at the first call and lets it grow
-    /// where more threads are used. A caller that never encodes pays nothing.
+    /// Creates empty working memory for [`encode`](Self::encode), which allocates at its first call and again
+    /// where more threads are used.
     pub fn scratch(&self) -> EncodeScratch {
         EncodeScratch { resampler: Resampler::new(self.level), cube: Vec::new(), encoder: Scratch::default() }
     }
 
     /// Writes the volume's features to `features`.
     ///
-    /// A volume that has the input's size already, with its rows in one piece, is read in place; any other is
+    /// A volume that already has the input's size and contiguous rows is read in place; any other is
     /// resampled to a cube of floats in the scratch. The same volume, range, network and level give the same
-    /// bits, whatever the executor. Allocates only in the first call with this scratch, where the volume has
-    /// to be resampled for the first time, its rows are longer, or the executor has more threads than in
-    /// every earlier call with this scratch.
+    /// bits for every executor. Allocates only in the first call with this scratch, in the first that
+    /// resamples, and where the rows are longer or the executor has more threads than in every earlier call
+    /// with this scratch.
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds
-    /// [`feature_len`](Self::feature_len) numbers; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there
-    /// is no room for the working memory;
-    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume that [`Resampler::resample`]
-    /// refuses.
+    /// [`feature_len`](Self::feature_len) values; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there
+    /// is no room for the working memory; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume
+    /// that [`Resampler::resample`] refuses.
     pub fn encode(
         &self,
         view: &VolumeView<'_>,
@@ -158,7 +156,7 @@ impl VolumeNet {
     }
 }
 
-/// Prepares plane `z` of a volume that needs no resampling.
+/// Prepares plane `z` of a volume that is read without resampling.
 fn in_place<T: Scalar>(view: &VolumeView<'_>, scalars: &[T], z: usize, plane: &mut PreparedPlane<'_>) {
     let [_, row, slice] = view.strides();
     match Affine::of(view.range()) {
@@ -167,10 +165,10 @@ fn in_place<T: Scalar>(view: &VolumeView<'_>, scalars: &[T], z: usize, plane: &m
     }
 }
 
-/// Bytes of an encoder's packed weights and of one thread's working memory, at most: vectors are taken as
+/// Upper bound on the bytes of an encoder's packed weights and of one thread's working memory: vectors as
 /// wide as on the widest level. Sums saturate.
 fn memory(parts: &VolumeNetParts) -> u64 {
-    /// Floats per vector and per cache line, and what rows of the first layer are rounded up to.
+    /// Floats per vector and per cache line.
     const LANES: u128 = 16;
     const ROW: u128 = 2 * LANES;
     let wide = |n: usize| n as u128;
@@ -183,7 +181,7 @@ fn memory(parts: &VolumeNetParts) -> u64 {
         let border = parts.blocks.get(i + 1).map_or(0, |next| wide(next.padding));
         let channels = wide(block.outputs).next_multiple_of(LANES);
         let weights = product(&[cube(kernel), wide(block.inputs), channels]);
-        // The offsets of the taps, and the bias.
+        // Offsets of the taps, and the bias.
         floats = floats.saturating_add(weights).saturating_add(4 * cube(kernel)).saturating_add(channels);
         if i == 0 {
             let padded = input + 2 * wide(block.padding);
@@ -205,8 +203,8 @@ fn memory(parts: &VolumeNetParts) -> u64 {
     u64::try_from(bytes).unwrap_or(u64::MAX)
 }
 
-/// Checks that the blocks fit together and that the encoder can be built and run: what [`VolumeNet::new`]
-/// refuses.
+/// Checks that the blocks fit together and that the encoder can be built and run; [`VolumeNet::new`] refuses
+/// the rest.
 pub(crate) fn check(parts: &VolumeNetParts) -> Result<()> {
     let (mut edge, mut channels) = (parts.input, 1usize);
     if edge == 0 {
@@ -301,7 +299,7 @@ mod tests {
         }
     }
 
-    /// Channels, kernel, stride and padding per block.
+    /// Channels, kernel edge, stride and padding of a block.
     type Layer = (usize, usize, usize, usize);
 
     fn network(input: usize, blocks: &[Layer], features: usize, seed: u64) -> VolumeNetParts {
@@ -340,7 +338,7 @@ mod tests {
         VolumeNetParts { input, blocks, fc }
     }
 
-    /// The network in float64 on an input cube in [0, 1].
+    /// Reference: the network in float64 on an input cube in [0, 1].
     fn exact(parts: &VolumeNetParts, cube: impl Iterator<Item = f64>) -> Vec<f64> {
         let mut x: Vec<f64> = cube.map(|v| 2.0 * v - 1.0).collect();
         for block in &parts.blocks {

@@ -18,12 +18,13 @@ pub struct Arcball {
     pub dz: f32,
 }
 
-/// What a camera projects by.
+/// Projection of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Lens {
-    /// Rays leave the eye; vertical field of view in radians.
+    /// Perspective: rays leave the eye; vertical field of view in radians.
     Perspective { fov_y: f32 },
-    /// Rays leave the plane through the eye, all along the view; half of the height that is seen.
+    /// Orthographic: rays leave the plane through the eye, all in the view direction; half of the visible
+    /// height.
     Parallel { scale: f32 },
 }
 
@@ -31,26 +32,26 @@ impl Lens {
     const DEFAULT: Self = Self::Perspective { fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() };
 }
 
-/// A camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It looks along −z of
-/// its own space, y up. Its projection is a perspective one ([`Camera::with_fov_y_degrees`]) or a parallel one
-/// ([`Camera::with_parallel_scale`]); what lies behind the eye, or behind the plane that parallel rays leave,
-/// is not seen.
+/// A camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It looks along −z
+/// of its own space, y up. Its projection is perspective ([`Camera::with_fov_y_degrees`]) or parallel
+/// ([`Camera::with_parallel_scale`]). Anything behind the eye, or behind the plane that parallel rays leave,
+/// is invisible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     view: Mat4,
     lens: Lens,
 }
 
-/// Smallest and largest [`Camera::with_parallel_scale`], bounding-sphere radii.
+/// Range of [`Camera::with_parallel_scale`], in bounding-sphere radii.
 const PARALLEL_SCALES: core::ops::RangeInclusive<f32> = 1e-6..=1e6;
 
-/// Distance of the plane that parallel rays leave from the center, where the eye is farther away: in front of
-/// everything that can be seen, and near enough to lose no digits.
+/// Distance from the center of the plane that parallel rays leave, where the eye is farther away, in
+/// bounding-sphere radii: in front of everything visible, and near enough to keep full precision.
 const PARALLEL_DISTANCE: f32 = 2.0;
 
 impl Camera {
-    /// A camera on the arcball, with the default field of view. With all angles 0 the eye stands at (0, 0,
-    /// dz) and looks at the center.
+    /// A camera on the arcball, with the default field of view. With all angles 0 the eye is at (0, 0, dz)
+    /// and looks at the center.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for values that are not finite, or a distance that is not
@@ -71,8 +72,8 @@ impl Camera {
         Ok(Self { view, lens: Lens::DEFAULT })
     }
 
-    /// A camera from a rigid world-to-eye matrix (as OpenGL and VTK have it: column-major, looking along −z),
-    /// the world position of the volume's center and the world radius of its bounding sphere.
+    /// A camera from a rigid world-to-eye matrix (the convention of OpenGL and VTK: column-major, looking
+    /// along −z), the world position of the volume's center and the world radius of its bounding sphere.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite, not rigid (rotation and
@@ -116,9 +117,9 @@ impl Camera {
         Ok(self)
     }
 
-    /// A parallel (orthographic) projection. `scale` is half of the height that is seen, in bounding-sphere
-    /// radii: VTK's `ParallelScale` over the world radius. The picture does not depend on the distance of an
-    /// eye that stands before the volume.
+    /// A parallel (orthographic) projection. `scale` is half of the visible height in bounding-sphere radii:
+    /// VTK's `ParallelScale` over the world radius. The picture does not depend on the distance of an eye
+    /// that is in front of the volume.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless it lies in 1e-6 … 1e6.
@@ -140,8 +141,8 @@ impl Camera {
         self.view
     }
 
-    /// Vertical field of view in radians; of a parallel camera the default, which goes with the distance that
-    /// [`Camera::to_arcball`] gives.
+    /// Vertical field of view in radians; for a parallel camera the default, consistent with the distance of
+    /// [`Camera::to_arcball`].
     pub(crate) fn fov_y(&self) -> f32 {
         match self.lens {
             Lens::Perspective { fov_y } => fov_y,
@@ -149,12 +150,12 @@ impl Camera {
         }
     }
 
-    /// Whether rays are parallel.
+    /// True for parallel rays.
     pub fn is_parallel(&self) -> bool {
         matches!(self.lens, Lens::Parallel { .. })
     }
 
-    /// Height that is seen at a depth, bounding-sphere radii.
+    /// Visible height at a depth, both in bounding-sphere radii.
     pub fn height_at(&self, depth: f32) -> f32 {
         match self.lens {
             Lens::Perspective { fov_y } => 2.0 * libm::tanf(0.5 * fov_y) * depth,
@@ -162,17 +163,17 @@ impl Camera {
         }
     }
 
-    /// The eye in scene space.
+    /// Position of the eye in scene space.
     pub fn eye(&self) -> Vec3 {
         let r = Mat3::from_mat4(self.view);
         -(r.transpose() * self.view.w_axis.truncate())
     }
 
-    /// The arcball pose that a model's `camera` group takes: angles from the eye's position about the center
-    /// (pan and roll have no place in it), angles in (−180, 180], the distance as it is.
+    /// The arcball pose for a model's `camera` group: angles in (−180, 180] from the eye's position about the
+    /// center (pan and roll are ignored), and the eye's distance.
     ///
-    /// Of a parallel camera: the angles of its direction, and the distance from which the default field of
-    /// view sees as much, scale / tan([`DEFAULT_FOV_Y_DEGREES`] / 2).
+    /// For a parallel camera: the angles of its direction, and the distance at which the default field of
+    /// view shows the same height, scale / tan([`DEFAULT_FOV_Y_DEGREES`] / 2).
     pub fn to_arcball(&self) -> Arcball {
         let (from, dz) = match self.lens {
             Lens::Perspective { .. } => {
@@ -203,13 +204,13 @@ impl Camera {
         (at(origin), at(direction).normalize())
     }
 
-    /// The basis of primary rays, for renderers. The ray at (u, v) of the image, both in [−1, 1], u to the
-    /// right and v up, leaves `origin[0] + u·origin[1] + v·origin[2]` along `direction[0] + u·direction[1] +
-    /// v·direction[2]` (not of unit length), where `(origin, direction)` is what this returns.
+    /// The basis of primary rays, for renderers, as `(origin, direction)`. The ray at (u, v) of the image,
+    /// both in [−1, 1], u to the right and v up, starts at `origin[0] + u·origin[1] + v·origin[2]` and has
+    /// the direction `direction[0] + u·direction[1] + v·direction[2]` (not of unit length).
     ///
-    /// The first of each are the eye and the unit vector that points forward. The others are half the width
-    /// and half the height of what is seen: at distance 1 and in the directions with a perspective
-    /// projection, where the origins' are 0; in the origins with a parallel one, where the directions' are 0.
+    /// `origin[0]` is the eye, `direction[0]` the unit vector forward. The other entries span half the
+    /// visible width and height: in `direction`, at distance 1, for a perspective projection, whose other
+    /// origins are 0; in `origin` for a parallel one, whose other directions are 0.
     pub fn ray_basis(&self, width: u32, height: u32) -> ([Vec3; 3], [Vec3; 3]) {
         let r = Mat3::from_mat4(self.view).transpose();
         let half_height = match self.lens {
@@ -229,7 +230,7 @@ impl Camera {
     }
 }
 
-/// Degrees to radians with whole turns removed first, so that 3600° is exactly 0°.
+/// Degrees to radians, reduced modulo 360 first, so that 3600° is exactly 0°.
 fn reduce_degrees(degrees: f32) -> f32 {
     (degrees % 360.0).to_radians()
 }
@@ -280,7 +281,7 @@ mod tests {
         let camera = arc(20.0, -40.0, 3.0).with_fov_y_degrees(30.0).unwrap();
         let (center, radius) = (Vec3::new(5.0, -7.0, 11.0), 40.0);
         // World to scene: subtract the center, divide by the radius; eye space in world units is scene eye
-        // space x radius.
+        // space × radius.
         let r = Mat4::from_mat3(Mat3::from_mat4(camera.view()));
         let view = Mat4::from_translation(camera.view().w_axis.truncate() * radius)
             * r
@@ -302,7 +303,7 @@ mod tests {
                 assert_eq!(direction, forward);
                 let eye = camera.view().transform_point3(origin);
                 let (u, v) = (x / 32.0 - 1.0, 1.0 - y / 16.0);
-                // Twice as wide as high, at the eye's depth or 2 before the center.
+                // Twice as wide as high; at the eye's depth, or 2 in front of the center.
                 let depth = if dz > PARALLEL_DISTANCE { dz - PARALLEL_DISTANCE } else { 0.0 };
                 assert!((eye.truncate() - glam::Vec2::new(1.6 * u, 0.8 * v)).length() < 1e-5 * dz.max(1.0));
                 assert!((eye.z + depth).abs() < 1e-5 * dz.max(1.0), "{eye} {dz}");
@@ -319,7 +320,7 @@ mod tests {
         assert!((a.rx - b.rx).abs() < 1e-3 && (a.ry - b.ry).abs() < 1e-3 && (a.dz - b.dz).abs() < 1e-5);
         assert!((lens.height_at(2.5) - parallel.height_at(9.0)).abs() < 1e-5);
         assert_eq!(lens.fov_y(), parallel.fov_y());
-        // Moved across, it looks the same way.
+        // A translation in the image plane keeps the direction.
         let across = Mat4::from_translation(Vec3::new(0.3, -0.2, 0.0)) * parallel.view();
         let across =
             Camera::from_world_view(across, Vec3::ZERO, 1.0).unwrap().with_parallel_scale(1.0).unwrap();

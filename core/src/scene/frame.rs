@@ -1,22 +1,22 @@
-//! One frame: from where, how large, how fine, and which work each sample costs.
+//! One frame: camera, image size, ray step and shading.
 
 use super::Camera;
 use crate::Result;
 use crate::error::bail;
 use crate::names::names;
 
-/// Largest image width or height that a frame may have.
+/// Largest image width or height of a frame, in pixels.
 pub const MAX_IMAGE_SIDE: u32 = 16384;
 
-/// What is computed at each sample: a cost class of its own.
+/// Shading, computed at each sample; every variant is a cost class of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Shading {
-    /// Color and opacity of the transfer function alone.
+    /// Color and opacity of the transfer function only.
     None,
-    /// Local lighting with gradients by central differences (six more fetches where the sample is visible).
+    /// Local lighting, with gradients by central differences (six more fetches per visible sample).
     Local,
-    /// Single scattering: a shadow ray towards the light per visible sample.
+    /// Single scattering: one shadow ray towards the light per visible sample.
     Scatter,
 }
 
@@ -26,15 +26,15 @@ names! { Shading:
     Scatter "scatter",
 }
 
-/// How empty space is skipped.
+/// Method of skipping empty space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Skipping {
     /// Every sample is taken.
     None,
-    /// Blocks whose min–max range is transparent under the transfer function are jumped over.
+    /// Blocks whose min–max range is transparent under the transfer function are skipped.
     Blocks,
-    /// As blocks, with a Chebyshev distance map so that runs of empty blocks cost one jump.
+    /// As `Blocks`, with a Chebyshev distance map, so that a run of empty blocks costs one step.
     Distance,
 }
 
@@ -44,8 +44,8 @@ names! { Skipping:
     Distance "distance",
 }
 
-/// A frame to draw, beside its volume and transfer function. [`Frame::new`] has the usual modes; others are set by
-/// name:
+/// Settings of a frame, apart from its volume and transfer function. [`Frame::new`] sets the usual modes;
+/// other fields are set by name:
 ///
 /// ```
 /// # use entire_core::scene::{Arcball, Camera, Frame, Shading};
@@ -55,10 +55,10 @@ names! { Skipping:
 /// # Ok::<(), entire_core::Error>(())
 /// ```
 ///
-/// Whatever takes a frame refuses one that [`Frame::checked`] refuses.
+/// Every function that takes a frame refuses one that [`Frame::checked`] refuses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
-    /// From where.
+    /// Camera.
     pub camera: Camera,
     /// Image width in pixels, 1 to [`MAX_IMAGE_SIDE`].
     pub width: u32,
@@ -66,19 +66,19 @@ pub struct Frame {
     pub height: u32,
     /// Ray step in multiples of the reference step, 1/64 to 4096.
     pub step: f32,
-    /// What is computed at each sample.
+    /// Shading at each sample.
     pub shading: Shading,
-    /// How empty space is skipped.
+    /// Method of skipping empty space.
     pub skipping: Skipping,
-    /// Accumulated opacity at which a ray stops, over 0 to 1; 1 switches early termination off.
+    /// Accumulated opacity at which a ray stops, in (0, 1]; 1 disables early termination.
     pub termination: f32,
-    /// Whether ray starts are jittered.
+    /// True where ray starts are jittered.
     pub jitter: bool,
 }
 
 impl Frame {
-    /// A frame with the reference step, no shading, block skipping, early ray termination at opacity 0.99, no
-    /// jitter.
+    /// A frame with the reference step, no shading, block skipping, early ray termination at opacity 0.99 and
+    /// no jitter.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`].
@@ -96,7 +96,7 @@ impl Frame {
         .checked()
     }
 
-    /// The frame itself, where it can be drawn.
+    /// Returns the frame if it is valid.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`], a step outside of [1/64, 4096]

@@ -1,5 +1,5 @@
-//! What is drawn: the volume, the camera, the transfer function and the frame. Everything is checked here, at
-//! the door, so that the rest of the library never meets a zero size, a NaN or a product that overflows.
+//! Description of a scene: volume, camera, transfer function and frame. Everything is validated here, so that
+//! the rest of the library never meets a zero size, a NaN or a product that overflows.
 
 mod camera;
 mod frame;

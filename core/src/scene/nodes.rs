@@ -1,11 +1,12 @@
-//! Transfer functions given as nodes with midpoint and sharpness: the description of VTK and ParaView
-//! (`vtkPiecewiseFunction` for opacity, `vtkColorTransferFunction` in RGB for color), evaluated as they do.
+//! Transfer functions given as nodes with midpoint and sharpness: the representation of VTK and ParaView
+//! (`vtkPiecewiseFunction` for opacity, `vtkColorTransferFunction` in RGB for color), evaluated as VTK does.
 //!
-//! Between two nodes the left one's midpoint says where the value is half way, and its sharpness how abrupt
-//! the change is: under 0.01 it is linear on both sides of the midpoint; from there on the position is first
-//! bent by the power 1 + 10·sharpness towards the midpoint and then fed to a cubic Hermite curve whose end
-//! slopes are (1 − sharpness) times the rise. Colors alone become a step at the midpoint over 0.99; opacity
-//! keeps the curve, as VTK's two classes differ in this. Agreement with VTK 9.7: 1e-6 on every table entry.
+//! Between two nodes, the left node's midpoint is the position at which the value is half way; its sharpness
+//! selects the curve. Below 0.01 the curve is linear on both sides of the midpoint. From 0.01 on, the
+//! position is first moved towards the midpoint by the power 1 + 10·sharpness and then interpolated by a
+//! cubic Hermite curve whose end slopes are (1 − sharpness) times the rise. Above 0.99, colors are a step at
+//! the midpoint; opacity keeps the curve, as in VTK's two classes. Agreement with VTK 9.7: 1e-6 on every
+//! table entry.
 
 use super::transfer::{TABLE_LEN, TransferTable, ramp};
 use crate::Result;
@@ -19,9 +20,9 @@ pub struct OpacityNode {
     pub position: f64,
     /// Opacity in [0, 1] for one unit distance.
     pub opacity: f64,
-    /// Where between this node and the next the value is half way, in [0, 1]; 0.5 is the middle.
+    /// Position between this node and the next at which the value is half way, in [0, 1]; 0.5 is the middle.
     pub midpoint: f64,
-    /// How abrupt the change is, in [0, 1]: 0 linear, 1 nearly a step.
+    /// Steepness of the change, in [0, 1]: 0 linear, 1 nearly a step.
     pub sharpness: f64,
 }
 
@@ -34,26 +35,27 @@ pub struct ColorNode {
     pub color: [f64; 3],
     /// As in [`OpacityNode::midpoint`].
     pub midpoint: f64,
-    /// As in [`OpacityNode::sharpness`]; a step over 0.99.
+    /// As in [`OpacityNode::sharpness`]; above 0.99 a step.
     pub sharpness: f64,
 }
 
 /// Opacity and color nodes with the scalar range that maps to [0, 1].
 ///
 /// [`TransferFunction::to_table`](super::TransferFunction::to_table) refuses nodes that are not in ascending
-/// order or hold numbers out of range, naming the node. Two nodes at one position make a step. No opacity
-/// node means transparent everywhere; no color node means the ramp of Gaussian transfer functions.
+/// order or have values out of range, and names the node. Two nodes at one position make a step. Without
+/// opacity nodes everything is transparent; without color nodes the colors are those of Gaussian transfer
+/// functions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nodes {
     /// The opacity nodes, in ascending position.
     pub opacity: Vec<OpacityNode>,
     /// The color nodes, in ascending position.
     pub color: Vec<ColorNode>,
-    /// The scalar range that maps to [0, 1], which should be the volume's: both ends finite, the low end not
-    /// above the high one.
+    /// The scalar range that maps to [0, 1], normally the volume's: both ends finite, the low end at most the
+    /// high one.
     pub range: (f64, f64),
-    /// Whether the outermost nodes' values go on beyond them (as in VTK, unless told otherwise) or end there:
-    /// opacity 0, black.
+    /// True where the outermost nodes' values extend beyond them (VTK's default); otherwise opacity 0 and
+    /// black there.
     pub clamp: bool,
 }
 
@@ -80,7 +82,8 @@ impl Nodes {
         let mut rgba = [[0.0; 4]; TABLE_LEN];
         for (i, entry) in rgba.iter_mut().enumerate() {
             let t = i as f64 / (TABLE_LEN - 1) as f64;
-            // Weighted ends, so that the width of f64::MIN…f64::MAX does not overflow; exact at both ends.
+            // A weighted mean of the ends, so that the width of f64::MIN…f64::MAX does not overflow; exact at
+            // both ends.
             let x = if i + 1 == TABLE_LEN { high } else { low * (1.0 - t) + high * t };
             next_opacity += self.opacity[next_opacity..].iter().take_while(|n| x > n.position).count();
             next_color += self.color[next_color..].iter().take_while(|n| x > n.position).count();
@@ -131,8 +134,8 @@ fn check_nodes(
     Ok(())
 }
 
-/// The function's value at `x`, of which `next` is the first node not before it; `steps`: whether a sharpness
-/// over 0.99 means a step.
+/// Value of the function at `x`; `next` is the index of the first node at or after `x`. With `steps`, a
+/// sharpness above 0.99 is a step.
 fn evaluate<N>(
     nodes: &[N],
     next: usize,
@@ -151,8 +154,8 @@ fn evaluate<N>(
     let ((x0, midpoint, sharpness), (x1, ..)) = (shape(left), shape(right));
     let (from, to) = (value(left), value(right));
 
-    // Halved, so that the distance between the largest floats stays finite. The midpoint is kept off the
-    // ends.
+    // Halved, so that the distance between the largest floats stays finite. The midpoint is clamped away from
+    // the ends, which avoids a division by zero.
     let s = (0.5 * x - 0.5 * x0) / (0.5 * x1 - 0.5 * x0);
     let m = midpoint.clamp(1e-5, 1.0 - 1e-5);
     let s = if s < m { 0.5 * s / m } else { 0.5 + 0.5 * (s - m) / (1.0 - m) };
@@ -171,7 +174,7 @@ fn evaluate<N>(
         if s < 0.5 { 0.5 * libm::pow(2.0 * s, bend) } else { 1.0 - 0.5 * libm::pow(2.0 * (1.0 - s), bend) };
     let (s2, s3) = (s * s, s * s * s);
     let (h_from, h_to) = (2.0 * s3 - 3.0 * s2 + 1.0, 3.0 * s2 - 2.0 * s3);
-    // The Hermite weights of both end slopes, which are equal, added up.
+    // Sum of the Hermite weights of both end slopes, which are equal.
     let h_slope = 2.0 * s3 - 3.0 * s2 + s;
     for ((o, a), b) in out.iter_mut().zip(from).zip(to) {
         let slope = (1.0 - sharpness) * (b - a);

@@ -1,29 +1,32 @@
-//! The range of a volume's scalars where none is given.
+//! Default range of a volume's scalars.
 
 use super::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
-/// Most voxels that are looked at in search of fill values.
+/// Largest number of voxels sampled in search of fill values.
 const SAMPLE: usize = 4096;
 
-/// Smallest share of voxels that holds a fill value.
+/// Smallest share of sampled voxels that hold a fill value.
 const FREQUENT: f32 = 1.0 / 1024.0;
 
-/// Smallest distance of a fill value from the nearest other value, in widths of the range of all others.
+/// Smallest distance of a fill value from the nearest other value, as a multiple of the width of the others'
+/// range.
 const FAR: f32 = 1.0 / 8.0;
 
-/// Smallest number of other values in the sample: a few labels lie far apart, too.
+/// Smallest number of other distinct values in the sample: with fewer, the values may be labels, which lie
+/// far apart as well.
 const DISTINCT: usize = 16;
 
-/// Most fill values that are looked for.
+/// Largest number of fill values that are searched for.
 const MOST: usize = 4;
 
 impl VolumeView<'_> {
-    /// Fill values: values that stand for voxels without data, such as -9999, 9.97e36, or the padding of a CT. Such a
-    /// value is the least or the greatest of all, held by one voxel in a thousand or more, and at least an eighth of
-    /// the width of all others away from them. They do not count in the default range; unsigned bytes have none.
+    /// Fill values: values of voxels without data, such as -9999, 9.97e36, or the padding of a CT. A fill
+    /// value is the minimum or maximum of the volume, at least one voxel in 1024 has it, and its distance
+    /// from all other values is at least an eighth of the width of their range. The default range excludes
+    /// fill values; unsigned bytes have none.
     ///
-    /// Takes a look at 4096 voxels, and a scan over all where one of them may hold a fill value.
+    /// Samples 4096 voxels, and scans all of them where the sample suggests a fill value.
     pub fn fill_values(&self) -> Vec<f32> {
         if matches!(self.scalars(), Scalars::U8(_)) {
             return Vec::new();
@@ -38,7 +41,7 @@ impl VolumeView<'_> {
             let highs = left.len() - left.partition_point(|v| *v < high);
             let frequent = |count: usize| count >= 4 && count as f32 >= FREQUENT * sample.len() as f32;
             let candidates = [(low, lows, &left[lows..]), (high, highs, &left[..left.len() - highs])];
-            // The farther one first: beside it, the other may look near.
+            // The farther end first: next to it, the other may seem near.
             let far = |rest: &[f32], value: f32| {
                 let (Some(&least), Some(&most)) = (rest.first(), rest.last()) else { return None };
                 let gap = if value < least { half(least) - half(value) } else { half(value) - half(most) };
@@ -51,7 +54,7 @@ impl VolumeView<'_> {
                 .filter_map(|(value, _, rest)| Some((far(rest, value)?, value, rest)))
                 .max_by(|a, b| a.0.total_cmp(&b.0));
             let Some((_, value, rest)) = found else { break };
-            // Values that the sample missed may lie between.
+            // Values that the sample missed may lie in between.
             fill.push(value);
             let (least, most) = self.extremes_without(&fill);
             if far(&[least, most], value).is_none() {
@@ -63,7 +66,8 @@ impl VolumeView<'_> {
         fill
     }
 
-    /// 0…255 for unsigned bytes, else the finite minimum…maximum without fill values; 0…1 where there is none.
+    /// 0…255 for unsigned bytes, otherwise the finite minimum…maximum without fill values; 0…1 where there is
+    /// none.
     pub(super) fn default_range(&self) -> (f32, f32) {
         if matches!(self.scalars(), Scalars::U8(_)) {
             return (0.0, 255.0);
@@ -71,7 +75,7 @@ impl VolumeView<'_> {
         self.range_without(&self.fill_values())
     }
 
-    /// The finite minimum…maximum of the voxels, whatever their type, with fill values; 0…1 where there is none.
+    /// Finite minimum…maximum of the voxels of any type, including fill values; 0…1 where there is none.
     pub fn own_range(&self) -> (f32, f32) {
         self.range_without(&[])
     }
@@ -96,12 +100,12 @@ impl VolumeView<'_> {
         if lo <= hi { (lo, hi) } else { (0.0, 1.0) }
     }
 
-    /// Finite values of voxels that are spread over the volume.
+    /// Finite values of voxels spread over the volume.
     fn sample(&self) -> Vec<f32> {
         let [nx, ny, nz] = self.dims;
         let voxels = nx * ny * nz;
         let at = |i: usize| {
-            // Multiples of the golden ratio meet every row, slice and column alike.
+            // Multiples of the golden ratio sample rows, slices and columns evenly.
             let i = if voxels <= SAMPLE {
                 i
             } else {
@@ -113,7 +117,8 @@ impl VolumeView<'_> {
         (0..voxels.min(SAMPLE)).map(at).filter(|v| v.is_finite()).collect()
     }
 
-    /// The least and the greatest finite value that is none of `fill`; the greater first where there is none.
+    /// Minimum and maximum of the finite values that are not in `fill`; minimum > maximum where there is
+    /// none.
     fn extremes_without(&self, fill: &[f32]) -> (f32, f32) {
         match self.scalars() {
             Scalars::U8(values) => self.extremes(values, f32::from, fill),
@@ -124,10 +129,10 @@ impl VolumeView<'_> {
     }
 
     fn extremes<T: Copy>(&self, values: &[T], number: impl Fn(T) -> f32, fill: &[f32]) -> (f32, f32) {
-        /// Side by side, so that compilers vectorize.
+        /// Number of independent minima and maxima, so that compilers vectorize.
         const LANES: usize = 32;
         let mut lanes = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-        // NaN, which no value equals, where there are fewer.
+        // Padded with NaN, which equals no value.
         let mut left_out = [f32::NAN; MOST];
         left_out.iter_mut().zip(fill).for_each(|(slot, &v)| *slot = v);
         let mut take = |values: &[T]| {
@@ -159,7 +164,7 @@ fn half(value: f32) -> f32 {
     0.5 * value
 }
 
-/// True where sorted values are enough different ones to tell a fill value from a label.
+/// True where sorted values have at least [`DISTINCT`] distinct ones.
 fn many(sorted: &[f32]) -> bool {
     let changes = sorted.windows(2).filter(|pair| pair[0] < pair[1]).take(DISTINCT - 1).count();
     changes == DISTINCT - 1
@@ -174,7 +179,7 @@ mod tests {
         (view.fill_values(), view.range())
     }
 
-    /// Values 0 to 1, and `count` of `fill` among them.
+    /// Values from 0 to 1, and `count` copies of `fill`.
     fn data(count: usize, fill: f32) -> Vec<f32> {
         let mut values: Vec<f32> = (0..=1000).map(|i| i as f32 / 1000.0).collect();
         values.extend(core::iter::repeat_n(fill, count));
@@ -186,13 +191,13 @@ mod tests {
         for fill in [-9999.0, 1e20, 9.969_21e36, -f32::MAX, f32::MAX, -1.0, 1.126] {
             assert_eq!(fill_of(&data(50, fill)), (alloc::vec![fill], (0.0, 1.0)), "{fill}");
         }
-        // Too near, too rare, not alone.
+        // Too near, too rare, not isolated.
         assert_eq!(fill_of(&data(50, 1.12)), (Vec::new(), (0.0, 1.12)));
         assert_eq!(fill_of(&data(3, -9999.0)).1, (-9999.0, 1.0));
         let mut trail = data(50, -10.0);
         trail.extend([-9.9, -5.0, -0.1]);
         assert_eq!(fill_of(&trail), (Vec::new(), (-10.0, 1.0)));
-        // Two ends, two codes.
+        // A fill value at each end, and a second one at the lower end.
         let mut both = data(50, -9999.0);
         both.extend(core::iter::repeat_n(1e20, 40));
         both.extend(core::iter::repeat_n(-999.0, 30));

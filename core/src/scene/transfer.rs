@@ -1,5 +1,5 @@
-//! Transfer functions: Gaussian lobes, piecewise-linear control points, VTK's nodes, or a table. All become a
-//! 256-entry RGBA table.
+//! Transfer functions: Gaussian lobes, piecewise-linear control points, VTK's nodes, or a table. All are
+//! converted to a 256-entry RGBA table.
 
 use super::Nodes;
 use crate::Result;
@@ -8,23 +8,23 @@ use crate::memory::{collected, mixed};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 
-/// Entries of a [`TransferTable`].
+/// Number of entries of a [`TransferTable`].
 pub const TABLE_LEN: usize = 256;
 
-/// Opacities below this, per reference step, count as zero, so that the tails of a Gaussian lobe leave empty
-/// space to skip. A ray of 1000 reference steps through such a medium would gather an opacity of at most
-/// 0.03.
+/// Threshold of opacity per reference step below which it counts as zero, so that the tails of a Gaussian
+/// lobe leave empty space to skip. A ray of 1000 reference steps just below it would accumulate an opacity of
+/// at most 0.03.
 pub(crate) const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
 
 /// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) (paper, section "PredNet: Rendering
 /// Time Prediction").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GaussianLobe {
-    /// c: where the lobe peaks, in normalized scalar values [0, 1].
+    /// c: position of the peak, in normalized scalar values [0, 1].
     pub center: f32,
-    /// w: its width, positive; the squared distance at which it has fallen to 1/e.
+    /// w: width, positive; the squared distance from the peak at which the lobe has fallen to 1/e.
     pub width: f32,
-    /// h: its peak opacity, not negative.
+    /// h: peak opacity, not negative.
     pub height: f32,
 }
 
@@ -39,22 +39,21 @@ pub struct ControlPoint {
     pub opacity: f32,
 }
 
-/// What the caller has, before it becomes a table.
+/// A transfer function as the caller specifies it.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum TransferFunction {
-    /// Gaussian opacity lobes; colors come from a ramp from dark blue over green and
-    /// yellow to near white.
+    /// Gaussian opacity lobes; colors follow a ramp from dark blue over green and yellow to near white.
     Gaussian(Vec<GaussianLobe>),
     /// Piecewise-linear control points in ascending position; constant beyond the first and last. Two points
     /// at one position make a step.
     Points(Vec<ControlPoint>),
-    /// Opacity and color nodes with midpoint and sharpness, as VTK and ParaView have them.
+    /// Opacity and color nodes with midpoint and sharpness, as in VTK and ParaView.
     Nodes(Nodes),
 }
 
-/// Colors of Gaussian transfer functions: (position, red, green, blue), linear in between. Dark blue over
-/// green and yellow to near white, lightness rising all the way.
+/// Colors of Gaussian transfer functions: (position, red, green, blue), interpolated linearly. From dark blue
+/// over green and yellow to near white, with rising lightness.
 pub const COLOR_RAMP: [(f32, [f32; 3]); 6] = [
     (0.0, [0.09, 0.11, 0.35]),
     (0.2, [0.11, 0.34, 0.60]),
@@ -65,8 +64,8 @@ pub const COLOR_RAMP: [(f32, [f32; 3]); 6] = [
 ];
 
 impl TransferFunction {
-    /// A function through evenly spaced samples, the first at 0 and the last at 1: red, green, blue and
-    /// opacity each, linear in between.
+    /// A piecewise-linear function through evenly spaced samples, the first at 0 and the last at 1, each of
+    /// red, green, blue and opacity.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for fewer than two samples, or one outside [0, 1].
@@ -88,8 +87,7 @@ impl TransferFunction {
     /// Checks the description and samples it into a table, entry i at s = i/255.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`], naming the lobe or point, what is wrong with it and what is
-    /// accepted.
+    /// [`crate::ErrorKind::InvalidArgument`], naming the lobe or point, the fault and the accepted range.
     pub fn to_table(&self) -> Result<TransferTable> {
         match self {
             Self::Gaussian(lobes) => gaussian_table(lobes),
@@ -99,8 +97,8 @@ impl TransferFunction {
     }
 }
 
-/// A 256-entry RGBA table over normalized scalar values. Entry i belongs to s = i/255; opacity is that of one
-/// unit distance along the ray. Colors are not premultiplied.
+/// A 256-entry RGBA table over normalized scalar values. Entry i is the value at s = i/255; opacities hold
+/// for one unit distance along the ray. Colors are not premultiplied.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransferTable {
     rgba: Box<[[f32; 4]; TABLE_LEN]>,
@@ -108,14 +106,14 @@ pub struct TransferTable {
 }
 
 impl TransferTable {
-    /// A number that the same table has again, and hardly another.
+    /// Hash of the table; different tables are very unlikely to collide.
     pub fn fingerprint(&self) -> u64 {
         let unit = u64::from(self.unit_distance.to_bits());
         let pairs = self.rgba.iter().flat_map(|[r, g, b, a]| [(r, g), (b, a)]);
         pairs.fold(unit, |sum, (a, b)| mixed(sum, u64::from(a.to_bits()) << 32 | u64::from(b.to_bits())))
     }
 
-    /// A table as it is, for one reference step of unit distance.
+    /// A table from its entries, with a unit distance of one reference step.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when an entry is not finite or lies outside [0, 1].
@@ -131,9 +129,9 @@ impl TransferTable {
         Ok(Self { rgba: Box::new(rgba), unit_distance: 1.0 })
     }
 
-    /// Sets the distance over which the table's opacities hold, in multiples of the reference step. Of a
-    /// world distance (VTK's scalar opacity unit distance, ANARI's `unitDistance`) that is the distance over
-    /// the smallest voxel spacing.
+    /// Sets the unit distance, over which the table's opacities hold, in multiples of the reference step. A
+    /// world distance (VTK's scalar opacity unit distance, ANARI's `unitDistance`) is divided by the smallest
+    /// voxel spacing.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless finite and positive.
@@ -153,13 +151,13 @@ impl TransferTable {
         &self.rgba
     }
 
-    /// The distance over which the opacities hold, in multiples of the reference step.
+    /// Unit distance, over which the opacities hold, in multiples of the reference step.
     pub fn unit_distance(&self) -> f32 {
         self.unit_distance
     }
 
-    /// The table for a ray step of `step` reference steps: same colors, opacities corrected
-    /// to 1 − (1 − α)^ratio over `step` reference steps.
+    /// The table for a ray step of `step` reference steps: same colors; opacities are 1 − (1 − α)^ratio, with
+    /// the ratio of the ray step to the unit distance.
     pub fn corrected(&self, step: f32) -> Box<[[f32; 4]; TABLE_LEN]> {
         let mut out = self.rgba.clone();
         for entry in out.iter_mut() {
@@ -168,7 +166,7 @@ impl TransferTable {
         out
     }
 
-    /// Whether entry `index` counts as having any opacity: at least 1/32768 per reference step.
+    /// True where entry `index` has an opacity of at least 1/32768 per reference step.
     ///
     /// # Panics
     /// When `index` is not below [`TABLE_LEN`].

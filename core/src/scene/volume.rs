@@ -5,14 +5,14 @@ use crate::names::names;
 use crate::{Error, ErrorKind, Result};
 use glam::Vec3;
 
-/// Most voxels along one axis.
+/// Largest number of voxels along one axis.
 pub const MAX_VOLUME_EDGE: usize = 1 << 20;
 
-/// Most voxels of a volume whose strides read elements more than once (a stride of 0, or axes that overlap).
-/// Other volumes are bounded by the elements that they have.
+/// Largest number of voxels of a volume whose strides read elements more than once (a stride of 0, or axes
+/// that overlap). Other volumes are limited by their number of elements.
 pub const MAX_REPEATED_VOXELS: u64 = 1 << 27;
 
-/// The scalar types that volumes come in.
+/// Scalar types of volumes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ScalarType {
     /// Unsigned bytes.
@@ -41,12 +41,12 @@ pub enum Scalars<'a> {
     U16(&'a [u16]),
     /// Signed 16-bit integers.
     I16(&'a [i16]),
-    /// 32-bit floats; NaN counts as the low end of the range, infinities as its ends.
+    /// 32-bit floats; NaN is treated as the low end of the range, infinities as its ends.
     F32(&'a [f32]),
 }
 
 impl Scalars<'_> {
-    /// The elements as floats, in order.
+    /// The elements as f32, in order.
     pub fn iter(&self) -> impl Iterator<Item = f32> + '_ {
         (0..self.len()).map(|i| self.get(i))
     }
@@ -71,7 +71,7 @@ impl Scalars<'_> {
         }
     }
 
-    /// The element at `index`, as a float.
+    /// The element at `index`, as f32.
     #[inline]
     pub(crate) fn get(&self, index: usize) -> f32 {
         match self {
@@ -83,7 +83,7 @@ impl Scalars<'_> {
     }
 }
 
-/// Sizes of a volume and the lengths that follow from them.
+/// Sizes of a volume and the lengths derived from them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Shape {
@@ -93,17 +93,17 @@ pub struct Shape {
     pub voxels: u64,
     /// Voxel spacing along x, y, z, in world units.
     pub spacing: Vec3,
-    /// Radius of the box's bounding sphere in world units: the unit of length of scene space. Samples are centered in
-    /// their voxels: the box reaches half a voxel beyond the outermost ones.
+    /// Radius of the box's bounding sphere in world units: the unit of length of scene space. Samples are at
+    /// voxel centers: the box extends half a voxel beyond the outermost ones.
     pub bounding_radius: f32,
-    /// Half the box in scene space, so its length is 1.
+    /// Half of the box in scene space; a vector of length 1.
     pub half_extent: Vec3,
     /// The reference ray step in scene space: the smallest voxel spacing.
     pub reference_step: f32,
 }
 
 impl Shape {
-    /// The sizes of a grid of voxels with a spacing.
+    /// Sizes of a grid of `dims` voxels with a spacing in world units.
     pub fn new(dims: [usize; 3], spacing: Vec3) -> Self {
         let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
         let bounding_radius = bounding_radius(extent);
@@ -118,17 +118,17 @@ impl Shape {
     }
 }
 
-/// What is known of a volume beside its voxels and sizes.
+/// Strides, spacing and value range of a volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VolumeOptions {
-    /// Elements from one voxel to the next along x, y, z; without them x runs fastest, without gaps. They may be zero
-    /// (a broadcast axis) and may overlap, as long as there are at most [`MAX_REPEATED_VOXELS`] voxels then.
+    /// Elements from one voxel to the next along x, y, z; `None` for a contiguous volume, x fastest. They may
+    /// be zero (a broadcast axis) and may overlap, with at most [`MAX_REPEATED_VOXELS`] voxels then.
     pub strides: Option<[usize; 3]>,
     /// Voxel spacing along x, y, z, in any common unit of length; 1 by default.
     pub spacing: [f32; 3],
-    /// The scalar range that maps to [0, 1] (an ensemble shares one). Without it 0…255 for unsigned bytes, the finite
-    /// minimum…maximum for other types without [fill values](VolumeView::fill_values), which takes a scan over the
-    /// voxels.
+    /// The scalar range that maps to [0, 1] (members of an ensemble share one). `None` for the default: 0…255
+    /// for unsigned bytes, the finite minimum…maximum without [fill values](VolumeView::fill_values) for
+    /// other types, which scans the voxels.
     pub range: Option<(f32, f32)>,
 }
 
@@ -153,17 +153,18 @@ pub struct VolumeView<'a> {
 
 impl<'a> VolumeView<'a> {
     /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the
-    /// finite minimum…maximum for other types without [fill values](Self::fill_values) (a scan over the voxels).
+    /// finite minimum…maximum without [fill values](Self::fill_values) for other types (a scan over the
+    /// voxels).
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size of 0, [`ErrorKind::SizeMismatch`] for one over
-    /// [`MAX_VOLUME_EDGE`] or when the slice is too short for the sizes or their product overflows. No voxel
-    /// is read before all this is checked.
+    /// [`MAX_VOLUME_EDGE`] or where the slice is too short for the sizes or their product overflows. No voxel
+    /// is read before these checks.
     pub fn new(scalars: Scalars<'a>, dims: [usize; 3]) -> Result<Self> {
         Self::with(scalars, dims, VolumeOptions::default())
     }
 
-    /// As [`VolumeView::new`] with what is known beside the sizes. With a range, no voxel is looked at.
+    /// As [`VolumeView::new`], with strides, spacing and range. With a range, no voxel is read.
     ///
     /// # Errors
     /// As [`VolumeView::new`]; [`ErrorKind::SizeMismatch`] for strides that repeat elements of more than
@@ -231,7 +232,7 @@ impl<'a> VolumeView<'a> {
         self.scalars
     }
 
-    /// Sizes and lengths of the box.
+    /// Sizes and lengths of the volume.
     pub fn shape(&self) -> Shape {
         Shape::new(self.dims, self.spacing)
     }
@@ -246,7 +247,7 @@ impl<'a> VolumeView<'a> {
         self.strides
     }
 
-    /// Whether voxels lie in one block with x fastest.
+    /// True where voxels are contiguous, x fastest.
     #[cfg(test)]
     pub(crate) fn is_contiguous(&self) -> bool {
         self.strides == [1, self.dims[0], self.dims[0] * self.dims[1]]
@@ -282,21 +283,22 @@ impl<'a> VolumeView<'a> {
         self.normalize(self.value(x, y, z))
     }
 
-    /// Maps a stored value to [0, 1] over the range: clamped, NaN → 0; an empty range maps everything to 0.
+    /// Maps a stored value to [0, 1] over the range: clamped; NaN gives 0; an empty range gives 0 for every
+    /// value.
     #[inline]
     pub fn normalize(&self, value: f32) -> f32 {
         normalize(self.range, value)
     }
 }
 
-/// As [`VolumeView::normalize`] over a range.
+/// As [`VolumeView::normalize`], for a given range.
 #[inline]
 pub fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
     let width = hi - lo;
     if width <= 0.0 || value.is_nan() {
         return 0.0;
     }
-    // Written so that an infinite width (f32::MIN…f32::MAX) still gives a number in [0, 1].
+    // An infinite width (f32::MIN…f32::MAX) still gives a value in [0, 1].
     let t = if width.is_finite() {
         (value - lo) / width
     } else {
@@ -305,7 +307,7 @@ pub fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
     t.clamp(0.0, 1.0)
 }
 
-/// The checks of [`VolumeView::with`], for everything that has a spacing.
+/// Checks a spacing as [`VolumeView::with`] does.
 pub fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
     if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
         bail!(
@@ -341,20 +343,20 @@ pub fn check_edges(dims: [usize; 3]) -> Result<()> {
     Ok(())
 }
 
-/// The vector times the power of two that brings its largest component into 0.5…1, and that power's exponent.
-/// Squares of lengths in any unit stay within `f32` then, and nothing is rounded.
+/// Scales a vector by the power of two that brings its largest component into 0.5…1, and returns the
+/// exponent. Squared lengths then stay within `f32` in any unit, and nothing is rounded.
 fn normalized(v: Vec3) -> (Vec3, i32) {
     let (_, exponent) = libm::frexpf(v.max_element());
     (Vec3::from_array(v.to_array().map(|c| libm::ldexpf(c, -exponent))), exponent)
 }
 
-/// Radius of the sphere around a box of a given size.
+/// Radius of a box's bounding sphere.
 fn bounding_radius(extent: Vec3) -> f32 {
     let (scaled, exponent) = normalized(extent);
     libm::ldexpf(0.5 * scaled.length(), exponent)
 }
 
-/// Ratios of a spacing that are the same bits in any unit of length which is a power of two times another.
+/// The spacing up to a power of two: bit-identical in units of length that differ by a power of two.
 pub fn ratios(spacing: Vec3) -> Vec3 {
     normalized(spacing).0
 }
@@ -516,7 +518,7 @@ mod tests {
         };
         assert!(overlapping(512).is_ok(), "2^27 voxels are accepted");
         assert!(overlapping(513).is_err());
-        // A volume that repeats nothing is bounded by its own elements alone.
+        // A volume without repeated elements is limited only by its number of elements.
         assert!(
             VolumeView::with(
                 Scalars::U8(&voxels),

@@ -1,4 +1,4 @@
-//! Plans, transfer functions and volume summaries, timed.
+//! Times plans, transfer functions and volume summaries.
 
 use crate::scene;
 use entire_core::scene::{
@@ -11,29 +11,29 @@ use std::hint::black_box;
 use std::io::BufRead;
 use std::time::Instant;
 
-/// Bytes touched to empty the first two cache levels.
+/// Number of bytes read to evict the first two cache levels.
 const EVICTED: usize = 8 << 20;
 
-/// Camera poses per transfer function.
+/// Number of camera poses per transfer function.
 const POSES: usize = 12;
 
-/// Voxels of the volumes that are summarized: 512 × 512 × this many planes of bytes, so that all types have
-/// as many bytes.
+/// Number of planes of the summarized volumes of bytes, 512 × 512 voxels each; other types have fewer, so
+/// that all volumes have equally many bytes.
 const PLANES: usize = 512;
 
-/// Seconds that a call takes.
+/// Seconds of a call.
 pub(crate) fn time(call: impl FnOnce()) -> f64 {
     let start = Instant::now();
     call();
     start.elapsed().as_secs_f64()
 }
 
-/// Answers a request.
+/// Prints the answer to a request.
 pub(crate) fn report(seconds: Vec<f64>) {
     println!("@@{{\"seconds\": {seconds:?}}}");
 }
 
-/// The types of which volumes are summarized.
+/// Voxel types of the summarized volumes.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Types {
     U8,
@@ -42,7 +42,7 @@ pub(crate) enum Types {
 }
 
 impl Types {
-    /// By name.
+    /// The type with this name.
     pub(crate) fn parse(name: &str) -> Option<Self> {
         match name {
             "u8" => Some(Self::U8),
@@ -59,7 +59,7 @@ enum Voxels {
     F32(Vec<f32>),
 }
 
-/// The volumes, each made when it is first asked for; of the large ones one at a time.
+/// The volumes, made on first use; at most one large volume is kept.
 #[derive(Default)]
 pub(crate) struct Volumes {
     large: Option<(Types, Voxels)>,
@@ -67,7 +67,7 @@ pub(crate) struct Volumes {
     evicted: Vec<u8>,
 }
 
-/// A smooth volume in [0, 1] with a little noise, voxel after voxel.
+/// A smooth volume in [0, 1] with some noise.
 fn blobs<T>(dims: [usize; 3], to: impl Fn(f32) -> T) -> Vec<T> {
     let wave = |n: usize, k: f32| (0..n).map(|i| (k * (i as f32 + 0.5) / n as f32).sin()).collect::<Vec<_>>();
     let [x, y, z] = [wave(dims[0], 9.0), wave(dims[1], 11.0), wave(dims[2], 7.0)];
@@ -107,7 +107,7 @@ impl Volumes {
         scene::volume(scalars, dims, range)
     }
 
-    /// The bytes of the large volume, summed.
+    /// Sum of the large volume's bytes.
     fn read(&self) -> u64 {
         let sum = |bytes: &[u64]| {
             let mut lanes = [0u64; 32];
@@ -146,7 +146,7 @@ fn table(center: f32, height: f32) -> TransferTable {
     TransferFunction::Gaussian(vec![lobe]).to_table().expect("a table")
 }
 
-/// Sparse, thin everywhere, opaque.
+/// Transfer functions: sparse, thin everywhere, opaque.
 fn tables() -> [TransferTable; 3] {
     [table(0.9, 0.02), table(0.5, 0.02), table(0.7, 0.9)]
 }
@@ -161,7 +161,7 @@ fn frames(shading: Shading) -> Vec<Frame> {
         .collect()
 }
 
-/// One number per scene: `plan/SIDE/warm|cold/none|scatter`.
+/// Answers `plan/SIDE/warm|cold/none|scatter`: seconds of one plan per scene.
 fn plans(volumes: &mut Volumes, side: usize, cold: bool, shading: Shading) -> Vec<f64> {
     let summary = volumes.summary(256);
     let mut session = scene::session(side);
@@ -188,8 +188,8 @@ fn plans(volumes: &mut Volumes, side: usize, cold: bool, shading: Shading) -> Ve
     out
 }
 
-/// `transfer/EDGE/first`: the first function of a volume; `…/edit`: another one; `…/plan`: another one and
-/// the first plan after it.
+/// Answers `transfer/EDGE/first`, the first function of a volume; `…/edit`, another one; `…/plan`, another
+/// one and the first plan after it.
 fn transfers(volumes: &mut Volumes, edge: usize, what: &str) -> Vec<f64> {
     let summary = volumes.summary(edge);
     let frame = frames(Shading::None)[0];
@@ -216,7 +216,7 @@ fn transfers(volumes: &mut Volumes, edge: usize, what: &str) -> Vec<f64> {
     out
 }
 
-/// Answers until the input ends; `also` knows further names.
+/// Answers requests until the input ends; `also` handles further names.
 pub(crate) fn serve(volumes: &mut Volumes, also: &mut dyn FnMut(&mut Volumes, &str) -> Option<()>) {
     for line in std::io::stdin().lock().lines() {
         let line = line.expect("a line");

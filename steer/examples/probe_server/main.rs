@@ -1,9 +1,8 @@
-//! What the probe bars time, behind a line protocol so that two builds of the crate can be timed in turns: a
-//! line
-//! `NAME` in, a line `@@{"seconds": […]}` out, one number for each scene or call.
+//! Server for the probe's benchmark, so that two builds of the crate can be timed alternately: a line `NAME`
+//! in, a line `@@{"seconds": […]}` out, one number per scene or call.
 //!
-//! The calls of [`calls`] need only what older versions of the crate have too; [`scene`] and those below are of
-//! this one.
+//! [`calls`] uses only functions common to several versions of the crate; [`scene`] and the functions below
+//! depend on this version.
 
 mod calls;
 mod scene;
@@ -14,15 +13,15 @@ use entire_core::{Result, VolumeView};
 use entire_steer::features::{SummaryBuilder, SummaryOptions, SummarySeries, VolumeSummary};
 use std::hint::black_box;
 
-/// A summary on the executor's threads.
+/// Makes a summary on the executor's threads.
 fn summary(view: &VolumeView<'_>, executor: Executor<'_>) -> Result<VolumeSummary> {
     let mut builder = SummaryBuilder::new(view, view.shape().dims[2], SummaryOptions::default())?;
     builder.add(view, executor)?;
     builder.finish()
 }
 
-/// A time step of a series: `same`, of which nothing changed but that must be found out; `box`, of which a
-/// box of 64³ voxels changed, which is said.
+/// Times a time step of a series: `same`, without changes, which the scan must find out; `box`, with a given
+/// box of 64³ changed voxels.
 fn time_step(view: &VolumeView<'_>, what: &str) -> Option<f64> {
     let planes = view.shape().dims[2];
     let mut series = SummarySeries::new(view, planes, SummaryOptions::default()).expect("a series");

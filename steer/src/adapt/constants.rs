@@ -1,6 +1,6 @@
-//! The constants of the correction that recorded paths decide.
+//! Constants of the correction, tuned on recorded paths.
 
-/// A struct of constants, each with its default, that a search can go through by number.
+/// Defines a struct of constants with defaults, which a search can enumerate.
 macro_rules! constants {
     ($(#[$whole:meta])* $group:ident { $($(#[$doc:meta])* $name:ident = $value:expr,)* }) => {
         $(#[$whole])*
@@ -29,20 +29,20 @@ macro_rules! constants {
 pub(crate) use constants;
 
 constants! {
-    /// Constants of the online correction: what it takes a machine and its scenes for before it has seen them, and
-    /// how fast it learns. The defaults follow from a search over recorded paths (`entire-lab tune`); nothing needs
-    /// to be set.
+    /// Constants of the online correction: its priors about an unmeasured machine and its scenes, and its
+    /// learning rates. The defaults follow from a search over recorded paths (`entire-lab tune`); nothing
+    /// needs to be set.
     CorrectionConstants {
-        /// Standard deviation of ln of every unit cost about their common factor, where the machine was never
-        /// measured.
+        /// Prior standard deviation of ln of each unit cost, apart from their common factor, on an unmeasured
+        /// machine.
         unit_cost_sd = 1.0,
-        /// Standard deviation of scenes' own errors, in ln(time), where the machine was never measured.
+        /// Prior standard deviation of scenes' own errors, in ln(time), on an unmeasured machine.
         scene_sd = 0.2,
-        /// Standard deviation of the errors in calm frames before any was seen, in ln(time).
+        /// Initial standard deviation of the errors in calm frames, in ln(time).
         spread_start = 0.07,
-        /// Share of a calm frame's error that the scene's own factor takes up.
+        /// Share of a calm frame's error that is added to the scene's own factor.
         gain = 0.4,
-        /// Standard deviations beyond which an error that is too fast is clipped.
+        /// Clip of the errors of frames faster than expected, in standard deviations.
         clip_below = 1.42,
     }
 }

@@ -1,4 +1,4 @@
-//! Learning each part of the cost from observed frame times.
+//! Corrects each term of the cost from observed frame times.
 
 use super::constants::CorrectionConstants;
 use super::state::{Reader, Writer};
@@ -6,15 +6,15 @@ use crate::predict::{CostTerms, TERMS};
 use entire_core::Result;
 use entire_core::bail;
 
-/// How well the prediction is known before the first observation.
+/// Prior knowledge of the prediction's errors, before the first observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Prior {
-    /// The machine was never measured: even the order of magnitude is open.
+    /// The machine was never measured: even the order of magnitude is unknown.
     Unknown,
-    /// The model was fitted by another clock: what it says of scenes against each other has errors of about
-    /// this standard deviation in ln(time), but the factor between the clocks is open.
+    /// The model was fitted to times of another clock: ratios between scenes have errors of about this
+    /// standard deviation in ln(time), but the factor between the clocks is unknown.
     Converted {
-        /// Standard deviation of ln(measured / predicted), the common factor apart.
+        /// Standard deviation of ln(measured / predicted), apart from the common factor.
         log_sd: f32,
     },
     /// The model was fitted on this machine; its errors have about this standard deviation in ln(time).
@@ -24,25 +24,25 @@ pub enum Prior {
     },
 }
 
-/// How an observed frame stands to the scene at hand.
+/// Relation of an observed frame to the present scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Standing {
     /// The first frame of this scene.
     First,
     /// A later frame of this scene.
     Same,
-    /// A frame of an earlier scene, heard of late: it teaches nothing about this one.
+    /// A late observation of an earlier scene, which carries no information about this one.
     Past,
 }
 
-/// A prediction as it was corrected.
+/// A corrected prediction.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corrected {
     /// Seconds.
     pub(crate) seconds: f64,
     /// Standard deviation of ln(time).
     pub(crate) sd: f64,
-    /// The same among frames that nobody disturbs.
+    /// Standard deviation of ln(time) among undisturbed frames.
     pub(crate) calm_sd: f64,
 }
 
@@ -50,44 +50,46 @@ fn standard_deviation(variance: f64) -> f64 {
     libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE))
 }
 
-/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b learned together from observed times by a Kalman filter on
-/// ln t.
+/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b estimated together from observed times by an extended
+/// Kalman filter on ln t.
 ///
-/// θ belongs to the machine: it drifts slowly and outlives a change of scene. b belongs to the scene at hand:
-/// what the prediction gets wrong about just this one. It follows the last few frames as closely as their
-/// noise allows, and a new scene begins with b = 0 and the spread that scenes have been found to have among
-/// each other. So what an expensive scene taught does not weigh on the cheap one after it.
+/// θ belongs to the machine: it drifts slowly and persists across scenes. b belongs to the present scene: the
+/// prediction's error for this scene alone. It follows the last few frames as closely as their noise allows;
+/// a new scene begins with b = 0 and the variance observed among scenes. So errors learned on an expensive
+/// scene do not bias the cheap one after it.
 ///
-/// Costs stay positive because only their logarithms move.
+/// Costs stay positive because only their logarithms change.
 ///
-/// Times have a heavy tail on the slow side: whoever else runs on the machine slows frames down, mostly several in a
-/// row, and says nothing about the scene. One frame that is off by over three standard deviations is a stall and
-/// counts as three. Two in a row on one side are a change of the machine's pace: its *load*, a factor of its own on
-/// every scene. It ends with the first frame that is better explained without it, and while it lasts nothing is
-/// learned of the scene beyond its first frame. One that stays is the machine's own pace, and θ takes it over.
-/// A scene that was seen for a few frames alone may have begun under a load that nobody knew: where its frames become
-/// faster, b takes that. The state is bounded for ever.
+/// Times have a heavy tail on the slow side: other programs on the machine slow frames down, mostly several
+/// in a row, which carries no information about the scene. A single frame that is off by over three standard
+/// deviations is a stall, and its error is clipped to three. Two in a row on the same side are a change of
+/// the machine's pace: its *load*, a common factor on every scene. The load ends with the first frame that is
+/// better explained without it; while it lasts, nothing is learned of the scene beyond its first frame. A
+/// load that persists becomes the machine's own pace and is added to θ. A scene that has been seen for only a
+/// few frames may have begun under an undetected load: if its frames become faster, b takes the change. All
+/// state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// θ, then b.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
-    /// Variance of the errors in calm frames, in ln t, stalls left out.
+    /// Variance of the errors of calm frames, in ln t, without stalls.
     spread: f64,
-    /// The same with stalls and loads.
+    /// As `spread`, including stalls and loads.
     spread_of_all: f64,
     /// Variance of b among scenes.
     change: f64,
-    /// ln of the factor on the times of all scenes at present; 0 where the machine runs at its own pace.
+    /// ln of the present common factor on all times; 0 where the machine runs at its own pace.
     load: f64,
-    /// Frames of this load.
+    /// Number of frames under the present load.
     loaded: u64,
-    /// Frames in a row that were off by more than [`CLIP`]: too slow where positive, too fast where negative.
+    /// Number of consecutive frames whose error exceeds [`CLIP`]: positive for too slow, negative for too
+    /// fast.
     off: i64,
-    /// The observation before began or ended a load, or was taken whole.
+    /// True where the last observation began or ended a load, or was applied without clipping.
     jumped: bool,
     observations: u64,
-    /// Frames since the scene was new.
+    /// Number of frames since the scene began.
     age: u64,
     prior: Prior,
     constants: CorrectionConstants,
@@ -95,60 +97,63 @@ pub(crate) struct Correction {
 
 const STATES: usize = TERMS + 1;
 const LOCAL: usize = TERMS;
-/// A guard: θ and b stay within factors of e⁻¹⁰…e¹⁰, more than any two machines are apart.
+/// Guard: θ and b stay within factors of e⁻¹⁰…e¹⁰, more than the ratio of any two machines.
 const STATE_LIMIT: f64 = 10.0;
-/// Guards: errors in calm frames of 0.3 % (below any clock's noise) to 50 %.
+/// Guard: variance of calm errors, for standard deviations of 0.3 % (below any clock's noise) to 50 %.
 const SPREAD: (f64, f64) = (1.0e-5, 0.25);
-/// Guards: at 0 nothing is followed, and 1 leaves no noise to be sure of.
+/// Guard: range of `gain`; at 0 nothing is followed, at 1 no noise is left.
 const GAIN: (f64, f64) = (0.1, 0.8);
-/// Slowest paces at which the spread of calm errors and of scenes' errors are followed: over some ten of them. Half as fast,
-/// the training paths cost the same.
+/// Smallest learning rates of the variance of calm errors and of scenes' errors: averages over about ten. At
+/// half the rates, the loss on the training paths is the same.
 const SPREAD_PACE: f64 = 0.1;
 const SCENE_PACE: f64 = 0.1;
-/// Variance of a fitted model's single unit costs, as a share of the variance of its errors: the rest is of scenes. With
-/// none, the training paths cost the same.
+/// Variance of a fitted model's unit costs, of each and of their common factor, as a share of the variance of
+/// its errors. At 0, the loss on the training paths is the same.
 const FITTED_SHARE: f64 = 0.1;
-/// Guards: errors among scenes of 3 % to 70 %.
+/// Guard: variance among scenes, for standard deviations of 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
-/// Variance of an unknown common factor, by definition: a standard deviation of 3, a factor of 20, so the first observed time
-/// decides it, whatever its order of magnitude.
+/// Variance of an unknown common factor, by definition: a standard deviation of 3, a factor of 20, so that
+/// the first observed time determines it, whatever its order of magnitude.
 const OPEN: f64 = 9.0;
-/// A guard: no variance exceeds that of a machine of which nothing is known ([`OPEN`] and a unit cost's own) by much.
+/// Guard: no variance exceeds that of an unknown machine ([`OPEN`] and a unit cost's own) by much.
 const MAX_VARIANCE: f64 = 12.0;
-/// Without a stated error a fitted model is taken for one that is wrong by 30 %; a stated one lies within 1 % and a factor
-/// of e: guards.
+/// Guards: standard deviation of a fitted model that states none, 30 %; and range of stated ones, 1 % to a
+/// factor of e.
 const FITTED_SD: f64 = 0.3;
 const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
-/// Frames in which a scene's own factor takes up `gain` of the first error three times: a fifth of it is left.
+/// Number of frames after which a scene's own factor is settled: at the default `gain`, a fifth of the first
+/// error is left.
 const SETTLED: u64 = 3;
-/// Frames in a row beyond [`CLIP`], on one side, that are no accident: of normal errors two come once in a quarter of a
-/// million frames, and one slow frame is a stall.
+/// Number of consecutive frames beyond [`CLIP`] on one side that are a change of pace: normal errors have two
+/// once in a quarter of a million frames, and one slow frame is a stall.
 const SURE: i64 = 2;
-/// Variance that the unit costs' common factor gains per frame, in ln, and that each of them gains beside it: a machine
-/// that drifts by a tenth in an hour is followed. Without them the training paths cost the same.
+/// Variance per frame added to ln of the unit costs' common factor, and to that of each unit cost: follows a
+/// machine that drifts by a tenth in an hour. At 0, the loss on the training paths is the same.
 const DRIFT: f64 = 1.0e-5;
 const DRIFT_SINGLE: f64 = 2.0e-6;
-/// Frames of a load whose mean it is, at most: a guard, so that a load may change.
+/// Guard: largest number of frames averaged by the load, so that a load may change.
 const LOAD_FRAMES: f64 = 8.0;
-/// Frames after which a scene or a load is established: half a second at 60 frames per second, the longest burst that the
-/// recordings hold.
+/// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
+/// longest burst in the recordings.
 const ESTABLISHED: u64 = 32;
-/// Share of the variance among scenes that the machine's own pace is uncertain by when it was just learned from one of
-/// them: a guess; the next scenes decide.
+/// Variance of the machine's pace just after it was learned from one scene, as a share of the variance among
+/// scenes: a guess, corrected by the next scenes.
 const LEARNED_SHARE: f64 = 0.25;
-/// A guard: a squared error counts six times what was expected at most, which of normal ones 1.4 % exceed.
+/// Guard: largest ratio of a squared error to its expectation; 1.4 % of normal errors exceed it.
 const SQUARE_LIMIT: f64 = 6.0;
-/// A guard: one of the first errors weighs a quarter at most, so that none decides.
+/// Guard: largest learning rate of the first errors, so that none of them dominates.
 const FASTEST_PACE: f64 = 0.25;
-/// A guard: an observation weakens to a thousandth at most.
+/// Guard: smallest trust in an observation.
 const LEAST_TRUST: f64 = 1.0e-3;
-/// Novelty from which a frame is the first of a scene: by definition, it has more of a new scene than of the one before.
+/// Novelty from which a frame is the first of a scene; by definition, the new scene then has the larger
+/// share.
 pub(crate) const NOVEL: f64 = 0.5;
-/// Three standard deviations: of normal errors 0.3 % lie beyond, so what does is another work or another machine.
+/// Clip of errors, in standard deviations: 0.3 % of normal errors lie beyond, so a larger error is other work
+/// or another machine's.
 pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {
-    /// A correction that has seen nothing.
+    /// A correction without observations.
     pub(crate) fn new(prior: Prior, constants: CorrectionConstants) -> Self {
         let mut out = Self {
             state: [0.0; STATES],
@@ -169,7 +174,7 @@ impl Correction {
         out
     }
 
-    /// Forgets everything.
+    /// Forgets all observations.
     pub(crate) fn reset(&mut self) {
         let c = self.constants;
         let (common, single, change) = match self.prior {
@@ -180,7 +185,7 @@ impl Correction {
                 } else {
                     FITTED_SD
                 };
-                // A model that was fitted here is right on the whole; it is wrong about single scenes.
+                // A model fitted on this machine has the right speed; its errors are those of single scenes.
                 let single = FITTED_SHARE * sd * sd;
                 let common = if matches!(self.prior, Prior::Converted { .. }) { OPEN } else { single };
                 (common, single, sd * sd)
@@ -205,45 +210,45 @@ impl Correction {
         self.age = 0;
     }
 
-    /// The factor that each part is corrected by in every scene.
+    /// Correction factor of each term, common to all scenes.
     #[cfg(test)]
     pub(crate) fn factors(&self) -> [f64; TERMS] {
         core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// Whether the scene at hand has been seen for some frames.
+    /// True where the present scene has been seen for some frames.
     pub(crate) fn settled(&self) -> bool {
         self.age > SETTLED + 1
     }
 
-    /// True if the observation before began or ended a load, or was so fast that it was taken whole. Then frames
-    /// before it say nothing of the next one.
+    /// True where the last observation began or ended a load, or was so fast that it was applied without
+    /// clipping. Earlier frames then do not predict the next one.
     pub(crate) fn jumped(&self) -> bool {
         self.jumped
     }
 
-    /// True while other programs change the machine's pace, as far as times tell.
+    /// True while other programs change the machine's pace, as far as times show.
     fn loaded(&self) -> bool {
         self.load != 0.0
     }
 
-    /// Share of a calm frame's error that the scene's own factor takes up.
+    /// Share of a calm frame's error that is added to the scene's own factor.
     fn gain(&self) -> f64 {
         self.constants.gain.clamp(GAIN.0, GAIN.1)
     }
 
-    /// Variance of ln t between equal frames, stalls left out.
+    /// Variance of ln t among equal frames, without stalls.
     fn noise(&self) -> f64 {
         self.spread * (1.0 - self.gain())
     }
 
-    /// Variance of ln t between equal frames, stalls included.
+    /// Variance of ln t among equal frames, including stalls.
     fn noise_of_all(&self) -> f64 {
         self.spread_of_all * (1.0 - self.gain())
     }
 
-    /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says
-    /// nothing about it.
+    /// Advances by one frame. `novelty` is 0 where the frame continues the one before, 1 where it is
+    /// unrelated to it.
     pub(crate) fn advance(&mut self, novelty: f64) {
         let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
         let keep = 1.0 - novelty;
@@ -252,7 +257,7 @@ impl Correction {
             self.covariance[i][LOCAL] *= keep;
             self.covariance[LOCAL][i] *= keep;
         }
-        // b wanders only while it is followed.
+        // b is a random walk, except during a load, when it is not updated.
         let wander = if self.loaded() { 0.0 } else { keep * self.spread * self.gain() * self.gain() };
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
         self.widen(DRIFT, DRIFT_SINGLE);
@@ -264,7 +269,7 @@ impl Correction {
         self.recover();
     }
 
-    /// The corrected time of a prediction in parts.
+    /// Corrects a prediction.
     pub(crate) fn apply(&self, terms: &CostTerms) -> Corrected {
         let (seconds, shares) = self.shares(terms, true);
         let model = self.model_variance(&shares);
@@ -275,9 +280,9 @@ impl Correction {
         }
     }
 
-    /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called
-    /// for. `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
-    /// ln(observed / corrected prediction) in standard deviations, before learning.
+    /// Updates the filter by the observed time (finite and positive) of a frame for which
+    /// [`Correction::advance`] was called. `trust` in (0, 1] weakens an observation that may include other
+    /// work. Returns the error ln(observed / corrected prediction) before the update, in standard deviations.
     pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
         let c = self.constants;
         let this_scene = standing != Standing::Past;
@@ -310,9 +315,10 @@ impl Correction {
             return normalized;
         }
         let error = free - self.load;
-        // A frame that was faster than expected is more often luck than one that was slower is misfortune.
+        // The distribution of errors is skewed: frames faster than expected are clipped earlier than slower
+        // ones.
         let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
-        // What is left after the model's own uncertainty is noise (calm) or the effect of a change.
+        // The part beyond the model's own variance is noise (calm frames) or the effect of a change.
         let squared = (error * error).min(CLIP * CLIP * sd * sd);
         if standing == Standing::First {
             if self.observations > 0 {
@@ -324,7 +330,7 @@ impl Correction {
         } else if calm && self.off == 0 && !self.jumped {
             self.spread = self.follow(self.spread, squared);
         }
-        // Kalman step.
+        // Kalman update.
         let variance = model + noise;
         let mut ps = [0.0f64; STATES];
         for i in 0..STATES {
@@ -343,17 +349,17 @@ impl Correction {
         normalized
     }
 
-    /// A mean square error that has seen one more.
+    /// Updates a mean squared error by one more squared error.
     fn follow(&self, spread: f64, squared: f64) -> f64 {
         let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(SPREAD_PACE, FASTEST_PACE);
         (spread + pace * (squared.min(SQUARE_LIMIT * spread) - spread)).clamp(SPREAD.0, SPREAD.1)
     }
 
-    /// Begins, moves or ends the load by ln(observed / expected without one) and that expectation's standard
-    /// deviation. Whether the scene alone has become faster.
+    /// Begins, moves or ends the load. `free` is ln(observed / expected without load), `sd` the expectation's
+    /// standard deviation. Returns true where the scene alone has become faster.
     fn judge(&mut self, free: f64, sd: f64) -> bool {
         let with = free - self.load;
-        // Of a load that has lasted n frames, the odds that it goes on are n to 1 (Laplace's rule of succession).
+        // After n frames of a load, the odds that it continues are n to 1 (Laplace's rule of succession).
         if self.loaded() && with * with - free * free > 2.0 * sd * sd * libm::log(self.loaded as f64) {
             self.pace(0.0);
             return false;
@@ -376,7 +382,7 @@ impl Correction {
             self.loaded = self.loaded.saturating_add(1);
             let mean = self.load + with / (self.loaded as f64).min(LOAD_FRAMES);
             self.load = mean.clamp(-STATE_LIMIT, STATE_LIMIT);
-            // Not at the first frame of a scene, from which that scene learns as well.
+            // Not at the first frame of a scene, whose error updates the scene as well.
             if self.loaded > ESTABLISHED && self.age > 1 {
                 for i in 0..TERMS {
                     self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);
@@ -388,14 +394,14 @@ impl Correction {
         false
     }
 
-    /// Another load, from the frame observed last on.
+    /// Sets another load, from the last observed frame on.
     fn pace(&mut self, load: f64) {
         self.load = load;
         self.loaded = u64::from(load != 0.0);
         (self.off, self.jumped) = (0, true);
     }
 
-    /// The corrected time, and its derivative in ln t by each state.
+    /// The corrected time, and the derivatives of ln t with respect to the states.
     fn shares(&self, terms: &CostTerms, this_scene: bool) -> (f64, [f64; STATES]) {
         let mut parts = [0.0f64; STATES];
         let mut sum = 0.0;
@@ -426,7 +432,7 @@ impl Correction {
         v.max(0.0)
     }
 
-    /// Less certainty about θ.
+    /// Increases the variance of θ.
     fn widen(&mut self, common: f64, single: f64) {
         for i in 0..TERMS {
             for j in 0..TERMS {
@@ -435,7 +441,7 @@ impl Correction {
         }
     }
 
-    /// Keeps the covariance symmetric, positive on its diagonal, and bounded.
+    /// Keeps the covariance symmetric, bounded, and positive on its diagonal.
     fn tidy(&mut self) {
         for i in 0..STATES {
             for j in 0..i {
@@ -447,13 +453,13 @@ impl Correction {
         for i in 0..STATES {
             let d = self.covariance[i][i];
             if d > MAX_VARIANCE {
-                // Scaling row and column keeps correlations as they are.
+                // Scaling row and column keeps the correlations.
                 let s = libm::sqrt(MAX_VARIANCE / d);
                 for j in 0..STATES {
                     self.covariance[i][j] *= s;
                     self.covariance[j][i] *= s;
                 }
-                // Not a rounding error more, so that what was bounded once stays as it is.
+                // Set exactly, without rounding error, so that a bounded variance stays unchanged afterwards.
                 self.covariance[i][i] = MAX_VARIANCE;
             } else if d < 1.0e-9 {
                 self.covariance[i][i] = 1.0e-9;
@@ -461,7 +467,7 @@ impl Correction {
         }
     }
 
-    /// Forgets everything where a number is not finite: no observation brings such a filter back.
+    /// Forgets all observations where a value is not finite: no observation would repair such a filter.
     fn recover(&mut self) {
         let rest = [self.spread, self.spread_of_all, self.change, self.load];
         let mut numbers = self.state.iter().chain(self.covariance.iter().flatten()).chain(&rest);
@@ -470,7 +476,7 @@ impl Correction {
         }
     }
 
-    /// Whether the covariance is one: positive definite, to a millionth of its diagonal (Cholesky).
+    /// True where the covariance is positive definite, to a millionth of its diagonal (Cholesky).
     fn is_definite(&self) -> bool {
         const TOLERANCE: f64 = 1.0e-6;
         let mut low = self.covariance;
@@ -600,14 +606,14 @@ mod tests {
                 correction.advance([0.0, 0.0, 0.0, 0.3, 1.0][frame as usize % 5]);
                 let seconds = if frame / 400 % 2 == 0 { 0.01 } else { 3.0 } * (1.0 + (frame % 7) as f64);
                 let standing = if frame % 5 == 4 { Standing::First } else { Standing::Same };
-                // The same make-up for long: the filter becomes sure of one direction alone.
+                // The same mix of terms for long: the filter becomes certain in one direction only.
                 correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
                 let bytes = saved(&correction);
                 let mut other = Correction::new(prior, CorrectionConstants::default());
                 other.load(&mut Reader(&bytes)).unwrap();
                 assert_eq!(other.observations, correction.observations, "frame {frame}");
             }
-            // Every variance stays as it is; two states are more than fully correlated.
+            // Every variance stays as it is; two states get a correlation above 1.
             for sign in [-1.0, 1.0] {
                 let mut broken = correction.clone();
                 let bound = libm::sqrt(broken.covariance[0][0] * broken.covariance[4][4]);

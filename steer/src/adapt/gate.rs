@@ -1,21 +1,21 @@
-//! Which timings are believed.
+//! Validation of observed times.
 
 use entire_core::names;
 use entire_core::{Error, ErrorKind, Result};
 
 use crate::predict::LONGEST_FRAME;
 
-/// What became of an observation. Stable numbers: they are part of the C ABI.
+/// Result of an observation. The numbers are stable: they are part of the C ABI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[repr(u32)]
 pub enum Verdict {
-    /// Learned from.
+    /// The correction was updated.
     Learned = 0,
-    /// Far from what was expected: its pull was clipped.
+    /// Far from the expected time: the error was clipped before the update.
     Clipped = 1,
-    /// Taken note of, not learned from: the caller said that it is unusual, or cancelled it no later than it
-    /// was expected to end.
+    /// Accepted without an update: the caller marked the time as unusual, or cancelled the frame no later
+    /// than its expected end.
     Ignored = 2,
 }
 
@@ -25,17 +25,17 @@ names! { Verdict:
     Ignored "ignored",
 }
 
-/// What the caller knows about an observation.
+/// Flags of an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ObserveFlags {
-    /// The time holds work that is not the frame's (a compile, an upload, a stall): note it, do not learn
+    /// The time includes work that is not the frame's (a compilation, an upload, a stall): nothing is learned
     /// from it.
     pub unusual: bool,
-    /// The frame was abandoned before it was complete; its time says only that it takes at least that long.
+    /// The frame was abandoned before it was complete; its time is a lower bound.
     pub cancelled: bool,
 }
 
-/// Checks that a time can be a frame's.
+/// Checks that a time is a valid frame time.
 ///
 /// # Errors
 /// [`crate::ErrorKind::RejectedObservation`] unless it is finite, positive and at most [`LONGEST_FRAME`].

@@ -1,11 +1,11 @@
-//! An upper-bound margin that keeps its promised miss rate whatever the errors look like.
+//! An upper-bound margin that keeps a given miss rate for any distribution of errors.
 
 use super::state::{Reader, Writer};
 use entire_core::Result;
 
-/// Multiple of the expected error that an upper bound adds, moved after every frame so that the share of
-/// frames above the bound tends to the rate asked for (adaptive conformal inference: Gibbs and Candès 2021).
-/// O(1) state.
+/// Multiple of the expected error that an upper bound adds. It is adjusted after every frame so that the
+/// share of frames above the bound tends to the requested rate (adaptive conformal inference: Gibbs and
+/// Candès 2021). O(1) state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Margin {
     z: f64,
@@ -13,13 +13,14 @@ pub(crate) struct Margin {
     pace: f64,
 }
 
-/// Guards: below, a bound would hardly exceed what is expected; beyond, no finite multiple was missing.
+/// Guards of the multiple: below, the bound would hardly exceed the expectation; above, errors are not a
+/// matter of the margin.
 const LOW: f64 = 0.5;
 const HIGH: f64 = 8.0;
 
 impl Margin {
-    /// A margin that aims at a miss rate in (0, 0.5] from a multiple on, which is clamped to 0.5…8; so are
-    /// out-of-range rates.
+    /// A margin for a miss rate in (0, 0.5], starting at `multiple`, which is clamped to 0.5…8; rates outside
+    /// their range are clamped too.
     pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
@@ -32,7 +33,7 @@ impl Margin {
         self.z
     }
 
-    /// Takes note of an error in units of what was expected of it (positive: slower than predicted).
+    /// Adjusts the multiple by an error in units of its expectation (positive: slower than predicted).
     pub(crate) fn observe(&mut self, normalized_error: f64) {
         if normalized_error.is_nan() {
             return;
@@ -57,7 +58,7 @@ mod tests {
 
     #[test]
     fn the_miss_rate_tends_to_the_rate_asked_for() {
-        // Heavy-tailed errors from a fixed generator: the promise does not depend on their shape.
+        // Heavy-tailed errors from a fixed generator: the miss rate does not depend on the distribution.
         for rate in [0.03f32, 0.05, 0.2] {
             let mut margin = Margin::starting_at(2.0, rate, 0.1);
             let mut state = 1u64;

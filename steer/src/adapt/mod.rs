@@ -1,5 +1,5 @@
-//! Observations and what they teach: correction of each part of the cost, margin, drift, and the refusal of
-//! broken timings.
+//! Learning from observations: correction of each term of the cost, margin, drift, and rejection of invalid
+//! times.
 
 mod constants;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]

@@ -1,10 +1,10 @@
-//! Saved state as bytes: little-endian numbers behind a tag, checked when read.
+//! Saved state as bytes: little-endian numbers after a tag, checked when read.
 
 use alloc::vec::Vec;
 use entire_core::bail;
 use entire_core::{Error, ErrorKind, Result};
 
-/// Appends numbers to a byte string.
+/// Appends numbers to a byte vector.
 pub(crate) struct Writer<'a>(pub(crate) &'a mut Vec<u8>);
 
 impl Writer<'_> {
@@ -30,16 +30,16 @@ impl Writer<'_> {
     }
 }
 
-/// Appends the checksum of everything before it (CRC-32).
+/// Appends a CRC-32 checksum of the bytes.
 pub(crate) fn seal(bytes: &mut Vec<u8>) {
     let sum = crc32fast::hash(bytes);
     bytes.extend_from_slice(&sum.to_le_bytes());
 }
 
-/// The bytes without the checksum that [`seal`] appended.
+/// Checks and removes the checksum appended by [`seal`].
 ///
 /// # Errors
-/// [`ErrorKind::InvalidArgument`] for a checksum that does not fit.
+/// [`ErrorKind::InvalidArgument`] for bytes cut short or a wrong checksum.
 pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
     let Some((body, sum)) = bytes.split_last_chunk::<4>() else {
         bail!(InvalidArgument, "the saved state is cut short: it has {} bytes", bytes.len());
@@ -55,7 +55,7 @@ pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
     Ok(body)
 }
 
-/// Reads them back.
+/// Reads the numbers of a [`Writer`].
 pub(crate) struct Reader<'a>(pub(crate) &'a [u8]);
 
 impl Reader<'_> {
@@ -88,7 +88,7 @@ impl Reader<'_> {
         Ok(u64::from_le_bytes(self.take()?))
     }
 
-    /// Text of at most `limit` bytes.
+    /// Reads text of at most `limit` bytes.
     pub(crate) fn text(&mut self, limit: usize) -> Result<&str> {
         let length = self.u64()?;
         let split =
@@ -103,7 +103,7 @@ impl Reader<'_> {
         }
     }
 
-    /// A finite number within bounds.
+    /// Reads a finite number within bounds.
     pub(crate) fn f64(&mut self, low: f64, high: f64) -> Result<f64> {
         let v = f64::from_bits(self.u64()?);
         if (low..=high).contains(&v) {

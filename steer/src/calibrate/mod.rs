@@ -1,8 +1,8 @@
-//! Fitting a model to frames that were timed on the machine at hand.
+//! Fits a model to frames timed on the present machine.
 //!
-//! A [`Calibration`] keeps timed frames and fits a model of another machine to them. A session
-//! fills one from what it observes ([`crate::Session::record`]), so that a host never leaves its render
-//! loop. [`PriorModel::choose`] is the fit itself.
+//! A [`Calibration`] keeps timed frames and fits a model of another machine to them. A session fills one from
+//! its observations ([`crate::Session::record`]), so that a host never leaves its render loop.
+//! [`PriorModel::choose`] is the fit.
 
 mod pictures;
 mod posterior;
@@ -27,43 +27,42 @@ use entire_core::names;
 use entire_core::scene::TransferTable;
 use posterior::FEWEST_GROUPS;
 
-/// Fewest frames that a model is fitted to.
+/// Smallest number of frames that a model is fitted to.
 pub const FEWEST_FRAMES: usize = 8;
 
-/// How many frames a [`Calibration`] may keep.
+/// Range of the number of frames that a [`Calibration`] may keep.
 pub const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
 
-/// Stretches of time that are left out in turn where there are too few volumes and transfer functions.
+/// Number of time intervals for cross-validation, where there are too few volumes and transfer functions.
 const STRETCHES: u64 = 5;
 
-/// What a timed frame showed: frames of one volume have one number, and so have those of one transfer
-/// function.
+/// Scene of a timed frame: hashes of its volume and its transfer function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Shown {
-    /// The volume's number.
+    /// Hash of the volume.
     pub volume: u64,
-    /// The transfer function's number.
+    /// Hash of the transfer function.
     pub transfer: u64,
 }
 
 impl Shown {
-    /// Numbers that the same volume and the same transfer function have again, and hardly others.
+    /// Hashes of a volume and a transfer function; collisions are very unlikely.
     pub fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
         Self { volume: volume.fingerprint(), transfer: transfer.fingerprint() }
     }
 }
 
-/// Frames that were left out in turn to find the error to expect.
+/// Groups of frames held out in cross-validation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum HeldOut {
-    /// Nothing: there were too few frames. The error is that of frames that the model was fitted to.
+    /// None: there were too few frames. The error is that of the frames that the model was fitted to.
     Nothing = 0,
-    /// Volumes: the error to expect is that of other volumes.
+    /// Volumes: the error is that expected for other volumes.
     Volumes = 1,
-    /// Transfer functions: the error to expect is that of the same volumes under other transfer functions.
+    /// Transfer functions: the error is that expected for the same volumes under other transfer functions.
     TransferFunctions = 2,
-    /// Stretches of time: the error to expect is that of other views of what was shown.
+    /// Time intervals: the error is that expected for other views of the same scenes.
     Stretches = 3,
 }
 
@@ -74,34 +73,34 @@ names! { HeldOut:
     Stretches "stretches of time",
 }
 
-/// A model that was fitted to a [`Calibration`]'s frames.
+/// A model fitted to a [`Calibration`]'s frames.
 #[derive(Clone, Debug)]
 pub struct Calibrated {
     /// The model file.
     pub file: ModelFile,
-    /// Frames that it was fitted to.
+    /// Number of frames that it was fitted to.
     pub frames: usize,
-    /// What the errors below were found by leaving out.
+    /// Groups held out for the errors below.
     pub held_out: HeldOut,
-    /// Median of |predicted / measured − 1| over frames that were left out.
+    /// Median of |predicted / measured − 1| over held-out frames.
     pub median_error: f64,
-    /// Root of their mean squared error over the standard deviation of their times.
+    /// RMSE of held-out frames over the standard deviation of their times.
     pub rmse_over_sd: f64,
-    /// The upper bound that they give.
+    /// Upper bound from the held-out frames.
     pub upper: UpperBound,
-    /// What pictures said of coarser steps and smaller images, where enough of them were added.
+    /// Picture quality law, where enough pictures were added.
     pub quality: Option<FittedQuality>,
 }
 
-/// Timed frames of one renderer, as many as there is room for: once it is full, each new one takes the place
-/// of another, so that those kept are a fair sample of all.
+/// Timed frames of one renderer, up to a capacity: once it is full, new frames replace others at random, so
+/// that the kept ones are a fair sample of all.
 #[derive(Clone, Debug)]
 pub struct Calibration {
     prior: PriorModel,
-    /// Inputs of the kept frames, one row after the other.
+    /// Inputs of the kept frames, row by row.
     rows: Vec<f32>,
     kept: Vec<Kept>,
-    /// Where a row is written.
+    /// Buffer of one row.
     row: Vec<f32>,
     capacity: usize,
     offered: u64,
@@ -113,17 +112,17 @@ struct Kept {
     work: [f64; COSTS],
     seconds: f64,
     shown: Shown,
-    /// How many were offered before.
+    /// Number of frames offered before this one.
     order: u64,
 }
 
 impl Calibration {
-    /// With room for `frames`, [`KEPT_FRAMES`]; nothing is allocated afterwards but by [`Calibration::fit`].
-    /// `prior` is a model of another machine or renderer, analytic, or analytic times a learned factor; without one,
-    /// the unit costs of a software renderer are where the fit begins.
+    /// A calibration with room for `frames`, within [`KEPT_FRAMES`]; afterwards only [`Calibration::fit`]
+    /// allocates. `prior` is a model of another machine or renderer, analytic, or analytic times a learned
+    /// factor; without one, the fit starts from the unit costs of a software renderer.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for another number of frames,
+    /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
     /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
     pub fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
         if !KEPT_FRAMES.contains(&frames) {
@@ -143,17 +142,17 @@ impl Calibration {
         Ok(Self { rows, row, kept: room(frames)?, capacity: frames, offered: 0, prior, pictures: Vec::new() })
     }
 
-    /// The model that calibration starts from.
+    /// The model from which the fit starts.
     pub fn prior(&self) -> &PriorModel {
         &self.prior
     }
 
-    /// Frames that are kept.
+    /// Number of kept frames.
     pub fn len(&self) -> usize {
         self.kept.len()
     }
 
-    /// Whether none is.
+    /// True where no frame is kept.
     pub fn is_empty(&self) -> bool {
         self.kept.is_empty()
     }
@@ -162,8 +161,8 @@ impl Calibration {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`],
-    /// [`crate::ErrorKind::MissingInput`] when the prior needs an input that was not supplied. Nothing is
-    /// added then.
+    /// [`crate::ErrorKind::MissingInput`] where the prior needs an input that was not supplied. Nothing is
+    /// added in these cases.
     pub fn add(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
             bail!(InvalidArgument, "a frame took {seconds} seconds; 0 to {LONGEST_FRAME} are accepted");
@@ -178,9 +177,9 @@ impl Calibration {
         written
     }
 
-    /// Adds a picture that was compared with the same view at full quality: [`Calibration::fit`] then says in the
-    /// model what coarser steps and smaller images cost ([`fit_quality`]), where at least [`FEWEST_SCENES`] scenes
-    /// were drawn at the same settings. The first 65 536 are kept.
+    /// Adds a picture that was compared with the same view at full quality. [`Calibration::fit`] then stores
+    /// a picture quality law in the model ([`fit_quality`]), where at least [`FEWEST_SCENES`] scenes were
+    /// drawn at the same settings. The first 65 536 are kept.
     ///
     /// # Errors
     /// As [`Picture::check`], and [`crate::ErrorKind::OutOfMemory`].
@@ -194,10 +193,10 @@ impl Calibration {
         Ok(())
     }
 
-    /// As [`Calibration::add`], of a frame whose row and work were written before.
+    /// As [`Calibration::add`], for a frame whose row and work are already computed.
     pub(crate) fn add_written(&mut self, row: &[f32], work: &[f64; COSTS], shown: Shown, seconds: f64) {
         let frame = Kept { work: *work, seconds, shown, order: self.offered };
-        // Each of all frames offered stays with the same probability.
+        // Reservoir sampling: every offered frame is kept with the same probability.
         let drawn = (mixed(0, self.offered) % (self.offered + 1)) as usize;
         self.offered += 1;
         if self.kept.len() < self.capacity {
@@ -209,7 +208,7 @@ impl Calibration {
         }
     }
 
-    /// What is left out together, by frame, and what it is.
+    /// Groups to hold out: their kind, and the group of each frame.
     fn groups(&self) -> (HeldOut, Vec<u64>) {
         let distinct = |numbers: &[u64]| {
             let mut sorted = numbers.to_vec();
@@ -229,15 +228,15 @@ impl Calibration {
         if self.kept.len() < 3 * STRETCHES as usize {
             return (HeldOut::Nothing, volumes.iter().map(|_| 0).collect());
         }
-        // Frames that follow each other are alike: whole stretches are left out.
+        // Consecutive frames are similar, so whole intervals are held out.
         let last = self.kept.iter().map(|k| k.order).max().unwrap_or(0);
         let first = self.kept.iter().map(|k| k.order).min().unwrap_or(0);
         let stretch = |k: &Kept| STRETCHES * (k.order - first) / (last - first + 1);
         (HeldOut::Stretches, self.kept.iter().map(stretch).collect())
     }
 
-    /// Fits a model to the frames: a second or less for 500 of them on one thread. `source` names the renderer
-    /// and the clock of their times, and stands in the file.
+    /// Fits a model to the frames; 500 of them take a second or less on one thread. `source` names the
+    /// renderer and the clock of their times, and is stored in the file.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`].
@@ -250,7 +249,7 @@ impl Calibration {
                 self.kept.len()
             );
         }
-        // The fit asks for memory piece by piece: whether it is there is found out first.
+        // The fit makes many small allocations that cannot fail, so their total is checked first.
         let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.width() + 512);
         drop(room::<u8>(pieces)?);
         let (held_out, groups) = self.groups();
@@ -263,7 +262,7 @@ impl Calibration {
             .enumerate()
             .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
             .collect();
-        // A renderer that nothing is known of may convert stored values.
+        // An unknown renderer may convert stored values.
         let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, executor)?;
         let pairs: Vec<(f64, f64)> =
             chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();
@@ -275,7 +274,7 @@ impl Calibration {
             median_error: median(&mut errors).unwrap_or(f64::NAN),
             rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
             upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
-            // Too few scenes say nothing: the model then states nothing of pictures.
+            // With too few scenes, the model has no law.
             quality: fit_quality(&self.pictures).ok(),
         };
         out.write_metadata(source)?;
@@ -284,10 +283,10 @@ impl Calibration {
 }
 
 impl Calibrated {
-    /// What the file says of itself.
+    /// Writes the file's metadata.
     fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
         self.upper.store(&mut self.file)?;
-        // What the prior knows is of another renderer's pictures.
+        // The prior's law belongs to another renderer.
         self.file.metadata.remove(Key::Quality.name());
         if let Some(fitted) = &self.quality {
             fitted.quality.store(&mut self.file)?;
@@ -297,7 +296,7 @@ impl Calibrated {
         metadata.insert(Key::Renderer.into(), stated(renderer));
         metadata.insert(Key::Device.into(), stated(""));
         metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
-        // Programs that check clocks know these.
+        // Names of clocks that programs compare.
         if ["cpu", "wall", "device"].contains(&clock) {
             metadata.insert(Key::Clock.into(), clock.into());
         } else {

@@ -1,9 +1,9 @@
-//! What coarser steps and smaller images cost a renderer's pictures, fitted to compared pictures.
+//! Fits the picture quality law to compared pictures.
 //!
-//! The law of [`Quality`] is fitted in two parts. Time over that of full quality gives the share of rays.
-//! The picture's distance from full quality, to any power, gives the weight and the exponents: by least
-//! squares in logarithms of the means over scenes, then moved to where choosing by the law costs least among
-//! what was drawn.
+//! The law of [`Quality`] is fitted in two parts. Times, relative to full quality, give the share of rays.
+//! Errors, up to a power, give the weight and the exponents: by least squares on the logarithms of the means
+//! over scenes, followed by a search for the parameters whose choices have the smallest errors among the
+//! drawn settings.
 
 use crate::numeric::{median, solve};
 use crate::predict::Quality;
@@ -14,52 +14,53 @@ use entire_core::Result;
 use entire_core::bail;
 use serde::Serialize;
 
-/// Fewest scenes that a law is fitted to.
+/// Smallest number of scenes for a fit.
 pub const FEWEST_SCENES: usize = 3;
 
-/// Pictures that take more than this share of the time of full quality do not count in the error's law: so
-/// near to it colors differ by their rounding alone.
+/// Largest time, as a share of that at full quality, of a picture that counts in the fit of the error: closer
+/// to full quality, colors differ by rounding only.
 const LONGEST: f64 = 0.75;
 
-/// Image sample distances of a path are powers of this, and its c is gone along in such factors.
+/// Ratio of successive image sample distances of a path, and of successive values of c at which it is
+/// evaluated.
 const RATIO: f64 = 1.2;
 const FINER: f64 = 1.03;
 
-/// How much nearer to full quality than what was drawn next to it full quality itself counts as, in ln of the
-/// error: equal pictures have no logarithm.
+/// Difference in ln(error) assumed between full quality and the setting next to it, since an error of 0 has
+/// no logarithm.
 const FULL: f64 = 3.0;
 
-/// Shares of the time of full quality at which choices by the law are judged: from, to, apart.
+/// Shares of the time of full quality at which choices by the law are evaluated: start, end, increment.
 const SHARES: (f64, f64, f64) = (0.2, LONGEST, 0.025);
 
-/// Least distance from full quality: equal pictures have no logarithm.
+/// Smallest error, since an error of 0 has no logarithm.
 const LEAST_ERROR: f64 = 1.0e-7;
 
-/// What a law's own misfit weighs against what choices by it cost.
+/// Weight of the law's misfit relative to the excess error of its choices.
 const MISFIT: f64 = 0.1;
 
-/// One picture that was compared with the same view at full quality.
+/// One picture, compared with the same view at full quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Picture {
-    /// What is shown, from where: pictures of one view have one number.
+    /// Number of the view: scene and camera.
     pub scene: u64,
-    /// Ray step, finest ones: 1 for full quality.
+    /// Ray step in finest steps; 1 for full quality.
     pub step: f32,
     /// Pixels between neighboring rays along each side: 1 for full quality.
     pub distance: f32,
-    /// Seconds that it took.
+    /// Seconds of the drawing.
     pub seconds: f64,
-    /// How far it lies from the picture at full quality by any measure that is 0 for equal pictures and grows:
-    /// root mean squared difference, 1 − SSIM.
+    /// Difference from the picture at full quality, by any measure that is 0 for equal pictures and grows
+    /// with the difference: root mean squared difference, 1 − SSIM.
     pub error: f64,
 }
 
 impl Picture {
-    /// Checks the numbers.
+    /// Checks the values.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless step and distance are 1 at least, seconds positive and the error
-    /// not negative, all finite.
+    /// [`crate::ErrorKind::InvalidArgument`] unless step and distance are at least 1, seconds positive and
+    /// the error not negative, all finite.
     pub fn check(&self) -> Result<()> {
         let Self { scene, step, distance, seconds, error } = self;
         let sound = *step >= 1.0 && step.is_finite() && *distance >= 1.0 && distance.is_finite();
@@ -75,36 +76,37 @@ impl Picture {
     }
 }
 
-/// A law that was fitted to pictures.
+/// A law fitted to pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FittedQuality {
     /// The law.
     pub quality: Quality,
-    /// Scenes that it was fitted to: those that were drawn at every setting.
+    /// Number of scenes in the fit: those drawn at every setting.
     pub scenes: usize,
-    /// Settings of each.
+    /// Number of settings per scene.
     pub settings: usize,
-    /// What its choices cost, over the best of all that was drawn at the same share of the time: mean ratio of the
-    /// errors, at least 1.
+    /// Excess error of the law's choices: mean ratio of their error to the smallest one among the drawn
+    /// settings at the same share of the time; at least 1.
     pub over_best: f64,
-    /// The same of the ray step alone, at the shares that it reaches; `None` where it reaches none of those that count.
+    /// The same ratio for coarsening the ray step alone, over the shares that it reaches; `None` where it
+    /// reaches none.
     pub step_over_best: Option<f64>,
-    /// Share of the time of full quality that the coarsest step alone takes.
+    /// Share of the time of full quality at the coarsest step and full image size.
     pub step_least_time: f64,
 }
 
-/// A step with ln of time over that of full quality and ln of the error, means over scenes.
+/// A step, ln of the relative time and ln of the error, both means over scenes.
 type Point = (f64, f64, f64);
 
-/// An image sample distance with its steps, ascending.
+/// An image sample distance and its steps, ascending.
 type Line = (f64, Vec<Point>);
 
-/// Seconds of every drawing, and the error, by bits of distance and step.
+/// Seconds of every drawing, and the error, keyed by the bits of distance and step.
 type Settings = BTreeMap<(u32, u32), (Vec<f64>, f64)>;
 
-/// What the fit needs: by setting, ln of time over that of full quality and ln of the error, means over scenes.
+/// Table for the fit: by setting, ln of the relative time and ln of the error, means over scenes.
 struct Grid {
-    /// Image sample distances, ascending, each with its steps, ascending, and their two logarithms.
+    /// Image sample distances, ascending, with their points.
     lines: Vec<Line>,
 }
 
@@ -113,8 +115,8 @@ impl Grid {
         self.lines.iter().flat_map(|(d, line)| line.iter().map(|&(s, time, error)| (s, *d, time, error)))
     }
 
-    /// ln of time over that of full quality and ln of the error at a setting, by straight lines between what was
-    /// drawn.
+    /// ln of the relative time and ln of the error at a setting, interpolated linearly between drawn
+    /// settings.
     fn at(&self, step: f64, distance: f64) -> (f64, f64) {
         let along = |line: &[Point]| {
             let mut before = line[0];
@@ -141,8 +143,7 @@ impl Grid {
         )
     }
 
-    /// What is drawn at c = step · distance² along the path that a law lays: its ln of time and of error, for c
-    /// from 1 on, ascending.
+    /// ln of time and of error along the path of a law, for c = step · distance² ascending from 1.
     fn path(&self, law: &Quality) -> Vec<(f64, f64)> {
         let largest = self.lines.last().map_or(1.0, |l| l.0);
         let coarsest = self.lines[0].1.last().map_or(1.0, |p| p.0);
@@ -160,19 +161,19 @@ impl Grid {
     }
 }
 
-/// Powers of a number from 1 up to an end.
+/// Powers of `of` from 1 up to `end`.
 fn powers(of: f64, end: f64) -> Vec<f64> {
     (0..).map(|i| libm::pow(of, f64::from(i))).take_while(|v| *v <= end * 1.001).collect()
 }
 
-/// Time and error on the line between two points.
+/// Linear interpolation of time and error between two points.
 fn between(x: f64, a: (f64, Point), b: (f64, Point)) -> (f64, f64) {
     let part = if b.0 > a.0 { ((x - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 1.0 };
     (a.1.1 + part * (b.1.1 - a.1.1), a.1.2 + part * (b.1.2 - a.1.2))
 }
 
-/// The least ln of the error among points that take no longer than each share of the time of full quality, or, along
-/// a path, that of the first which does.
+/// Smallest ln(error) among the points within each share of the time of full quality; along a path, the error
+/// of the first such point.
 fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
     let at = |share: &f64| {
         let mut fitting = points.iter().filter(|p| p.0 <= libm::log(*share)).map(|p| p.1);
@@ -181,12 +182,12 @@ fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
     shares.iter().map(|share| at(share).unwrap_or(f64::INFINITY)).collect()
 }
 
-/// Fits the law to pictures: each scene drawn at the same settings, full quality among them, some at coarser
-/// steps and some of smaller images. Scenes that lack a setting which most have are passed over.
+/// Fits the law to pictures. Every scene must be drawn at the same settings: full quality, coarser steps, and
+/// smaller images. Scenes that lack a setting which most have are ignored.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for numbers that are not finite or out of order, and where fewer than
-/// [`FEWEST_SCENES`] scenes, or no two steps and no two distances, are there.
+/// [`crate::ErrorKind::InvalidArgument`] for invalid values, and for fewer than [`FEWEST_SCENES`] scenes, two
+/// steps or two distances.
 pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     let (grid, scenes) = grid_of(pictures)?;
     let settings = grid.points().count();
@@ -209,7 +210,7 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
             counted.len()
         );
     }
-    // Errors may add up in any power: the law's logarithm times a slope.
+    // Errors may be measured to any power: the law's logarithm times a fitted slope.
     let off = |v: &[f64; 3]| {
         let law = law(v);
         let model: Vec<f64> = counted.iter().map(|&(s, d, _)| libm::log(law.error(s, d))).collect();
@@ -222,7 +223,7 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     };
     let shares: Vec<f64> =
         (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect();
-    // Every step at every distance that a path has.
+    // Every step at every distance of a path.
     let largest = grid.lines.last().map_or(1.0, |l| l.0);
     let steps = powers(FINER, grid.lines[0].1.last().map_or(1.0, |p| p.0));
     let all: Vec<(f64, f64)> = powers(RATIO, largest)
@@ -231,7 +232,7 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
         .map(|(s, d)| grid.at(s, d))
         .collect();
     let best = at_shares(&all, &shares, false);
-    // Mean ln of the error along a path over the best one.
+    // Mean ln of the ratio of a path's error to the smallest one.
     let over_best = |path: &[(f64, f64)]| {
         let own = at_shares(path, &shares, true);
         let both = own.iter().zip(&best).filter(|(own, best)| own.is_finite() && best.is_finite());
@@ -260,10 +261,10 @@ fn square(x: f64) -> f64 {
     x * x
 }
 
-/// Means over the scenes that were drawn at every setting, and how many these are.
+/// Means over the scenes that were drawn at every setting, and the number of these scenes.
 fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
     pictures.iter().try_for_each(Picture::check)?;
-    // Bits of positive numbers order as the numbers do.
+    // The bits of positive floats have the same order as the floats.
     let key = |p: &Picture| (p.distance.to_bits(), p.step.to_bits());
     let full = (1f32.to_bits(), 1f32.to_bits());
     let mut scenes: BTreeMap<u64, Settings> = BTreeMap::new();
@@ -315,7 +316,7 @@ fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
     Ok((Grid { lines }, count))
 }
 
-/// The least of a function between two ends: of 181 values.
+/// Argument of a function's minimum among 181 values between two ends.
 fn least_on_line(low: f64, high: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     let at = |i: u32| low + (high - low) * f64::from(i) / 180.0;
     let mut best = (f64::INFINITY, low);
@@ -328,7 +329,7 @@ fn least_on_line(low: f64, high: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     best.1
 }
 
-/// The least of a function nearby, by steps along each axis that shrink where none helps.
+/// Argument of a local minimum: coordinate search with steps that shrink where none improves.
 fn descend(mut at: [f64; 3], rounds: usize, of: &dyn Fn(&[f64; 3]) -> f64) -> [f64; 3] {
     let mut reach = [0.5, 0.2, 0.2];
     let mut least = of(&at);
@@ -376,7 +377,7 @@ mod tests {
                         step,
                         distance,
                         seconds: 0.01 * (1.0 + scene as f64) * truth.time_share(s, d) * wobble(),
-                        // In the power of 1.4, in units of each scene.
+                        // To the power of 1.4, in another unit per scene.
                         error: (0.02 + 0.01 * scene as f64) * libm::pow(truth.error(s, d), 1.4) * wobble(),
                     });
                 }
@@ -393,7 +394,7 @@ mod tests {
         let near = |own: f32, wanted: f32| (own / wanted - 1.0).abs() < 0.02;
         assert!(near(q.image_weight, 5.0) && near(q.step_exponent, 1.2), "{found:?}");
         assert!(near(q.image_exponent, 0.9) && near(q.ray_share, 0.2), "{found:?}");
-        // Distances are drawn from powers of a ratio, so that the best is not met exactly.
+        // Distances are powers of a ratio, so the optimum is not met exactly.
         assert!(found.over_best < 1.05 && found.step_over_best.unwrap() > 1.1, "{found:?}");
     }
 

@@ -1,7 +1,8 @@
-//! Models of other machines fitted to frames of this one: unit costs, and where the prior has one the last layer of
-//! its learned factor, held near what they were as strongly as few frames need and as loosely as many allow.
+//! Fits a model of other machines to frames of this one: unit costs and, where the prior has one, the last
+//! layer of its learned factor, regularized towards the prior.
 //!
-//! The fit is [`CostFit`]'s; the factor's last layer is held within [`FACTOR_SD`] of its root mean square.
+//! The fit is [`CostFit`]'s; the prior of the factor's last layer has [`FACTOR_SD`] times its root mean
+//! square as standard deviation.
 
 use crate::features::{SceneFeature, SceneQuantity};
 use crate::numeric::{dot, median};
@@ -20,54 +21,55 @@ use entire_core::nn::{Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCA
 const NOT_A_PRIOR: &str = "a calibration starts from analytic models, or from one analytic model times a learned factor \
      (entire train --model-kind analytic and residual make them); give another, or none";
 
-/// Standard deviation of the logarithm of a unit cost that the prior does not know.
+/// Prior standard deviation of the logarithm of a unit cost that the prior model lacks.
 const UNKNOWN_SD: f64 = 1.5;
 
-/// Standard deviation of a weight of the factor's last layer, over their root mean square.
+/// Prior standard deviation of a weight of the factor's last layer, relative to their root mean square.
 const FACTOR_SD: f64 = 0.2;
 
-/// A cost that a machine's model has at 0, as a share of what a software renderer as fast pays: how far its frames
-/// could tell one kind of work from another says little of the next machine.
+/// Assumed value of a cost that is 0 in a machine's model, as a share of an equally fast software renderer's:
+/// a cost of 0 there means that its frames could not separate two kinds of work, which need not hold for the
+/// next machine.
 const ZERO_SHARE: f64 = 0.1;
 
-/// Parts for cross-validation at most, and groups of frames that it needs.
+/// Largest number of folds in cross-validation, and smallest number of groups of frames.
 const FOLDS: usize = 7;
 pub(super) const FEWEST_GROUPS: usize = 3;
 
-/// The models that a calibration starts from: unit costs, and at most one learned factor.
+/// Prior of a calibration: unit costs, and at most one learned factor.
 #[derive(Clone, Debug)]
 pub struct PriorModel {
     costs: [f64; COSTS],
     factor: Option<Factor>,
 }
 
-/// A learned factor, split into the last layer and the rest.
+/// A learned factor, split into its last layer and the rest.
 #[derive(Clone, Debug)]
 struct Factor {
     file: ModelFile,
     parts: PredNetParts,
     layout: InputLayout,
-    /// Mean and deviation of each input, and the deviation of the output.
+    /// Mean and standard deviation of each input, and the standard deviation of the output.
     inputs: Vec<(f64, f64)>,
     deviation: f64,
     weights: Vec<f64>,
-    /// ln t besides the estimate and the factor.
+    /// The part of ln t that is neither the estimate nor the last layer's weights.
     constant: f64,
     root_mean_square: f64,
-    /// Range that the factor's inputs are held within.
+    /// Range to which the factor's inputs are clamped.
     range: Option<InputRange>,
 }
 
-/// One frame, as the fit sees it.
+/// One frame of the fit.
 #[derive(Clone, Debug)]
 pub struct Observed {
-    /// Inputs of the prior's factor, in its order; empty where it has none.
+    /// Inputs of the prior's factor, in its order; empty where there is none.
     pub row: Vec<f32>,
     /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
-    /// Number of the frames that are left out together in cross-validation: that of their volume.
+    /// Group for cross-validation: frames of one volume are held out together.
     pub group: u64,
 }
 
@@ -76,10 +78,10 @@ pub struct Observed {
 pub struct Chosen {
     /// The model file.
     pub file: ModelFile,
-    /// Seconds that each frame was predicted to take by the fit to all groups but its own; as fitted where there are
-    /// fewer than three groups.
+    /// Cross-validated prediction of each frame in seconds, from the fit without its fold; the fitted one
+    /// where there are fewer than three groups.
     pub crossed: Vec<f64>,
-    /// Parts that were left out in turn; 0 where nothing was.
+    /// Number of folds; 0 without cross-validation.
     pub folds: usize,
 }
 
@@ -106,7 +108,7 @@ impl Factor {
             None => vec![(0.0, 1.0); layout.width()],
         };
         let deviation = parts.output.as_ref().and_then(|n| n.std.first()).map_or(1.0, |&s| f64::from(s));
-        // At the inputs' means every standardized input is 0, the estimate's too.
+        // At the inputs' means every standardized input is 0, including the estimate's.
         let mean: Vec<f32> = inputs.iter().map(|i| i.0 as f32).collect();
         let net = PredNet::new(parts)?;
         let total = libm::log(f64::from(net.predict(&mean, &mut net.scratch(1)?)));
@@ -126,7 +128,7 @@ impl Factor {
         Ok((out, costs))
     }
 
-    /// Values that enter the last layer, in units of the output.
+    /// Activations before the last layer, in units of the output.
     fn activations(&self, row: &[f32]) -> Vec<f64> {
         let mut held = row.to_vec();
         if let Some(range) = &self.range {
@@ -140,7 +142,7 @@ impl Factor {
         values
     }
 
-    /// The model file with fitted costs and last layer.
+    /// The model file with fitted costs and a fitted last layer.
     fn with(&self, fitted: &CostFit) -> Result<ModelFile> {
         let mut file = self.file.clone();
         let mut parts = self.parts.clone();
@@ -166,8 +168,8 @@ impl Default for PriorModel {
 }
 
 impl PriorModel {
-    /// From analytic models, of as many makes of machine as there are: the geometric mean of their unit costs; or
-    /// from one analytic model times a learned factor. From none, the unit costs of a software renderer.
+    /// The prior from analytic models of different machines, the geometric mean of their unit costs; or from
+    /// one analytic model times a learned factor. Without models, the unit costs of a software renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Unsupported`] for other models.
@@ -189,30 +191,31 @@ impl PriorModel {
         Ok(if files.is_empty() { Self::default() } else { Self { costs: logs.map(libm::exp), factor: None } })
     }
 
-    /// The prior's unit costs; 0 of work that it does not know.
+    /// Unit costs of the prior; 0 for work that it does not know.
     pub fn costs(&self) -> &[f64; COSTS] {
         &self.costs
     }
 
-    /// Inputs of the prior's factor; `None` where it has none and a frame's work is all.
+    /// Inputs of the prior's factor; `None` where it has none and only a frame's work counts.
     pub fn layout(&self) -> Option<&InputLayout> {
         self.factor.as_ref().map(|f| &f.layout)
     }
 
-    /// Numbers in a row of those inputs.
+    /// Number of values in a row of the factor's inputs.
     pub(crate) fn width(&self) -> usize {
         self.factor.as_ref().map_or(0, |f| f.inputs.len())
     }
 
-    /// Rays along each side of the probe that the factor was fitted with; 0 where any will do.
+    /// Number of rays along each side of the probe that the factor was fitted with; 0 where any number will
+    /// do.
     pub fn probe_side(&self) -> usize {
         self.factor.as_ref().map_or(0, |f| f.layout.probe_side)
     }
 
-    /// Writes such a row.
+    /// Writes a row of the factor's inputs.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] when an input was not supplied.
+    /// [`crate::ErrorKind::MissingInput`] where an input was not supplied.
     pub(crate) fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
         match &self.factor {
             Some(factor) => factor.layout.write(inputs, row),
@@ -220,7 +223,7 @@ impl PriorModel {
         }
     }
 
-    /// Fits unit costs, the weights of the factor and the speed to `frames`, near `prior` in seconds per unit of work.
+    /// Fits unit costs, the factor's weights and the speed to `frames`; `prior` holds unit costs in seconds.
     fn fit(&self, prior: &[f64; COSTS], frames: &[&FitRow]) -> CostFit {
         let (weights, weight_sd): (&[f64], f64) = match &self.factor {
             Some(f) => (&f.weights, FACTOR_SD * f.root_mean_square),
@@ -231,12 +234,12 @@ impl PriorModel {
         CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
     }
 
-    /// Fits frames of this machine. `renderer` holds costs of a renderer of the kind, for work whose cost the prior
-    /// does not know; work that costs nothing there either stays free.
+    /// Fits a model to frames of this machine. `renderer` holds typical costs of this kind of renderer, the
+    /// prior for work whose cost the prior model lacks; work that costs nothing there stays at 0.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or when rows
-    /// are not those of the prior's factor.
+    /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or where rows
+    /// do not fit the prior's factor.
     pub fn choose(
         &self,
         frames: &[Observed],
@@ -272,7 +275,7 @@ impl PriorModel {
         if count < FEWEST_GROUPS {
             count = 0;
         }
-        // The fit to all, then the fits without each part.
+        // The fit to all frames, then the fits without each fold.
         let mut fits: Vec<(usize, Option<CostFit>)> = (0..=count).map(|part| (part, None)).collect();
         each(executor, &mut fits, &|(part, fit): &mut (usize, Option<CostFit>)| {
             let kept = prepared.iter().zip(&folds).filter(|(_, f)| *part == 0 || **f + 1 != *part);
@@ -296,7 +299,7 @@ impl PriorModel {
     }
 }
 
-/// Unit costs with [`ZERO_SHARE`] of what a renderer of the kind pays, at the same speed, where they are 0.
+/// Replaces unit costs of 0 by [`ZERO_SHARE`] of the typical renderer's, scaled to the same speed.
 fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
     let known = costs.0.iter().zip(&renderer.0).filter(|(c, r)| **c > 0.0 && **r > 0.0);
     let mut ratios: Vec<f64> = known.map(|(c, r)| c / r).collect();
@@ -310,7 +313,7 @@ fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
     out
 }
 
-/// Values that enter a network's last layer, of standardized inputs.
+/// Activations before a network's last layer, from standardized inputs.
 pub fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
     let hidden = parts.layers.split_last().map_or(&[][..], |(_, hidden)| hidden);
     for layer in hidden {
@@ -328,7 +331,7 @@ pub fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64
     values
 }
 
-/// Calls `f` with each item, on as many threads as the executor has.
+/// Calls `f` with each item, spread over the executor's threads.
 fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) + Sync)) {
     match items {
         [] => {}
@@ -340,8 +343,8 @@ fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) +
     }
 }
 
-/// The part of cross-validation that each frame is left out with: whole groups, spread so that parts have
-/// about as many frames.
+/// Fold of each frame in cross-validation: groups stay whole and are distributed so that folds have similar
+/// numbers of frames.
 fn folds(frames: &[Observed]) -> Vec<usize> {
     let mut sizes: BTreeMap<u64, usize> = BTreeMap::new();
     for f in frames {

@@ -1,4 +1,4 @@
-//! The fit against work whose costs are known, and what a calibration keeps.
+//! Tests the fit on work with known costs, and the sampling of a calibration.
 
 use super::*;
 use crate::features::{
@@ -9,8 +9,8 @@ use alloc::vec;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame};
 
-/// Unit costs of a software renderer times a factor of 1 that is linear in a few logarithms, of a probe with `side`²
-/// rays.
+/// Unit costs of a software renderer times a factor of 1 that is linear in a few logarithms, for a probe with
+/// `side`² rays.
 pub(crate) fn unit_factor(side: usize) -> ModelFile {
     let inputs = [
         (SceneQuantity::Pixels, 10.5, 1.6),
@@ -19,7 +19,7 @@ pub(crate) fn unit_factor(side: usize) -> ModelFile {
         (SceneQuantity::EstimatedSeconds, -3.5, 1.8),
     ];
     let parts = PredNetParts {
-        // The estimate as it is: its logarithm, standardized, times its deviation and past its mean.
+        // The identity on the estimate: its standardized logarithm times its deviation, plus its mean.
         layers: vec![DenseParts {
             inputs: 4,
             outputs: 1,
@@ -43,7 +43,7 @@ pub(crate) fn unit_factor(side: usize) -> ModelFile {
     file
 }
 
-/// Of each kind of work another amount, as frames hold it.
+/// Work of frame i; every quantity has other amounts.
 fn work(i: usize) -> [f64; COSTS] {
     core::array::from_fn(|k| match k {
         0 => 1.0,
@@ -62,7 +62,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
     for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
         assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
     }
-    // Three kinds cost something else here, and the machine is slower.
+    // Three unit costs differ on this machine, and it is slower.
     let mut machine = UnitCosts::SOFTWARE.0;
     (machine[1], machine[4], machine[13]) = (4.0 * machine[1], 2.0 * machine[4], 0.5 * machine[13]);
     let seconds = |i: usize| 1.7 * seconds_by(&machine, &work(i));
@@ -76,7 +76,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
         (100..160).map(|i| (seconds_by(&there.costs().0, &work(i)) / seconds(i) - 1.0).abs()).collect();
     let middle = median(&mut errors).unwrap();
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
-    // Too few volumes to leave any out: the errors are those of frames that were fitted.
+    // Too few volumes for cross-validation: the errors are those of the fitted frames.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
     assert_eq!(prior.choose(&few, &UnitCosts::SOFTWARE, Executor::Serial).unwrap().folds, 0);
     assert!(prior.choose(&[], &UnitCosts::SOFTWARE, Executor::Serial).is_err());
@@ -110,7 +110,7 @@ fn several_machines_make_one_prior_and_a_factor_stands_alone() {
     for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
         assert!((found - 2.0 * stored).abs() <= 1e-6 * stored, "{found} {stored}");
     }
-    // A cost that one machine's frames could not tell from another is not thought to be nothing.
+    // A cost that is 0 because one machine's frames could not determine it is not taken as 0.
     let mut blind = UnitCosts::SOFTWARE.0;
     blind[2] = 0.0;
     let blind = AnalyticModel::from_costs(blind).unwrap().to_model_file().unwrap();
@@ -153,7 +153,7 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
     }
 }
 
-/// A renderer that pays for two kinds of work alone.
+/// A renderer with only two kinds of work.
 fn seconds_of(features: &FrameFeatures, setting: &Setting) -> f64 {
     let work = Measurement::new(features, setting, 1.0).work;
     let pixels = 1 + COST_QUANTITIES.iter().position(|q| q.to_string() == "pixels").unwrap();
@@ -193,7 +193,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     }
     assert_eq!((calibration.len(), calibration.offered), (60, 600));
     assert_eq!(rows, calibration.rows.as_ptr(), "moved");
-    // Of every quarter about as many stay: 15 expected, a standard deviation of 3.2.
+    // About as many frames of every quarter are kept: 15 expected, standard deviation 3.2.
     for quarter in 0..4 {
         let n = calibration.kept.iter().filter(|k| k.order / 150 == quarter).count();
         assert!((5..=25).contains(&n), "{quarter}: {n}");
@@ -204,7 +204,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     assert!(fitted.upper.factor() >= 0.95 && fitted.upper.factor() < 1.1, "{:?}", fitted.upper);
     assert_eq!(fitted.file.metadata["entire.clock"], "wall");
     assert_eq!(fitted.file.metadata[Key::Renderer.name()], "my renderer");
-    // The file as any other: it is written, read, and predicts what was measured.
+    // The file can be written, read, and predicts the measured times.
     let model = entire_core::Model::from_bytes(&fitted.file.to_bytes().unwrap()).unwrap();
     let mut predictor = crate::predict::load(&model).unwrap();
     for size in [45, 90, 200] {
@@ -213,7 +213,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
         assert!((f64::from(p.seconds) / t - 1.0).abs() < 0.05, "{size}: {} {t}", p.seconds);
         assert!(p.upper >= p.seconds);
     }
-    // It is a prior in turn.
+    // It can be a prior itself.
     assert!(Calibration::new(Some(&fitted.file), 8).is_ok());
 }
 

@@ -1,4 +1,4 @@
-//! Plans and settings that a caller chooses, takes back or cuts short, and clocks that it names.
+//! Plans and settings that a caller chooses, withdraws or cancels, and clocks that it names.
 
 use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
@@ -24,7 +24,7 @@ fn a_plan_taken_back_leaves_its_id_to_the_next() {
     assert_eq!((again.id, again.step, again.reason), (first.id, first.step, first.reason));
     session.observe(again.id, 0.01, flags).unwrap();
     let next = session.plan(&f, 0.02).unwrap();
-    // Neither an observed plan, nor an older one, nor one that never was.
+    // Not for an observed plan, an older one, or one that never existed.
     for id in [again.id, 0, next.id + 1, u64::MAX] {
         session.withdraw(id);
     }
@@ -80,7 +80,7 @@ fn a_cancelled_frame_says_something_only_when_it_took_longer_than_expected() {
     let f = frame(20.0, 30.0, 2.0);
     let cancelled = ObserveFlags { cancelled: true, ..ObserveFlags::default() };
     let raw = ready_session().predict(&f).unwrap().seconds;
-    // Machines far slower and far faster than the model thinks.
+    // Machines far slower and far faster than the model.
     for speed in [20.0, 0.05] {
         let mut session = ready_session();
         for _ in 0..30 {
@@ -117,7 +117,7 @@ fn choose_takes_the_first_setting_that_fits() {
     let f = frame(0.0, 0.0, 2.0);
     let setting = Setting::from(&f);
     let settings = [0.25f32, 0.5, 1.0, 2.0, 4.0, 8.0].map(|s| Setting { step: s, ..setting });
-    // Teach it the machine.
+    // Learn the machine's speed.
     for _ in 0..30 {
         let (index, plan) = session.choose(&f, &settings, 0.02).unwrap();
         let seconds = 0.001 + 0.04 / settings[index].step;
@@ -170,13 +170,13 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     session.set_time_step(next.clone(), None).unwrap();
     session.plan(&f, 0.02).unwrap();
     assert!(!session.controller.scene().first);
-    // The frame's features are those of the next step under the same table.
+    // The frame's features are those of the next time step under the same table.
     let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
     let mut expected = FrameFeatures::with_probe_side(session.features().probe_side());
     let mut transfer = TransferSummary::new(&next, &table).unwrap();
     expected.measure(&next, &mut transfer, &f).unwrap();
     assert_eq!(*session.features(), expected);
-    // Of other sizes or another type it is no time step.
+    // A volume of other sizes or another type is not a time step.
     let error = session.set_time_step(summary(&voxels[..16 * 32 * 32], [32, 32, 16]), None).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::SizeMismatch);
     let words: Vec<u16> = voxels.iter().map(|&v| u16::from(v)).collect();
@@ -198,8 +198,8 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         }
         crate::predict::load(&file.to_model().unwrap()).unwrap()
     };
-    // Four processors: every frame takes a quarter of its processor time. What is expected of the second
-    // frame, over what it takes.
+    // Four processors: every frame takes a quarter of its processor time. Ratio of the second frame's
+    // expected time to its measured time.
     let second = |model: Option<&str>, clock: &str| {
         let mut session = Session::new(stated(model), HybridOptions::default());
         session.set_timing_source("a renderer", clock).unwrap();
@@ -221,7 +221,7 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         let ratio = second(Some("cpu"), clock);
         assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
     }
-    // What states no other clock is believed.
+    // Without two known and different clocks, times are taken as the model's own.
     for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
         let ratio = second(model, clock);
         assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");

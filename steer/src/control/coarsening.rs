@@ -1,55 +1,58 @@
-//! Ray step and image size as one quantity that a controller can choose.
+//! Combines ray step and image size in one quantity for the controller to choose.
 
 use super::StepLimits;
 use crate::features::Setting;
 use crate::predict::Quality;
 
-/// Each image sample distance is this factor times the one before: a choice between many sizes, each of which needs
-/// other buffers, and steps that jump where the size changes (by its square, 1.44). No recorded path decides it.
+/// Ratio of successive image sample distances: a compromise between many sizes, each of which needs other
+/// buffers, and large jumps of the step where the size changes (by the square, 1.44). Not tuned on recorded
+/// paths.
 const RATIO: f64 = 1.2;
 
 /// ln of [`RATIO`].
 const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 
-/// The step over the finest one, for each unit of distance, that goes with a coarser image where nothing is
-/// known of the renderer's pictures: by theory near 1, samples as far apart along a ray as rays are; the
-/// tenth is a choice.
+/// Ratio of the step, in finest steps, to the image sample distance along the path, where the renderer's
+/// picture quality is unknown. Theory suggests about 1: samples along a ray as far apart as the rays; the
+/// extra tenth is a choice.
 const TOGETHER: f64 = 1.1;
 
-/// How far beyond the bounds of a distance it is kept. Bounds are a factor of `RATIO`³ = 1.73 of c apart; below its
-/// square root, 1.31, a distance is still the best one of some c, and half of that in ln(c) is taken.
+/// Hysteresis factor of c by which a distance is kept beyond its thresholds. Thresholds are a factor of
+/// `RATIO`³ = 1.73 of c apart; up to the square root, 1.31, a distance is still the best one for some c; this
+/// is half of it, in ln(c).
 const KEEP: f64 = 1.15;
 
-/// Room for every distance up to 64, and for 1.
+/// Number of levels: distance 1 and every distance up to 64.
 const LEVELS: usize = 24;
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
 ///
-/// The controller chooses c = step · distance², where neighboring rays stand `distance` pixels apart: the
-/// time of a frame goes about as 1/c. Along the path both grow together, which at equal cost shows fewer
-/// differences from full quality than coarsening one of them alone; where any smaller image is blurred by
-/// much, the step alone is coarsened first. What is known of the renderer's pictures ([`Quality`]) decides
-/// better. Distances are powers of [`RATIO`], so that buffers seldom change, and one is kept while the step
-/// that goes with it is not far off. Where a distance changes, so does the step, and c is met; unless the
-/// limits of the step are closer together than two distances are.
+/// The controller chooses c = step · distance², where neighboring rays are `distance` pixels apart; a frame's
+/// time is about proportional to 1/c. Without a picture quality law, both grow together along the path, which
+/// at equal time has a smaller picture error than coarsening one alone; a renderer whose smaller images are
+/// strongly blurred coarsens the step alone first. With a law ([`Quality`]), the path follows it. Distances
+/// are powers of [`RATIO`], so that buffers seldom change, and a distance is kept while its step is close to
+/// the best. Where the distance changes, the step changes too, so that c stays as chosen, unless the limits
+/// of the step are closer together than two distances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
     steps: StepLimits,
-    /// The largest image sample distance, and the finest steps that come before any over 1.
+    /// The largest image sample distance, and the coarsening by the step alone before any distance over 1, in
+    /// finest steps.
     largest: (f32, f32),
     quality: Option<Quality>,
-    /// How many distances over 1 there are.
+    /// Number of distances over 1.
     levels: usize,
-    /// All distances, 1 first.
+    /// Distances by level, ascending from 1.
     distances: [f64; LEVELS],
-    /// c over the finest step from which each is taken.
+    /// Threshold of each level: smallest c over the finest step for which it is used.
     from: [f64; LEVELS],
-    /// The level of the frame before; 0 at distance 1.
+    /// Level of the frame before; 0 at distance 1.
     last: usize,
 }
 
 impl Coarsening {
-    /// The step alone.
+    /// Coarsens the step only.
     pub(super) fn of_step(steps: StepLimits) -> Self {
         Self {
             steps,
@@ -71,8 +74,8 @@ impl Coarsening {
         self.steps = steps;
     }
 
-    /// Sets the largest image sample distance, and how many times the finest step comes before any distance
-    /// over 1, where no quality is known; numbers of at least 1 and at most 64.
+    /// Sets the largest image sample distance, and the coarsening by the step alone before any distance over
+    /// 1, in finest steps, where no quality law is known; both from 1 to 64.
     pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
         if self.largest != (distance, step_alone) {
             self.largest = (distance, step_alone);
@@ -80,7 +83,7 @@ impl Coarsening {
         }
     }
 
-    /// Sets what is known of the renderer's pictures; checked numbers.
+    /// Sets the renderer's picture quality law, already checked.
     pub(super) fn set_quality(&mut self, quality: Option<Quality>) {
         if self.quality != quality {
             self.quality = quality;
@@ -88,7 +91,7 @@ impl Coarsening {
         }
     }
 
-    /// Lays the path.
+    /// Computes the distances and their thresholds.
     fn lay(&mut self) {
         let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / LN_RATIO + 1.0e-6) as usize;
         let (distance, step_alone) = self.largest;
@@ -111,7 +114,7 @@ impl Coarsening {
         }
     }
 
-    /// The values of c that may be chosen.
+    /// Range of c.
     pub(super) fn limits(&self) -> StepLimits {
         let distance = self.distances[self.levels];
         let coarsest = f64::from(self.steps.coarsest) * distance * distance;
@@ -143,7 +146,7 @@ impl Coarsening {
         (step(level).clamp(finest, coarsest.max(finest)) as f32, level, self.distances[level])
     }
 
-    /// What is drawn at c of an image whose full size is that of `full`.
+    /// The setting at c for an image whose full size is that of `full`.
     pub(super) fn setting(&self, full: Setting, c: f32) -> Setting {
         let (step, level, distance) = self.at(c);
         if level == 0 {
@@ -153,7 +156,7 @@ impl Coarsening {
         Setting { step, width: shrunk(full.width), height: shrunk(full.height), ..full }
     }
 
-    /// Step and image sample distance of a frame that is drawn at c.
+    /// Step and image sample distance of a frame drawn at c; updates the level.
     pub(super) fn take(&mut self, c: f32) -> (f32, f32) {
         let (step, level, distance) = self.at(c);
         self.last = level;
@@ -229,13 +232,13 @@ mod tests {
 
     #[test]
     fn what_costs_the_picture_less_is_coarsened_first() {
-        // A smaller image costs next to nothing: the step stays until there is no smaller one.
+        // A smaller image has almost no error: the step stays until the image is at its smallest.
         let mut images = judged(Quality { image_weight: 0.002, ..EVEN });
         for c in [1.8f32, 2.5, 4.5, 9.0] {
             let (step, distance) = images.take(c);
             assert!(step < 1.45 && distance > 1.0, "{c}: {step} {distance}");
         }
-        // Any smaller image costs more than any step.
+        // Any smaller image has a larger error than any step.
         let mut steps = judged(Quality { image_weight: 500.0, image_exponent: 0.1, ..EVEN });
         for c in [1.6f32, 2.2, 4.5, 9.0, 15.0] {
             assert_eq!(steps.take(c), (c, 1.0));
@@ -255,7 +258,7 @@ mod tests {
     #[test]
     fn the_path_taken_shows_less_than_other_distances_at_the_same_time() {
         let quality = Quality { image_weight: 2.0, step_exponent: 1.4, image_exponent: 1.2, ray_share: 0.0 };
-        // Nearer to full quality distance 1 is kept.
+        // Close to full quality, distance 1 is kept.
         for i in 4..40 {
             let c = 1.0 + 0.3 * i as f32;
             let (step, distance) = judged(quality).take(c);
@@ -263,7 +266,7 @@ mod tests {
             for level in 0..8 {
                 let d = libm::pow(RATIO, f64::from(level));
                 let s = f64::from(c) / (d * d);
-                // Distances are kept somewhat beyond their bounds.
+                // Distances are kept somewhat beyond their thresholds.
                 assert!(s < 1.0 || own <= 1.2 * quality.error(s, d), "{c}: {step} {distance}, {s} {d}");
             }
         }
@@ -304,8 +307,8 @@ mod tests {
                 prop_assert!(off.abs() < if coarsening > 2.0 * alone { 1e-5 } else { 7.0 }, "{off}");
                 let s = path.setting(full, c);
                 let pixels = f64::from(s.width) * f64::from(s.height);
-                // Rays alone, and samples alone; an image of whole pixels is a little smaller than it should
-                // be.
+                // Work that depends on rays only, and on samples only; an image of whole pixels is slightly
+                // smaller than the exact size.
                 let work = (pixels, pixels / f64::from(s.step));
                 prop_assert!(work.0 <= before.0 && work.1 <= before.1 * 1.005, "{work:?} {before:?}");
                 before = work;

@@ -1,37 +1,37 @@
-//! What the last frames alone foretell.
+//! A predictor from the last frames' times alone.
 
 use crate::adapt::state::{Reader, Writer};
 use entire_core::Result;
 
-/// Errors beyond this, in ln(time), count as this: a guard against one frame that decides alone.
+/// Clip of errors, in ln(time): a guard against a single dominant frame.
 const LARGEST_ERROR: f64 = 2.0;
 
-/// The expected error before any was seen, in ln(time); ten frames are compared before it decides anything but a
-/// bound.
+/// Initial expected error, in ln(time). It only affects bounds, since ten frames are compared before errors
+/// are.
 const SPREAD: f64 = 0.1;
 
-/// Standard deviation of a normal error over its mean size, sqrt(π / 2).
+/// Ratio of the standard deviation of a normal error to its mean absolute value, sqrt(π / 2).
 const SD_OF_MEAN: f64 = 1.25;
 
-/// Frames that are compared before recent ones may lead: fewer say little about a mean error.
+/// Number of compared frames before recent frames may lead: fewer give no reliable mean error.
 const COMPARED: u32 = 10;
 
-/// Mean error of the prediction, in ln(time), from which recent frames may lead, and how many times theirs it must be:
-/// guards against predictions that are of no use. On the training paths they never lead.
+/// Conditions for recent frames to lead: smallest mean error of the prediction, in ln(time), and its smallest
+/// ratio to theirs. Guards against useless predictions; on the training paths recent frames never lead.
 const LEAST_ERROR: f64 = 0.15;
 const LEAD: f64 = 1.5;
 
-/// Slowest pace at which both errors are followed: over some twelve frames.
+/// Smallest learning rate of both errors: averages over about twelve frames.
 const PACE: f64 = 0.08;
 
-/// Share of a frame's time that does not fall with the step: a guess that is between all renderers.
+/// Share of a frame's time that does not depend on the step: a guess between all renderers.
 const FIXED_SHARE: f64 = 0.1;
 
-/// Recent frames lead until the prediction's error is within this factor of theirs: nearer to 1 than what lets them
-/// begin, so that the two do not alternate.
+/// Ratio of the errors below which the prediction leads again: lower than [`LEAD`], so that the two do not
+/// alternate.
 const RETURN: f64 = 1.1;
 
-/// The last three frames, and how well they foretell the next one compared with the prediction.
+/// The last three frames, and their accuracy as a predictor of the next one, compared with the prediction's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct History {
     /// (step, seconds).
@@ -39,7 +39,7 @@ pub(super) struct History {
     len: usize,
     next: usize,
     spread: f64,
-    /// Mean |ln error| of the forecast from history, and of the corrected prediction, over calm frames.
+    /// Mean |ln error| of this predictor and of the corrected prediction, over calm frames.
     history_error: f64,
     own_error: f64,
     leads: bool,
@@ -68,9 +68,9 @@ impl History {
         self.leads
     }
 
-    /// Time of a frame like the last three at another step: mean and upper bound. A share of a
-    /// frame's time is taken as fixed and the rest as falling with 1/step: flatter than 1/step, as every renderer
-    /// is.
+    /// Time of a frame like the last three at another step: mean and upper bound. A fixed share of a frame's
+    /// time does not depend on the step, the rest is proportional to 1/step; every renderer's curve is
+    /// flatter than 1/step.
     pub(super) fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
         let step = f64::from(step);
         let mut sum = 0.0;

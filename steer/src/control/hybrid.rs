@@ -1,4 +1,4 @@
-//! Feed-forward prediction, corrected online, with a margin that keeps its promise.
+//! Feed-forward prediction with online correction and an adaptive-conformal margin.
 
 use super::constants::HybridConstants;
 use super::history::History;
@@ -11,36 +11,36 @@ use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
 
-/// Default share of calm frames that may exceed their upper bound: what is promised.
+/// Default share of calm frames that may exceed their upper bound.
 const DEFAULT_MISS_RATE: f32 = 0.05;
 
-/// Share of the first frames of new scenes that may exceed their upper bound, at least: what is promised. New scenes
-/// are few, and a margin learns a rarer miss too slowly to keep it.
+/// Smallest miss rate of the first frames of new scenes. New scenes are rare, so a margin would learn a lower
+/// rate too slowly.
 const NEW_SCENE_MISS_RATE: f32 = 0.07;
 
-/// Default share of the target by which an upper bound may exceed it: what is promised.
+/// Default share of the target by which an upper bound may exceed it.
 const DEFAULT_TOLERANCE: f32 = 0.1;
 
 /// Settings of [`Hybrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
-    /// Share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by default.
-    /// Of undisturbed frames fewer exceed the target plus `tolerance`, since not every bound reaches so far. Of the
-    /// first frames of new scenes, at least 0.07 may.
+    /// Miss rate: share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by
+    /// default. Fewer undisturbed frames exceed the target plus `tolerance`, since many bounds are lower. The
+    /// miss rate of the first frames of new scenes is at least 0.07.
     pub miss_rate: f32,
-    /// How far over the target a frame's upper bound may reach, as a share of the target; 0.1
-    /// by default. Full quality that is expected to meet the target is drawn from a step on that would be
-    /// near it, although its bound reaches further (`full` of the constants).
+    /// Tolerance: share of the target by which a frame's upper bound may exceed it; 0.1 by default. Full
+    /// quality is drawn even beyond it where it is expected to meet the target and the chosen step would be
+    /// close to the finest one (`full` of the constants).
     pub tolerance: f32,
-    /// What is known of the prediction before the first frame.
+    /// Prior knowledge of the prediction's errors.
     pub prior: Prior,
-    /// Whether moves are damped in calm phases.
+    /// True where changes of the step are damped in calm phases.
     pub damping: bool,
-    /// Out-of-range score from which recent frames decide instead of the prediction.
+    /// Out-of-range score beyond which recent frames replace the prediction.
     pub trust_limit: f32,
-    /// What recorded paths decide; the defaults do.
+    /// Constants tuned on recorded paths.
     pub constants: HybridConstants,
-    /// As `constants`, of the online correction.
+    /// Constants of the online correction.
     pub correction: CorrectionConstants,
 }
 
@@ -59,11 +59,10 @@ impl Default for HybridOptions {
 }
 
 impl HybridOptions {
-    /// These options, if every number is one that steering can hold to. [`Hybrid::new`] does not ask: it takes
-    /// the nearest miss rate that it can hold.
+    /// Returns the options if every value is valid. [`Hybrid::new`] does not check: it clamps the miss rate.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`], naming the option, what it is and what it may be.
+    /// [`crate::ErrorKind::InvalidArgument`], naming the option, its value and its range.
     pub fn checked(self) -> Result<Self> {
         let Self { miss_rate, tolerance, trust_limit, .. } = self;
         if !(miss_rate > 0.0 && miss_rate <= 0.5) {
@@ -85,23 +84,22 @@ impl HybridOptions {
 /// Feed-forward prediction × online correction × adaptive-conformal margin → the finest step that is expected
 /// to meet the target and whose bound stays within the tolerance.
 ///
-/// * Novelty: how much of the predicted cost of the step drawn last changed since that frame, in amount and
-///   make-up, says how little the frames before are worth for this one. A change that the caller announces
-///   after calm frames begins a scene; one in a row of announced changes (a drag) counts by what
-///   it does.
-/// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to
-///   frame and the target is met on average. The step is kept while it is close to the best; other moves
-///   that no prediction calls for are bounded per frame.
-/// * Other programs on the machine: a load, once it is known, is a factor on every expectation, and gone with
-///   the first frame without it. The bound that the step is chosen by is that of undisturbed frames; the one
-///   that the plan states covers all.
-/// * A new scene: nothing is damped, what was learned about the scene before is put away, and the margin is
-///   the one that new scenes have been found to need. Where a step is expected to fit and no bound does, the step
-///   lies halfway between that one and the coarsest.
-/// * Limits: there is no integral, so nothing winds up; the plan says which limit was met.
-/// * Fallback: a second forecast from the last three frames alone (brought to a common step by a plain rule)
-///   runs in its shadow and takes over when the prediction is out of range or has lately been clearly worse.
-///   Without either, the coarsest step is chosen.
+/// * Novelty: the relative change of the predicted cost, in amount and composition, at the last drawn step.
+///   The larger it is, the less the earlier frames count. A change that the caller announces after calm
+///   frames begins a scene; in a series of announced changes (a drag) only the change of the cost counts.
+/// * Calm phases: the correction follows the present scene, so the margin shrinks to the noise between frames
+///   and the target is met on average. The step is kept while it is close to the best; other changes that no
+///   prediction requires are limited per frame.
+/// * Other programs on the machine: a detected load is a factor on every expectation, until the first frame
+///   without it. The step is chosen by the bound for undisturbed frames; the bound of the plan includes
+///   disturbed ones.
+/// * A new scene: nothing is damped, the scene's own correction is dropped, and the margin is that of new
+///   scenes. Where a step is expected to fit but no bound does, the step lies halfway between that one and
+///   the coarsest, in ln(step).
+/// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
+/// * Fallback: a second predictor from the last three frames alone (scaled to a common step by a simple rule)
+///   takes over where the prediction is out of range or has recently been clearly worse. Without either, the
+///   coarsest step is chosen.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,
@@ -110,14 +108,14 @@ pub struct Hybrid {
     changed: Margin,
     history: History,
     last: Option<Last>,
-    /// Whether the frame before was announced as changed.
+    /// True where the frame before was announced as changed.
     announced: bool,
     scene: SceneMark,
-    /// Standard deviations of undisturbed frames that a coarser step is chosen for, at most.
+    /// Number of standard deviations of undisturbed frames covered by the choice of the step, at most.
     worth: f64,
 }
 
-/// The frame planned last.
+/// The last planned frame.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     step: f32,
@@ -125,36 +123,38 @@ struct Last {
     terms: CostTerms,
 }
 
-/// Most evaluations of the cost in a step search, beside those at the limits: a guard, four or five do.
+/// Guard: largest number of evaluations of the cost in a step search, besides those at the limits; four or
+/// five suffice.
 const EVALUATIONS: usize = 12;
-/// Standard deviations of undisturbed frames that a coarser step is chosen for, at most, where no lower miss rate asks for
-/// more: 98 of 100 frames. What lies beyond is somebody else's doing, and a step that is coarse enough for it would cost
-/// every frame.
+/// Number of standard deviations of undisturbed frames covered by the choice of the step, at most, unless a
+/// lower miss rate requires more: 98 of 100 frames. Slower frames are due to other programs, and a step
+/// coarse enough for them would degrade every frame.
 const WORTH: f64 = 2.0;
-/// Pace of the margins: over some twenty frames. A fixed margin costs the training paths the same, but keeps no miss rate.
+/// Learning rate of the margins: averages over about twenty frames. A fixed margin has the same loss on the
+/// training paths, but does not keep a miss rate.
 const MARGIN_PACE: f32 = 0.05;
-/// Relative changes of the step, or distances of the expected time from the target, below which the step is kept: a guard,
-/// less than anybody sees.
+/// Relative changes of the step, or distances of the expected time from the target, below which the step is
+/// kept: a guard, too small to be visible.
 const DEAD_BAND: f64 = 0.01;
-/// Targets this near to each other, in ln, are one.
+/// Difference of two targets, in ln, below which they count as equal.
 const SAME_TARGET: f64 = 0.02;
-/// Trust in the first frame of all, which may hold a compile or an upload: its noise counts as a hundred times
-/// that of others, so it sets the order of magnitude where nothing else does.
+/// Trust in the very first frame, which may include a compilation or an upload: its variance counts as a
+/// hundred times that of others, so it sets the order of magnitude only where nothing else does.
 const FIRST_TRUST: f64 = 0.01;
 
-/// Expected time of a frame and its bounds, seconds.
+/// Expected time of a frame and its bounds, in seconds.
 #[derive(Clone, Copy, Debug)]
 struct Expected {
     seconds: f64,
-    /// Bound that all frames stay below, but for the share that may be missed.
+    /// Bound of all frames, at the miss rate.
     upper: f64,
-    /// Bound of undisturbed frames: a step that is coarse enough for a frame that somebody else slows down
-    /// would be too coarse for all others.
+    /// Bound of undisturbed frames, by which the step is chosen: a step coarse enough for frames that other
+    /// programs slow down would be too coarse for all others.
     calm_upper: f64,
 }
 
 impl Hybrid {
-    /// A controller that has seen nothing.
+    /// A controller without observations.
     pub fn new(options: HybridOptions) -> Self {
         let (calm, changed) = margins(&options);
         Self {
@@ -170,20 +170,19 @@ impl Hybrid {
         }
     }
 
-    /// What has been learned of the cost parts.
+    /// The correction of the cost's terms.
     #[cfg(test)]
     pub(crate) fn correction(&self) -> &Correction {
         &self.correction
     }
 
-    /// Corrects a prediction for the frame at hand, at the step drawn last.
+    /// Corrects a prediction for the present frame, at the last drawn step.
     fn judge(&self, terms: &CostTerms) -> Expected {
         self.judge_at(terms, f64::NAN)
     }
 
-    /// Corrects a prediction for the frame at hand, at `step`. Within a scene the
-    /// bounds are wider the further the step is from the one drawn last: the predicted step curve has an error
-    /// of its own.
+    /// Corrects a prediction for the present frame, at `step`. Within a scene the bounds widen with the
+    /// distance of the step from the last drawn one, since the predicted step curve has an error of its own.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
         let corrected = self.correction.apply(terms);
         let far = match self.last {
@@ -201,20 +200,20 @@ impl Hybrid {
         }
     }
 
-    /// How little the frame before says about this one, 0 to 1.
+    /// Novelty of the present frame, 0 to 1.
     fn novelty(&self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) -> f64 {
         let Some(last) = self.last.filter(|_| !changes.first) else { return 1.0 };
         let d = distance(&last.terms, &cost(last.step));
         if d.is_nan() {
             return if changes.any() { 1.0 } else { 0.0 };
         }
-        // Small differences are of one scene: they count by their square.
+        // Squared, so that small differences within a scene count little.
         let share = (d / self.options.constants.far).clamp(0.0, 1.0);
         let announced = changes.any() && !self.announced;
         (share * share).max(if announced { NOVEL } else { 0.0 })
     }
 
-    /// Places the frame at hand: whether it goes on with the scene or begins one.
+    /// Begins the present frame: decides whether it continues the scene or begins one.
     fn enter(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let novelty = self.novelty(changes, cost);
         let first = novelty >= NOVEL;
@@ -223,10 +222,10 @@ impl Hybrid {
         self.announced = changes.any();
     }
 
-    /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None` when
-    /// there is none. The excess (ln of time over target) is nearly linear in ln(step), so a bracketed secant
-    /// search (Illinois) needs four or five evaluations. It is taken to fall with the step; where a network
-    /// says otherwise, the answer still fits.
+    /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None`
+    /// where there is none. The excess (ln of time over target) is nearly linear in ln(step), so a bracketed
+    /// secant search (Illinois) needs four or five evaluations. The search assumes that the excess falls with
+    /// the step; where a network violates this, the result still fits.
     fn finest(limits: StepLimits, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
         let mut f_high = excess(limits.coarsest);
         if f_high > 0.0 {
@@ -245,7 +244,7 @@ impl Hybrid {
             if width < 1.0e-3 {
                 break;
             }
-            // A little towards the fitting side, so that the search ends there.
+            // Shifted slightly to the fitting side, so that the search ends there.
             let secant = (low * f_high - high * (f_low + 1.0e-3)) / (f_high - f_low - 1.0e-3);
             let x = if secant.is_finite() { secant } else { 0.5 * (low + high) };
             let x = x.clamp(low + 0.02 * width, high - 0.02 * width);
@@ -284,7 +283,7 @@ impl Controller for Hybrid {
         let known = first.seconds().is_finite() && first.seconds() > 0.0;
         let out_of_range = first.out_of_range;
         let distrusted = !known || out_of_range > self.options.trust_limit || self.history.leads();
-        // Frames before a change of scene say nothing about the frame after it.
+        // Frames before a change of scene do not predict the frame after it.
         let by_history = distrusted && !self.history.is_empty() && !(changes.any() && self.scene.first);
         if !known && !by_history {
             self.last = Some(Last { step: limits.coarsest, target: request.target, terms: first });
@@ -315,7 +314,8 @@ impl Controller for Hybrid {
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
         let mut step = match Self::finest(limits, excess) {
             Some(step) => step,
-            // No step has a bound that fits. Where one is expected to fit, halfway from it to the coarsest.
+            // No step has a bound that fits. Where one is expected to fit, the geometric mean of it and the
+            // coarsest.
             None => match Self::finest(limits, |step| libm::log(judge(step).seconds / target)) {
                 Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
                 None => {
@@ -418,7 +418,7 @@ impl Controller for Hybrid {
 
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
         self.enter(changes, cost);
-        // Without a target no frame is held or damped against this one.
+        // Without a target the next frame is not held or damped against this one.
         self.last = Some(Last { step, target: f32::NAN, terms: cost(step) });
     }
 
@@ -479,7 +479,7 @@ impl Controller for Hybrid {
     }
 }
 
-/// Margins of calm frames and of new scenes before any was seen.
+/// Initial margins of calm frames and of new scenes.
 fn margins(options: &HybridOptions) -> (Margin, Margin) {
     let c = &options.constants;
     let rate = options.miss_rate.max(NEW_SCENE_MISS_RATE);
@@ -489,7 +489,7 @@ fn margins(options: &HybridOptions) -> (Margin, Margin) {
     )
 }
 
-/// Standard deviations that a normal error exceeds with this probability, between 0 and 8; 0 where it is none.
+/// Quantile of the normal distribution with this upper-tail probability, clamped to 0…8.
 fn normal_quantile(probability: f64) -> f64 {
     let (mut low, mut high) = (0.0, 8.0);
     for _ in 0..30 {
@@ -500,8 +500,8 @@ fn normal_quantile(probability: f64) -> f64 {
     if probability > 0.0 { low } else { 0.0 }
 }
 
-/// How far two predictions for one step lie apart: the difference of their logarithms, and half of what
-/// changed place among their parts. NaN where one is not known.
+/// Distance of two predictions at one step: the absolute difference of their logarithms, plus half the sum of
+/// the absolute differences of their terms' shares. NaN where one is unknown.
 fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
     let (sum_a, sum_b) = (f64::from(a.seconds()), f64::from(b.seconds()));
     if !(sum_a > 0.0 && sum_b > 0.0 && sum_a.is_finite() && sum_b.is_finite()) {

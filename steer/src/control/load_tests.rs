@@ -1,4 +1,4 @@
-//! Frames that somebody else on the machine slows down, and machines that change for good.
+//! Frames slowed down by other programs, and machines that change for good.
 
 use super::tests::Noise;
 use super::*;
@@ -6,8 +6,8 @@ use crate::adapt::Prior;
 use crate::predict::Source;
 use std::vec::Vec;
 
-/// Frames of one scene that costs 60 ms at step 1, against 20 ms: what was planned for each, where frame i takes `slowed(i)`
-/// times as long as it would undisturbed.
+/// Plans for frames of one scene that costs 60 ms at step 1, with a target of 20 ms; frame i takes
+/// `slowed(i)` times as long as undisturbed.
 fn played(frames: usize, changes: impl Fn(usize) -> Changes, slowed: impl Fn(usize) -> f32) -> Vec<Decision> {
     let mut hybrid =
         Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
@@ -35,9 +35,9 @@ fn one_slow_frame_changes_nothing_and_a_burst_is_followed_and_forgotten() {
     let stall = steps(|i| if i == 60 { 3.0 } else { 1.0 });
     assert!(stall[61..].iter().all(|s| *s < 1.1 * stall[60]), "{:?}", &stall[60..66]);
     let burst = steps(|i| if (60..80).contains(&i) { 2.0 } else { 1.0 });
-    // Two slow frames are one too many; the third is drawn for what is left of the machine.
+    // Two slow frames exceed the target; from the third on, the step is that for the slowed machine.
     assert!(burst[62..80].iter().all(|s| (1.6..2.6).contains(&(s / burst[59]))), "{:?}", &burst[58..80]);
-    // Gone with the first frame that shows it.
+    // The load ends with the first undisturbed frame.
     assert!(burst[81..].iter().all(|s| *s < 1.1 * burst[59]), "{:?}", &burst[80..90]);
 }
 
@@ -47,7 +47,7 @@ fn a_load_belongs_to_the_machine_and_says_nothing_of_the_bound() {
     let quiet = played(75, switched, |_| 1.0);
     let loaded = played(75, switched, |i| if i >= 60 { 2.0 } else { 1.0 });
     let [calm, busy] = [quiet[70], loaded[70]];
-    // The new scene is drawn for the machine as it is, not at the coarsest step.
+    // The new scene's step is that for the slowed machine, not the coarsest one.
     assert!((1.5..2.7).contains(&(busy.step / calm.step)), "{calm:?} {busy:?}");
     let wide = |d: &Decision| d.upper / d.seconds;
     assert!(wide(&busy) < 1.15 * wide(&calm), "{calm:?} {busy:?}");
@@ -69,7 +69,7 @@ fn a_machine_that_stays_slower_or_faster_is_learned_for_good() {
 fn a_prediction_that_knows_nothing_of_the_step_is_not_taken_for_a_load() {
     let mut hybrid =
         Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.3 }, ..HybridOptions::default() });
-    // A network that was trained on another renderer: its times hardly fall with the step.
+    // A network trained on another renderer: its times hardly fall with the step.
     let mut cost = |step: f32| CostTerms::whole(0.02 * step.powf(-0.05), 0.0, Source::Network);
     for i in 0..60 {
         let changes = Changes { first: i == 0, ..Changes::default() };

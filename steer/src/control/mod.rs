@@ -1,9 +1,9 @@
-//! Step choice under a budget.
+//! Choice of the ray step under a time budget.
 //!
-//! A [`Controller`] sees one frame at a time: the target, the limits of the step, what the caller knows to
-//! have changed, and the predicted cost of any step. It answers with a step and a [`Reason`],
-//! and later hears how long the frame took. None of them allocates after construction. [`Session`] joins a
-//! controller with a predictor and the scene's features for one render loop.
+//! A [`Controller`] sees one frame at a time: the target, the limits of the step, the announced changes, and
+//! the predicted cost at any step. It answers with a step and a [`Reason`], and later receives the frame's
+//! time. Controllers do not allocate after construction. [`Session`] combines a controller with a predictor
+//! and the scene's features for one render loop.
 
 #[cfg(test)]
 mod caller_tests;
@@ -30,7 +30,7 @@ use entire_core::Result;
 use entire_core::bail;
 use entire_core::names;
 
-/// The steps that a controller may choose, in multiples of the reference step.
+/// Range of steps that a controller may choose, in multiples of the reference step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepLimits {
     /// The finest step; at least 1/64.
@@ -63,32 +63,32 @@ impl StepLimits {
 }
 
 impl Default for StepLimits {
-    /// From the reference step to sixteen of them.
+    /// From one reference step to sixteen.
     fn default() -> Self {
         Self { finest: 1.0, coarsest: 16.0 }
     }
 }
 
-/// Why a plan is what it is. Stable numbers: they are part of the C ABI.
+/// Reason for a plan's step. The numbers are stable: they are part of the C ABI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[repr(u32)]
 pub enum Reason {
     /// The finest step whose upper bound fits the target.
     Fits = 1,
-    /// As before, but moved there slowly because nothing has changed abruptly.
+    /// As `Fits`, but approached slowly because nothing has changed abruptly.
     Damped = 2,
-    /// The step before still fits and is close to the best: kept.
+    /// The previous step still fits and is close to the best.
     Held = 3,
-    /// Nothing finer is allowed, and it fits.
+    /// The finest allowed step fits.
     FinestAllowed = 4,
-    /// Nothing coarser is allowed, and even that is not expected to fit.
+    /// Even the coarsest allowed step is not expected to fit.
     TargetUnreachable = 5,
-    /// The prediction is not trusted (out of range, or wrong lately): recent frames decide.
+    /// The prediction is not trusted (out of range, or recently wrong): recent frames decide.
     History = 6,
-    /// Neither a prediction nor a timing is there: the coarsest step allowed.
+    /// There is neither a prediction nor a timing: the coarsest allowed step.
     NoInformation = 7,
-    /// Steering is off: the step asked for.
+    /// Steering is off: the frame's own step.
     Off = 8,
     /// A rule that reacts to past frames only.
     Reactive = 9,
@@ -106,103 +106,103 @@ names! { Reason:
     Reactive "reactive",
 }
 
-/// One frame as a controller sees it before it is drawn.
+/// Request for a plan of one frame.
 pub struct PlanRequest<'a> {
-    /// Seconds that the frame should not exceed; finite and positive.
+    /// Target: seconds that the frame should not exceed; finite and positive.
     pub target: f32,
-    /// Steps that may be chosen.
+    /// Range of steps.
     pub limits: StepLimits,
-    /// What differs from the frame before.
+    /// Changes since the frame before.
     pub changes: Changes,
-    /// The predicted cost of the frame at a ray step, uncorrected; NaN where nothing is known.
+    /// Predicted cost of the frame at a ray step, uncorrected; NaN where it is unknown.
     pub cost: &'a mut dyn FnMut(f32) -> CostTerms,
 }
 
-/// A controller's answer.
+/// A controller's plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
-    /// The ray step to draw with.
+    /// Ray step to draw with.
     pub step: f32,
-    /// Expected seconds; NaN from rules that expect nothing.
+    /// Expected seconds; NaN from rules without an expectation.
     pub seconds: f32,
     /// Upper bound, seconds; NaN where there is none.
     pub upper: f32,
-    /// As [`Prediction::out_of_range`]; NaN where nothing is known.
+    /// As [`Prediction::out_of_range`]; NaN where unknown.
     pub out_of_range: f32,
-    /// Why.
+    /// Reason for the step.
     pub reason: Reason,
 }
 
-/// A drawn frame as a controller hears of it. The time has been checked: finite and positive.
+/// Observation of a drawn frame. The time has been checked: finite and positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observed {
     /// Measured seconds.
     pub seconds: f32,
-    /// The step it was drawn with.
+    /// Step of the frame.
     pub step: f32,
-    /// The target it was planned for.
+    /// Target of the frame's plan.
     pub target: f32,
-    /// What differed from the frame before it.
+    /// Changes between the frame before and this one.
     pub changes: Changes,
-    /// The uncorrected prediction for it.
+    /// Uncorrected prediction of the frame.
     pub terms: CostTerms,
-    /// The scene that it belongs to, as [`Controller::scene`] said when it was planned.
+    /// Scene of the frame, from [`Controller::scene`] when it was planned.
     pub scene: SceneMark,
-    /// The time holds other work too (see [`crate::adapt::ObserveFlags`]).
+    /// True where the time includes other work (see [`crate::adapt::ObserveFlags`]).
     pub unusual: bool,
 }
 
-/// A run of frames that continue each other, as a controller counts them, and what it makes of one of them.
+/// A frame's place in the controller's sequence of scenes, runs of frames that continue each other.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SceneMark {
-    /// Counts scenes.
+    /// Number of the scene.
     pub number: u64,
-    /// Whether the frame is the scene's first.
+    /// True for the scene's first frame.
     pub first: bool,
 }
 
 /// Chooses ray steps frame by frame.
 pub trait Controller {
-    /// A short name for tables.
+    /// Short name for tables.
     fn name(&self) -> &'static str;
 
     /// Chooses the step of the next frame.
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision;
 
-    /// Takes note of a frame's time.
+    /// Updates the controller by a frame's time.
     fn observe(&mut self, observed: &Observed) -> Verdict;
 
-    /// Forgets every frame.
+    /// Forgets all observations.
     fn reset(&mut self);
 
-    /// Tells whether the frames that are observed are timed by another clock than the predictor's, where that
-    /// changes; [`Controller::reset`] follows.
+    /// Called where it changes whether observed frames are timed by another clock than the predictor's;
+    /// [`Controller::reset`] follows.
     fn convert(&mut self, converted: bool) {
         let _ = converted;
     }
 
-    /// Tells that a frame begins whose setting is chosen elsewhere; [`Controller::plan`] needs no such call.
-    /// Frames are compared at `step`.
+    /// Begins a frame whose setting the caller chooses; [`Controller::plan`] needs no such call. Frames are
+    /// compared at `step`.
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let _ = (changes, step, cost);
     }
 
-    /// Tells that the frame that began last is not drawn.
+    /// Withdraws the last begun frame, which will not be drawn.
     fn withdraw(&mut self) {}
 
-    /// The scene that the frame that began last belongs to.
+    /// Scene of the last begun frame.
     fn scene(&self) -> SceneMark {
         SceneMark::default()
     }
 
-    /// Whether a frame with this corrected prediction is expected to meet a target.
+    /// True where a frame with this corrected prediction is expected to meet the target.
     fn fits(&self, prediction: &Prediction, target: f32) -> bool {
         let bound = if prediction.upper.is_nan() { prediction.seconds } else { prediction.upper };
         bound <= target
     }
 
-    /// A prediction as this controller corrects it; as it is, where the controller corrects nothing.
-    /// `changes` are those of a frame that has not begun yet; none for the frame at hand.
+    /// Corrects a prediction; returns it unchanged by default. `changes` are those of a frame that has not
+    /// begun yet; none for the present frame.
     fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
         let _ = changes;
         Prediction {
@@ -213,12 +213,12 @@ pub trait Controller {
         }
     }
 
-    /// Appends what was learned to a byte string.
+    /// Appends the learned state to a byte vector.
     fn save(&self, out: &mut Vec<u8>) {
         let _ = out;
     }
 
-    /// Takes up what [`Controller::save`] wrote; on an error nothing changes.
+    /// Restores state written by [`Controller::save`]; on an error nothing changes.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for bytes of another controller, cut short or damaged.

@@ -20,27 +20,28 @@ use entire_core::memory::{copied, reserve};
 use entire_core::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use entire_core::{Error, ErrorKind, Result};
 
-/// Plans that may wait for their observation at a time; older ones are forgotten.
+/// Largest number of plans that wait for their observation; older ones are forgotten.
 pub const PENDING_PLANS: usize = 64;
 
-/// What to draw, and what to expect of it.
+/// Plan of a frame: settings to draw with, and expected time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
-    /// Names this plan in [`Session::observe`]; never 0, and no other plan's within a session's life, but for
-    /// one that was taken back ([`Session::withdraw`]).
+    /// Identifier for [`Session::observe`]; never 0, and unique within a session, except that a withdrawn
+    /// plan's id ([`Session::withdraw`]) is used again.
     pub id: u64,
     /// Ray step in multiples of the reference step.
     pub step: f32,
-    /// Pixels of the frame between neighboring rays along each side: the image is drawn with the frame's
-    /// sides divided by this, rounded down. 1 unless [`Session::set_max_image_sample_distance`] allows more.
+    /// Distance of neighboring rays along each side, in pixels of the frame: the image is drawn with the
+    /// frame's sides divided by this, rounded down. 1 unless [`Session::set_max_image_sample_distance`]
+    /// allows more.
     pub image_sample_distance: f32,
-    /// Expected seconds; NaN from controllers that expect nothing.
+    /// Expected seconds; NaN from controllers without an expectation.
     pub seconds: f32,
     /// Upper bound in seconds; NaN where there is none.
     pub upper: f32,
-    /// 0 inside the predictor's range, 1 at the edge of trust, growing beyond; NaN where unknown.
+    /// 0 inside the predictor's range, 1 where trust ends, growing beyond; NaN where unknown.
     pub out_of_range: f32,
-    /// Why this step.
+    /// Reason for the step.
     pub reason: Reason,
 }
 
@@ -51,7 +52,7 @@ struct Pending {
     target: f32,
     changes: Changes,
     terms: CostTerms,
-    /// What the plan said, seconds; NaN where nothing was known.
+    /// Expected seconds of the plan; NaN where unknown.
     expected: f32,
     scene: SceneMark,
     observed: bool,
@@ -59,13 +60,13 @@ struct Pending {
 
 /// Predicts and steers one render loop.
 ///
-/// Set the volume and the transfer function, then for every frame [`Session::plan`], draw with the plan's
-/// step, and [`Session::observe`] the time it took; late observations are welcome as long as their plan is
-/// among the last [`PENDING_PLANS`]. Plan, choose, predict and observe never allocate.
+/// Set the volume and the transfer function. Then for every frame call [`Session::plan`], draw with the
+/// plan's step, and report the time to [`Session::observe`]. Observations may be late as long as their plan
+/// is among the last [`PENDING_PLANS`]. Plan, choose, predict and observe do not allocate.
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
     pub(super) controller: Box<dyn Controller + Send>,
-    /// Step curve for predictors that do not know the step.
+    /// Step curve for predictors that do not depend on the step.
     shape: AnalyticModel,
     volume: Option<VolumeSummary>,
     transfer: Option<TransferSummary>,
@@ -81,34 +82,34 @@ pub struct Session {
     last_termination: f32,
     pending: Box<[Option<Pending>; PENDING_PLANS]>,
     next_id: u64,
-    /// Whose times are observed, and by which clock; empty where nobody said.
+    /// Names of the renderer and the clock of observed times; empty where unknown.
     timing: [String; 2],
-    /// Whether the clock is another than the predictor's.
+    /// True where the clock is not the predictor's.
     converted: bool,
     recording: Option<recording::Recording>,
-    /// What the caller knows of the renderer's pictures; else the model is asked.
+    /// Picture quality law set by the caller; the model's own is used where it is `None`.
     quality: Option<Quality>,
 }
 
 impl Session {
-    /// With the default controller: [`Hybrid`] around the given predictor. A prior of [`Prior::Unknown`]
-    /// gives way to what the predictor knows of its own errors.
+    /// A session with the default controller, [`Hybrid`], around the given predictor. A prior of
+    /// [`Prior::Unknown`] is replaced by the predictor's own error where it is known.
     pub fn new(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Self {
         let controller = controller_for(&*predictor, options);
         Self::with_controller(predictor, controller)
     }
 
-    /// Without any model: the analytic model with default costs, which observations correct.
+    /// A session without a model: the analytic model with default costs, corrected by observations.
     pub fn untrained() -> Self {
         Self::new(Box::new(AnalyticModel::default()), HybridOptions::default())
     }
 
-    /// With any controller.
+    /// A session with any controller.
     pub fn with_controller(
         predictor: Box<dyn Predictor + Send>,
         controller: Box<dyn Controller + Send>,
     ) -> Self {
-        // A predictor that needs no probe is scaled by a model that does.
+        // A predictor without a probe is scaled by the analytic model, which needs one.
         let features = match predictor.probe_side() {
             0 => FrameFeatures::default(),
             side => FrameFeatures::with_probe_side(side),
@@ -140,8 +141,8 @@ impl Session {
         session
     }
 
-    /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer
-    /// function must be set again. Nothing is allocated.
+    /// Sets the volume's summary, and VolumeNet's output for it where the model needs one. The transfer
+    /// function must be set again. Does not allocate.
     pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) {
         if let Some(recording) = &mut self.recording {
             recording.set_volume(&volume);
@@ -152,15 +153,15 @@ impl Session {
         self.changes.volume = true;
     }
 
-    /// Sets the next time step of the volume ([`crate::features::SummarySeries`] makes its summary), and
-    /// VolumeNet's output for it; without, that of the time step before stays. The transfer function stays,
-    /// and what was learned of the scene: no change is announced. Where a frame pays for an upload,
-    /// [`Session::mark`] says so.
+    /// Sets the summary of the volume's next time step (made by [`crate::features::SummarySeries`]), and
+    /// VolumeNet's output for it; `None` keeps that of the preceding step. Transfer function and learned
+    /// state stay: no change is announced. Where a frame includes an upload, announce it with
+    /// [`Session::mark`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for one of
-    /// other sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for one of another type; nothing
-    /// has changed then. Nothing is allocated.
+    /// other sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for one of another type; on an
+    /// error nothing has changed. Does not allocate.
     pub fn set_time_step(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) -> Result<()> {
         let Some(before) = &self.volume else {
             bail!(NotReady, "no volume is set; set a series' first time step as a volume");
@@ -186,7 +187,7 @@ impl Session {
             transfer.follow(&volume)?;
         }
         self.volume = Some(volume);
-        // What rays met was the time step before.
+        // The probe's rays met the preceding time step.
         self.cast_for = None;
         if volume_features.is_some() {
             self.volume_features = volume_features;
@@ -194,16 +195,16 @@ impl Session {
         Ok(())
     }
 
-    /// Sets the transfer function, and its Gaussian lobes where it has them.
+    /// Sets the transfer function, and its Gaussian lobes where it has some.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] where there
-    /// is no room for what is kept; nothing has changed then.
+    /// is no room for the summary; on an error nothing has changed.
     pub fn set_transfer(&mut self, table: &TransferTable, lobes: Option<&[GaussianLobe]>) -> Result<()> {
         let Some(volume) = &self.volume else {
             bail!(NotReady, "no volume is set; set the volume before its transfer function");
         };
-        // Everything that can fail for want of memory comes first.
+        // All allocations come first.
         let mut fresh = None;
         match (&mut self.lobes, lobes) {
             (Some(kept), Some(new)) => reserve(kept, new.len())?,
@@ -228,7 +229,7 @@ impl Session {
         Ok(())
     }
 
-    /// Sets the steps that may be chosen.
+    /// Sets the range of steps.
     ///
     /// # Errors
     /// As [`StepLimits::check`].
@@ -238,15 +239,15 @@ impl Session {
         Ok(())
     }
 
-    /// Switches steering off (every plan answers the frame's own step, unclamped) or on again. Observations
-    /// are learned from either way.
+    /// Switches steering on or off. While it is off, every plan has the frame's own step, unclamped.
+    /// Observations are learned from in both cases.
     pub fn set_enabled(&mut self, enabled: bool) {
         self.enabled = enabled;
     }
 
-    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot
-    /// see (a camera cut, a new pipeline). Volume, transfer function, size and mode changes are noticed by
-    /// themselves.
+    /// Announces that the next frame does not smoothly continue the one before, for changes that the session
+    /// cannot detect (a camera cut, a new pipeline). Changes of volume, transfer function, size and mode are
+    /// detected.
     pub fn mark(&mut self, changes: Changes) {
         let c = &mut self.changes;
         c.first |= changes.first;
@@ -257,17 +258,16 @@ impl Session {
         c.camera |= changes.camera;
     }
 
-    /// The features of the frame that was planned or predicted last.
+    /// Features of the last planned or predicted frame.
     pub fn features(&self) -> &FrameFeatures {
         &self.features
     }
 
-    /// Predicts a frame at its own step, corrected by what was observed. Leaves no trace in the session's
-    /// state.
+    /// Predicts a frame at its own step, corrected by the observations. Does not change the session's state.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set,
-    /// [`crate::ErrorKind::MissingInput`] when the model needs an input that was not supplied.
+    /// [`crate::ErrorKind::MissingInput`] where the model needs an input that was not supplied.
     pub fn predict(&mut self, frame: &Frame) -> Result<Prediction> {
         self.measure(frame)?;
         let changes = self.changes_for(frame);
@@ -275,10 +275,10 @@ impl Session {
         Ok(self.controller.correct(&terms, changes))
     }
 
-    /// Chooses the step of the next frame; the frame's own step is what a session switched off answers.
+    /// Chooses the step of the next frame; with steering off, the plan has the frame's own step.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a target that is not finite and positive; else as
+    /// [`crate::ErrorKind::InvalidArgument`] for a target that is not finite and positive; otherwise as
     /// [`Session::predict`].
     pub fn plan(&mut self, frame: &Frame, target: f32) -> Result<Plan> {
         check_target(target)?;
@@ -314,13 +314,13 @@ impl Session {
         Ok(plan)
     }
 
-    /// Chooses among settings, best quality first: the index and the plan of the first
-    /// that is expected to meet the target ([`Controller::fits`]), else the one expected to be fastest. The
-    /// image shape must be the frame's for its features to hold; other sizes of that shape are free.
+    /// Chooses among settings, best quality first: returns index and plan of the first one that is expected
+    /// to meet the target ([`Controller::fits`]), otherwise of the one expected to be fastest. Images must
+    /// have the frame's aspect ratio, in any size.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step or an image size that [`Frame::checked`]
-    /// refuses; else as [`Session::plan`].
+    /// refuses; otherwise as [`Session::plan`].
     pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<(usize, Plan)> {
         check_target(target)?;
         if settings.is_empty() {
@@ -332,7 +332,7 @@ impl Session {
                 bail!(InvalidArgument, "setting {i}: {e}");
             }
         }
-        // One probe serves all settings; shadow rays are part of it only where a setting scatters.
+        // One probe serves all settings; it marches shadow rays only where a setting scatters.
         let scatters = settings.iter().any(|s| s.shading == Shading::Scatter);
         let distance = settings.iter().any(|s| s.skipping == Skipping::Distance);
         let mut widest = *frame;
@@ -375,12 +375,12 @@ impl Session {
         Ok((index, plan))
     }
 
-    /// Hears how long a planned frame took.
+    /// Reports the time of a planned frame.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or observed before,
-    /// and for a time that is not finite, not positive or over [`crate::predict::LONGEST_FRAME`]. It leaves
-    /// no trace. Only the error's text allocates.
+    /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or already observed,
+    /// and for a time that is not finite, not positive or over [`crate::predict::LONGEST_FRAME`]. A rejected
+    /// observation has no effect. Only the error's message allocates.
     pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Result<Verdict> {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         let Some(pending) = slot.as_mut().filter(|p| p.id == id) else {
@@ -406,7 +406,8 @@ impl Session {
             recording.observe(id, seconds);
         }
         if flags.cancelled && !over {
-            // It would have taken longer than this, as was expected or for all that was known.
+            // The true time is longer than this one, which agrees with the expectation or has none to
+            // contradict.
             return Ok(Verdict::Ignored);
         }
         let observed = Observed {
@@ -421,8 +422,8 @@ impl Session {
         Ok(self.controller.observe(&observed))
     }
 
-    /// Takes the newest plan back, where the caller draws no frame with it: its id goes to the next plan,
-    /// which follows on the frame before it. Any other id changes nothing.
+    /// Withdraws the newest plan, where the caller draws no frame with it. The next plan gets its id and
+    /// continues the frame before it. Any other id has no effect.
     pub fn withdraw(&mut self, id: u64) {
         if id == 0 || id.checked_add(1) != Some(self.next_id) {
             return;
@@ -435,7 +436,7 @@ impl Session {
         }
     }
 
-    /// Forgets every observation and every pending plan; volume and transfer function stay.
+    /// Forgets all observations and pending plans; volume and transfer function stay.
     pub fn reset(&mut self) {
         self.controller.reset();
         self.pending.fill(None);
@@ -443,7 +444,7 @@ impl Session {
         self.last = None;
     }
 
-    /// Casts the probe's rays.
+    /// Marches the probe's rays.
     fn cast(&mut self, frame: &Frame) -> Result<()> {
         let (Some(volume), Some(transfer)) = (&self.volume, &mut self.transfer) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
@@ -457,15 +458,15 @@ impl Session {
         Ok(())
     }
 
-    /// Lets the controller know of a frame whose setting it does not choose.
+    /// Tells the controller about a frame whose setting it does not choose.
     fn begin(&mut self, changes: Changes, setting: Setting) -> Result<()> {
         let (controller, mut cost) = self.costing(changes, setting)?;
         controller.begin(changes, setting.step, &mut |step| cost.at(step));
         Ok(())
     }
 
-    /// The controller, and what it asks for the costs of the measured frame. That every input is there is
-    /// checked here, so that no question fails for want of one.
+    /// The controller, and the cost function of the measured frame for it. Checks that every input is
+    /// present, so that the cost function cannot fail.
     fn costing(
         &mut self,
         changes: Changes,
@@ -542,8 +543,8 @@ impl Session {
     }
 }
 
-/// What predictors may ask for about the frame that was measured last. Of the session's parts, not of the
-/// session: what asks is one of them.
+/// Inputs of a predictor for the last measured frame. A function of the session's parts, so that the
+/// predictor, another part, can be borrowed mutably at the same time.
 fn inputs_of<'a>(
     features: &'a FrameFeatures,
     setting: Setting,
@@ -569,7 +570,7 @@ fn controller_for(predictor: &dyn Predictor, mut options: HybridOptions) -> Box<
     Box::new(Hybrid::new(options))
 }
 
-/// The prediction at the reference step, brought to a step by the analytic model's ratio.
+/// The prediction at the reference step, scaled to a step by the analytic model's ratio.
 fn scaled(terms: CostTerms, shape: &AnalyticModel, features: &FrameFeatures, setting: &Setting) -> CostTerms {
     let at = shape.parts(features, setting).seconds();
     let reference = shape.parts(features, &Setting { step: 1.0, ..*setting }).seconds();
@@ -584,14 +585,14 @@ fn scaled(terms: CostTerms, shape: &AnalyticModel, features: &FrameFeatures, set
 struct Cost<'a> {
     predictor: &'a mut (dyn Predictor + Send),
     shape: &'a AnalyticModel,
-    /// What a step stands for: the step itself, or one with an image size.
+    /// Maps a step of the controller to ray step and image size.
     coarsening: Coarsening,
-    /// The frame's own setting.
+    /// The frame's setting at full image size.
     full: Setting,
-    /// An image width and the prediction at the reference step there, for predictors that do not know the
-    /// step.
+    /// An image width and the prediction there at the reference step, for predictors that do not depend on
+    /// the step.
     reference: Option<(u32, CostTerms)>,
-    /// The step asked for last, and its cost.
+    /// The last evaluated step and its cost.
     last: Option<(f32, CostTerms)>,
     inputs: Inputs<'a>,
 }

@@ -1,4 +1,4 @@
-//! Closed loops with a scripted clock: no renderer, a known cost law.
+//! Closed loops with a simulated clock: no renderer, a known cost function.
 
 use super::*;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
@@ -52,7 +52,7 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
     let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
     let mut session = Session::untrained();
     session.set_volume(summary, None);
-    // The machine: another mix of unit costs, 40 times slower than the defaults.
+    // The simulated machine: other ratios of unit costs, 40 times slower than the defaults.
     let truth = AnalyticModel::from_costs([
         4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0, 0.0, 0.0,
@@ -165,7 +165,7 @@ fn an_impossible_target_is_said_and_leaves_nothing_behind() {
         let d = drive(&mut hybrid, 1e-6);
         assert_eq!((d.reason, d.step), (Reason::TargetUnreachable, 16.0));
     }
-    // No windup: back on target within a few damped frames.
+    // No windup: the step returns within a few damped frames.
     for _ in 0..8 {
         drive(&mut hybrid, 0.004);
     }
@@ -181,7 +181,7 @@ fn an_impossible_target_is_said_and_leaves_nothing_behind() {
 #[test]
 fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
     let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
-    // Nonsense that changes from frame to frame, far out of range.
+    // Random predictions, far out of range.
     let mut hybrid =
         Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
     let mut noise = Noise(11);
@@ -251,7 +251,7 @@ fn state_survives_saving_and_damaged_state_is_refused() {
 
 #[test]
 fn the_state_stays_bounded_over_long_runs() {
-    // The full million takes seconds; a tenth of it in the default run finds the same faults.
+    // A million frames take seconds; a tenth of them finds the same faults.
     let mut hybrid = Hybrid::new(HybridOptions::default());
     let mut noise = Noise(5);
     for i in 0..100_000u32 {
@@ -328,7 +328,7 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
     rejects(&mut session, plan.id + 1, 0.01, "no plan has this id");
     rejects(&mut session, 0, 0.01, "no plan has this id");
     assert_eq!(session.save_state(), before);
-    // Late by many frames is welcome, forgotten is not, twice is not.
+    // An observation may be many frames late; a forgotten plan and a second observation are rejected.
     let mut ids = Vec::new();
     for _ in 0..PENDING_PLANS {
         ids.push(session.plan(&f, 0.02).unwrap().id);
@@ -340,7 +340,7 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
     assert_eq!(unusual.unwrap(), Verdict::Ignored);
 }
 
-/// A session that has seen frames of two settings.
+/// A session after observations of 20 views.
 fn taught(mut session: Session) -> Session {
     for i in 0..40 {
         let plan = session.plan(&frame(0.0, 3.0 * (i % 20) as f32, 2.0), 0.02).unwrap();
@@ -404,7 +404,7 @@ fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
     assert!(session.set_timing_source(&"x".repeat(257), "").is_err());
 }
 
-/// A session that learned, as a little-endian machine saved it.
+/// The learned state of a session, saved by a little-endian machine.
 const LEARNED: &str = include_str!("learned_state.hex");
 
 #[test]
@@ -465,8 +465,8 @@ fn a_session_says_what_is_missing_and_refuses_bad_targets() {
     assert_eq!((plan.step, plan.reason), (3.5, Reason::Off));
 }
 
-/// A loop with noise, late and missing observations, a switch, and steering off for a while. Where `log`
-/// holds entries they are played again; else they are written.
+/// A loop with noise, late and missing observations, a switch, and a phase with steering off. Replays the
+/// entries of `log`, or records them where it is empty.
 fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
     let replaying = !log.is_empty();
     let mut session = ready_session();
@@ -513,7 +513,7 @@ fn a_log_of_targets_and_times_replays_to_the_same_bits() {
     let first = logged(&mut log);
     assert_eq!(log.len(), 150);
     assert_eq!(logged(&mut log), first);
-    // One time that is other by a bit shows.
+    // A change of one observed time by a few bits shows.
     log[20].1 = log[20].1.map(|t| t + 1000);
     assert_ne!(logged(&mut log), first);
 }
@@ -528,7 +528,8 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
     );
     assert!(plans.iter().all(|p| (p.3 == Reason::Off) == (p.3 as u32 == 8)));
     assert!(plans[100..110].iter().all(|p| p.3 == Reason::Off && f32::from_bits(p.0) == 1.0));
-    // Off, the session hears that the machine has become three times slower; on again, it knows.
+    // While steering is off, the machine becomes three times slower; the session has learned it when steering
+    // is on again.
     let mut session = ready_session();
     let f = frame(10.0, 0.0, 2.0);
     for i in 0..80 {
@@ -538,7 +539,8 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
         session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default()).unwrap();
     }
     session.set_enabled(true);
-    // All it saw was step 1: the first frame may be careful, it may not be late, and four frames settle it.
+    // Only step 1 was observed: the first frame may be too fast but not late, and after four frames the step
+    // is right.
     for i in 0..8 {
         let plan = session.plan(&f, 0.02).unwrap();
         let seconds = 3.0 * (0.0005 + 0.03 / plan.step);
@@ -582,9 +584,9 @@ fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
     hybrid.observe(&Observed { seconds: 2.0 * old.seconds, ..old });
     let after = now(&hybrid);
     assert!((after / before).ln().abs() < 0.02, "{before} {after}");
-    // Nor does it say whether this scene's frames are foretold better by each other than by predictions.
+    // Late observations of an old scene do not make recent frames lead either.
     for i in 0..40 {
-        // By turns too high and too low, so that no other machine is suspected.
+        // Alternately too slow and too fast, so that no load is detected.
         let wrong = if i % 2 == 0 { 2.0 } else { 0.5 };
         let terms = CostTerms::whole(wrong * old.terms.seconds(), 0.0, Source::Analytic);
         hybrid.observe(&Observed { terms, ..old });
@@ -614,17 +616,17 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
         let mut ladder = session(Some(tolerance), 11);
         let plan = ladder.plan(&frame, target).unwrap();
         let side = ladder.features().probe_side();
-        // The plan is the one of a session with this probe alone.
+        // The plan equals that of a session with this probe only.
         let same = session(None, side).plan(&frame, target).unwrap();
         assert_eq!((plan.step, plan.seconds), (same.step, same.seconds), "{tolerance} {target}");
-        // Predictions do not climb.
+        // Predictions always use the finest probe.
         assert_eq!(ladder.predict(&frame).unwrap().seconds, expected);
         side
     };
-    // Any step will do, or none.
+    // Targets that every step meets, or none.
     assert_eq!(climbed(0.0, 1e3), 4);
     assert_eq!(climbed(0.0, 1e-9), 4);
-    // In between every error changes the step, a large one is let pass.
+    // In between, every error changes the step; a high tolerance accepts it.
     let target = 0.8 * expected;
     assert_eq!(climbed(0.0, target), 24);
     assert_eq!(climbed(1.0, target), 4);
@@ -653,10 +655,10 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     let near = seen(&mut session, &frame(22.0, 32.0, 2.62));
     assert_eq!(near.0, first.0);
     assert_ne!(near.1, first.1);
-    // Every further frame is held against the one that the rays were cast for.
+    // Views are compared with the one for which rays were cast.
     assert_eq!(seen(&mut session, &frame(24.0, 33.0, 2.64)).0, first.0);
     assert_ne!(seen(&mut session, &frame(26.0, 36.0, 2.66)).0, first.0);
-    // Whatever else changes, rays are cast.
+    // After any other change, rays are cast again.
     let wide = Frame { width: 300, ..frame(24.0, 34.0, 2.64) };
     let mut before = seen(&mut session, &wide).0;
     for change in 0..3 {
@@ -675,7 +677,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
             assert_eq!(before, now);
         }
     }
-    // So they are for another time step.
+    // The same for another time step.
     let thinner: Vec<u8> = voxels.iter().map(|&v| if v < 120 { 0 } else { v }).collect();
     let next = VolumeView::new(Scalars::U8(&thinner), [64; 3]).unwrap();
     session.set_time_step(VolumeSummary::new(&next, SummaryOptions::default()).unwrap(), None).unwrap();

@@ -1,18 +1,19 @@
-//! Which cells and blocks of a volume a transfer function leaves empty: 64 pairs of bounds at a time.
+//! Finds the cells and blocks of a volume that a transfer function leaves empty, 64 pairs of bounds at a
+//! time.
 
 use entire_core::kernels::{Kernel, Level, Simd};
 use entire_core::scene::TABLE_LEN;
 
-/// Runs of visible table entries up to which bounds are compared with each run; with more, each pair is looked
-/// up in a prefix table.
+/// Largest number of runs of visible table entries for which bounds are compared with every run; with more
+/// runs, each pair of bounds is looked up in a table of prefix sums.
 const MAX_RUNS: usize = 8;
 
-/// The visible entries of a table.
+/// Visible entries of a transfer table.
 pub(super) struct Visible<'a> {
-    /// Visible entries below each entry.
+    /// Prefix sums: number of visible entries below each entry.
     below: &'a [u16; TABLE_LEN + 1],
     runs: [(u8, u8); MAX_RUNS],
-    /// Runs of visible entries, or `None` where there are more than [`MAX_RUNS`].
+    /// Number of runs of visible entries; `None` where there are more than [`MAX_RUNS`].
     count: Option<usize>,
 }
 
@@ -37,7 +38,7 @@ impl<'a> Visible<'a> {
         Self { below, runs, count: Some(count) }
     }
 
-    /// A bit for each of 64 pairs of bounds, set where an entry between them is visible.
+    /// One bit per pair of bounds, set where an entry within the bounds is visible.
     #[inline(always)]
     fn bits<S: Simd>(&self, simd: S, low: &[u8; 64], high: &[u8; 64]) -> u64 {
         let Some(count) = self.count else {
@@ -47,7 +48,7 @@ impl<'a> Visible<'a> {
         self.runs[..count].iter().fold(0, |bits, &(first, last)| bits | simd.overlaps(low, high, first, last))
     }
 
-    /// The same for those beyond the last whole 64 pairs; no others are set.
+    /// As `bits`, for the pairs after the last group of 64; bits beyond them are zero.
     #[inline(always)]
     fn rest<S: Simd>(&self, simd: S, low: &[u8], high: &[u8]) -> u64 {
         let (low, high) = (low.as_chunks::<64>().1, high.as_chunks::<64>().1);
@@ -58,8 +59,9 @@ impl<'a> Visible<'a> {
     }
 }
 
-/// Writes a bit for each pair of bounds, 64 in a word, set where an entry between them is visible; gives how many
-/// are set. There must be a word for every 64 pairs and the rest of them.
+/// Writes one bit per pair of bounds, 64 per word, set where an entry within the bounds is visible; returns
+/// the number of bits set. `bits` must have a word for every group of 64 pairs, the last partial one
+/// included.
 pub(super) fn classify(visible: &Visible<'_>, low: &[u8], high: &[u8], bits: &mut [u64]) -> u64 {
     Level::detect().run(Classify { visible, low, high, bits })
 }
@@ -90,26 +92,28 @@ impl Kernel for Classify<'_> {
     }
 }
 
-/// The blocks of a volume's cells, cell after cell.
+/// Blocks of a volume, ordered by cell.
 #[derive(Clone, Copy)]
 pub(super) struct Blocks<'a> {
-    /// Lowest and highest entries that samples in each can touch.
+    /// Lowest and highest table entry that samples in each block can reach.
     pub(super) low: &'a [u8],
     pub(super) high: &'a [u8],
-    /// Where the blocks of each cell begin, and where the last one's end.
+    /// Index of each cell's first block, and one past the last block.
     pub(super) first: &'a [u32],
-    /// How many blocks a cell has that the volume's end does not cut, and whether that is every cell.
+    /// Number of blocks of a cell that the volume's border does not cut; `uniform` is true where every cell
+    /// has as many.
     pub(super) most: usize,
     pub(super) uniform: bool,
 }
 
 impl Blocks<'_> {
-    /// Whether a word of bits of blocks is eight cells, or part of one: then cells are looked at first.
+    /// True where a word of block bits covers eight whole cells, or a part of one cell; cells are then
+    /// classified first.
     fn fill_words(&self) -> bool {
         self.uniform && (self.most == 8 || self.most.is_multiple_of(64))
     }
 
-    /// The share of a cell's blocks whose bit is set. `bits` must have a word beyond that of the last block.
+    /// Share of a cell's blocks whose bit is set. `bits` must have a word beyond that of the last block.
     #[inline(always)]
     pub(super) fn share(&self, bits: &[u64], cell: usize) -> f32 {
         let [begin, end] = if self.uniform {
@@ -121,10 +125,10 @@ impl Blocks<'_> {
     }
 }
 
-/// Writes a bit for each block, set where an entry between its bounds is visible, and for each cell, set
-/// where one of its blocks' is: what stands for the blocks of other cells may be anything. Gives the sum,
-/// over cells, of the share of their blocks whose bit is set. `low` and `high` are the bounds of the cells.
-/// `bits` must have a word beyond that of the last block.
+/// Writes one bit per block, set where an entry within its bounds is visible, and one bit per cell, set where
+/// a block of the cell has its bit set; block bits of the other cells are unspecified. Returns the sum, over
+/// cells, of the share of their blocks whose bit is set. `low` and `high` are the bounds of the cells. `bits`
+/// must have a word beyond that of the last block.
 pub(super) fn classify_blocks(
     visible: &Visible<'_>,
     low: &[u8],
@@ -141,8 +145,8 @@ pub(super) fn classify_blocks(
     }
 }
 
-/// Where whole words are blocks of cells: only words of cells whose own bounds hold a visible entry are
-/// looked at.
+/// The case of [`Blocks::fill_words`]: only words of cells whose own bounds contain a visible entry are
+/// classified.
 struct ClassifyWords<'a> {
     visible: &'a Visible<'a>,
     low: &'a [u8],
@@ -165,7 +169,7 @@ impl Kernel for ClassifyWords<'_> {
         if each == 8 {
             for (i, (cells, bits)) in full.iter_mut().zip(bits.chunks_mut(8)).enumerate() {
                 let mut found = 0;
-                // Eight cells of eight blocks: a byte each.
+                // Eight cells of eight blocks, one byte each.
                 for (part, word) in
                     bits.iter_mut().enumerate().filter(|(part, _)| *cells >> (8 * part) & 0xff != 0)
                 {
@@ -198,21 +202,22 @@ impl Kernel for ClassifyWords<'_> {
                 sum += ones;
             }
         }
-        // A whole number of shares, each a power of two: exact.
+        // The sum is an integer, and `each` a power of two: exact.
         sum as f64 / each as f64
     }
 }
 
-/// A bit for each byte of a word that is not zero.
+/// One bit per byte of a word, set where the byte is not zero.
 #[inline(always)]
 fn occupied_bytes(word: u64) -> u64 {
     const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
-    // The highest bit of each byte that is not zero, all of them brought together by a product.
+    // The highest bit of each nonzero byte; the product gathers them into one byte.
     let full = (((word & LOW) + LOW) | word) & !LOW;
     (full >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
-/// A bit for each cell, set where a bit of its blocks is; gives the sum of the shares that are set.
+/// Writes one bit per cell, set where a block of the cell has its bit set; returns the sum of the cells'
+/// shares of set blocks.
 struct Gather<'a> {
     bits: &'a [u64],
     blocks: Blocks<'a>,
@@ -253,14 +258,15 @@ impl Kernel for Gather<'_> {
     }
 }
 
-/// How many of the bits from `first` to before `end` are set. `bits` must have a word beyond that of `end`.
+/// Number of bits set from `first` up to, but not including, `end`. `bits` must have a word beyond that of
+/// `end`.
 #[inline(always)]
 fn count(bits: &[u64], first: usize, end: usize) -> u32 {
     let (mut at, mut sum) = (first, 0);
     while at < end {
         let (word, shift) = (at / 64, at % 64);
         let len = (end - at).min(64);
-        // Two shifts: one by 64 has no meaning.
+        // Two shifts: a shift by 64 is undefined.
         let ahead = bits[word + 1] << 1 << (63 - shift);
         sum += ((bits[word] >> shift | ahead) & u64::MAX >> (64 - len)).count_ones();
         at += len;
@@ -309,7 +315,7 @@ mod tests {
         (0..words).map(|i| i.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5555_0f0f_3333_00ff).collect()
     }
 
-    /// Cells of as many blocks each, whole words of them or not, and cells of fewer among others.
+    /// Cells of equal numbers of blocks, in whole words and not, and cells with fewer blocks among them.
     #[test]
     fn shares_are_those_of_one_block_after_another() {
         let mut below = [0u16; TABLE_LEN + 1];
@@ -334,7 +340,7 @@ mod tests {
                 first.push(first[i] + len as u32);
             }
             let n = first[cells] as usize;
-            // Bounds of neighboring blocks lie near each other.
+            // Neighboring blocks have similar bounds.
             let low: Vec<u8> = (0..n).map(|i| ((i / 5 * 37 + i % 7) % 256) as u8).collect();
             let high: Vec<u8> =
                 low.iter().enumerate().map(|(i, &l)| l.saturating_add((i % 9) as u8)).collect();

@@ -2,10 +2,10 @@
 
 use super::{FrameFeatures, SceneQuantity, Setting};
 
-/// Unit costs of the linear model: one for the frame itself, then one per quantity of [`COST_QUANTITIES`].
+/// Number of unit costs of the linear model: one per frame, then one per quantity of [`COST_QUANTITIES`].
 pub const COSTS: usize = 22;
 
-/// The quantities that cost time, in the order of the unit costs after the first.
+/// Quantities that have a unit cost, in the order of the unit costs after the first.
 pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::Pixels,
     SceneQuantity::Rays,
@@ -30,43 +30,43 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::RemappedSamples,
 ];
 
-/// The first of [`COST_QUANTITIES`] are what every renderer may pay for; the last is for renderers that convert each
-/// stored value ([`UnitCosts::CONVERTING`]), and costs others nothing.
+/// Number of unit costs of every renderer; the last one applies only to renderers that convert each stored
+/// value ([`UnitCosts::CONVERTING`]) and is zero for the others.
 pub(crate) const COMMON_COSTS: usize = 21;
 
-/// Seconds of a frame and of each of [`COST_QUANTITIES`].
+/// Unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitCosts(pub [f64; COSTS]);
 
 impl UnitCosts {
-    /// A software renderer on two processors: the geometric mean of those that were measured. Their ratios
-    /// count, since the first observations set the scale.
+    /// A software renderer on two processors: the geometric mean of the measured ones. Only the ratios of the
+    /// costs matter, since the first observations set the scale.
     pub const SOFTWARE: Self = Self([
         1.3e-4, 8.0e-8, 1.3e-8, 5.5e-9, 2.2e-9, 1.2e-9, 2.5e-8, 1.9e-8, 4.2e-10, 1.2e-9, 5.3e-11, 2.7e-9,
         2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0,
     ]);
 
-    /// [`UnitCosts::SOFTWARE`] of a renderer that looks stored values up in tables, as VTK's fixed-point mapper and
-    /// yt do.
+    /// [`UnitCosts::SOFTWARE`] for a renderer that looks stored values up in tables, such as VTK's
+    /// fixed-point mapper and yt.
     pub const CONVERTING: Self = {
         let mut costs = Self::SOFTWARE.0;
         costs[COMMON_COSTS] = 2.0e-9;
         Self(costs)
     };
 
-    /// Each cost with its name: `frame`, then those of the quantities.
+    /// Each unit cost with its name: `frame`, then the quantities' names.
     pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
         core::iter::once("frame").chain(COST_QUANTITIES.iter().map(|q| q.name())).zip(self.0)
     }
 
-    /// Seconds for work: a leading 1 for the frame, then the quantities' values.
+    /// Seconds of the given work: 1 for the frame, then the quantities' values.
     pub(crate) fn seconds(&self, work: &[f64; COSTS]) -> f64 {
         self.0.iter().zip(work).map(|(c, w)| c * w).sum()
     }
 }
 
 impl FrameFeatures {
-    /// Work as unit costs count it: a leading 1 for the frame, then the quantities.
+    /// Work in the order of the unit costs: 1 for the frame, then the quantities.
     pub(crate) fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];

@@ -1,34 +1,34 @@
-//! The part of the image that the volume's box covers, exactly.
+//! The part of the image that the volume's box covers, computed exactly.
 
 use entire_core::scene::Camera;
 use glam::Vec3;
 
-/// What an image sees of a box, in image coordinates u, v in [−1, 1] (u to the right, v up).
+/// Region of the image covered by a box, in image coordinates u, v in [−1, 1] (u to the right, v up).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Footprint {
     /// Share of the image's area that the box covers, 0…1.
     pub share: f32,
     /// Lower corner of the covered region's bounding rectangle.
     pub low: [f32; 2],
-    /// Upper corner.
+    /// Upper corner of the bounding rectangle.
     pub high: [f32; 2],
-    /// A point inside the covered region (its centroid).
+    /// Centroid of the covered region.
     pub center: [f32; 2],
-    /// Whether the eye stands inside the box.
+    /// True where the eye is inside the box.
     pub inside: bool,
 }
 
 impl Footprint {
-    /// A footprint that covers nothing.
+    /// The footprint of a box outside the image.
     pub(crate) const NOTHING: Self =
         Self { share: 0.0, low: [0.0; 2], high: [0.0; 2], center: [0.0; 2], inside: false };
 
     /// Projects a box of half size `half_extent` about the origin into a `width` × `height` image.
     ///
-    /// The faces that the eye sees from inside (or would see through the box) project one to one onto the
-    /// covered region, from outside as from inside; each is clipped to what the image shows and its area
-    /// summed. With parallel rays these are the faces that they leave through, as far as they lie before the
-    /// plane that the rays come from. Pixels are not rounded.
+    /// The box's back faces, seen from its inside or through it, project one to one onto the covered region
+    /// for any position of the eye; each is clipped to the image, and the areas are summed. With parallel
+    /// rays the back faces are those through which the rays leave, clipped to the half-space in front of the
+    /// rays' origin. Pixels are not rounded.
     pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
         let parallel = camera.is_parallel();
         let (origin, direction) = camera.ray_basis(width, height);
@@ -68,7 +68,7 @@ impl Footprint {
                 polygon.measure(&mut area, &mut moment, &mut out.low, &mut out.high);
             }
         }
-        // The image has area 4 in these coordinates.
+        // The image has area 4 in image coordinates.
         if !(area > 0.0) {
             return Self { inside, ..Self::NOTHING };
         }
@@ -83,7 +83,7 @@ impl Footprint {
     }
 }
 
-/// Most corners of a polygon: a quadrilateral clipped by five planes.
+/// Largest number of corners of a polygon: a quadrilateral clipped by five planes.
 const CORNERS: usize = 9;
 
 /// A convex polygon in homogeneous image coordinates (x, y, w): the image is |x| ≤ w, |y| ≤ w.
@@ -125,7 +125,7 @@ impl Polygon {
         out
     }
 
-    /// Of a polygon in (x, y, depth): the part of positive depth, seen by parallel rays.
+    /// The part of a polygon in (x, y, depth) with positive depth, which parallel rays see.
     fn before_the_plane(&self) -> Self {
         let mut out = self.clip([0.0, 0.0]);
         for corner in &mut out.corners[..out.len] {
@@ -147,7 +147,7 @@ impl Polygon {
                 high[k] = high[k].max(p[k]);
             }
         }
-        // A fan from the first corner; the faces of one box never overlap in the image.
+        // A fan from the first corner; the back faces of a box never overlap in the image.
         for pair in points[1..self.len].windows(2) {
             let (o, a, b) = (points[0], pair[0], pair[1]);
             let twice = (a[0] - o[0]) * (b[1] - o[1]) - (b[0] - o[0]) * (a[1] - o[1]);
@@ -170,7 +170,7 @@ mod tests {
         Camera::from_arcball(Arcball { rx, ry, dz }).unwrap()
     }
 
-    /// Whether a ray meets the box, by slabs.
+    /// True where a ray meets the box (slab method).
     fn hits(h: Vec3, o: Vec3, d: Vec3) -> bool {
         let (a, b) = ((-h - o) / d, (h - o) / d);
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
@@ -189,7 +189,8 @@ mod tests {
                 (10.0, 20.0, 8.0),
             ] {
                 let lens = camera(rx, ry, dz);
-                // Whole, and cut by the image's border; from near, the plane goes through the box.
+                // The whole box, and the box cut by the image's border; from near, the image plane cuts the
+                // box.
                 let parallel = [0.4, 1.3].map(|scale| lens.with_parallel_scale(scale).unwrap());
                 let sizes = [(200, 200), (300, 120), (90, 240)];
                 for ((w, height), camera) in
@@ -232,7 +233,7 @@ mod tests {
             1.0,
         );
         let back = back.unwrap();
-        // Rotating after the translation swings the view by half a turn about the eye.
+        // Rotating after the translation turns the view by 180° about the eye.
         let f = Footprint::new(h, &back, 64, 64);
         assert_eq!((f.share, f.inside), (0.0, false));
     }

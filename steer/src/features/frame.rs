@@ -1,4 +1,4 @@
-//! What one frame will do, for any ray step and image size of the same shape.
+//! Estimated work of one frame, for any ray step and for any image size of the same aspect ratio.
 
 use super::{
     Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneQuantity, TransferSummary, UnitCosts,
@@ -9,15 +9,15 @@ use entire_core::kernels::Level;
 use entire_core::scene::{Arcball, Frame, Shading, Skipping, ratios};
 use glam::Vec3;
 
-/// Rays along each side of the footprint's rectangle from which [`along`] takes its mean.
+/// Rays along each side of the footprint's rectangle that [`along`] averages.
 const ALONG_SIDE: usize = 3;
 
-/// Shares of the voxel borders crossed by rays that lie across x, y and z: those of ALONG_SIDE² rays through
-/// the footprint's rectangle, averaged, or of the central ray where the box is not seen.
+/// Of the voxel borders that rays cross, the shares normal to x, y and z: the mean of ALONG_SIDE² rays
+/// through the footprint's rectangle, or the central ray's where the box is not visible.
 fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
-    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis, whatever the
-    // unit.
+    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis; the ratios do
+    // not depend on the unit.
     let spacing = ratios(spacing);
     let share = |direction: Vec3| {
         let crossed = direction.abs() / spacing;
@@ -37,10 +37,10 @@ fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
     sum / (ALONG_SIDE * ALONG_SIDE) as f32
 }
 
-/// Side of the pixel tiles that a renderer runs in lockstep.
+/// Side of the pixel tiles that a renderer runs in lockstep, in pixels.
 const TILE_SIDE: f32 = 8.0;
 
-/// What of a frame a controller may vary.
+/// Settings of a frame that a controller may change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
     /// Ray step in multiples of the reference step.
@@ -62,31 +62,32 @@ impl From<&Frame> for Setting {
     }
 }
 
-/// What the caller knows to differ from the frame before. By default nothing but the camera, which moves smoothly.
+/// Changes since the frame before, as far as the caller knows. The default is a smoothly moving camera and
+/// nothing else.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Changes {
-    /// No frame came before, or the first one after a pipeline was built.
+    /// There is no frame before, or the pipeline was rebuilt.
     pub first: bool,
-    /// Another transfer function.
+    /// The transfer function changed.
     pub transfer: bool,
-    /// Another volume.
+    /// The volume changed.
     pub volume: bool,
-    /// Another image size.
+    /// The image size changed.
     pub size: bool,
-    /// Another shading, skipping or termination mode.
+    /// The shading, skipping or termination mode changed.
     pub mode: bool,
-    /// The camera jumped (a cut, not a move).
+    /// The camera jumped (a cut, not a motion).
     pub camera: bool,
 }
 
 impl Changes {
-    /// Whether anything did that makes the frames before a bad guide.
+    /// True where a change makes the times of earlier frames a poor predictor.
     pub(crate) fn any(&self) -> bool {
         self.first || self.transfer || self.volume || self.size || self.mode || self.camera
     }
 }
 
-/// Estimated work of a whole frame. All are counts; none is negative.
+/// Estimated work of a whole frame. All values are counts, except the ray spacing; none is negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Work {
     /// Pixels of the image.
@@ -95,53 +96,55 @@ pub struct Work {
     pub rays: f64,
     /// Samples taken along primary rays.
     pub samples: f64,
-    /// Jumps over empty blocks, those of shadow rays included.
+    /// Jumps over empty blocks, including those of shadow rays.
     pub skips: f64,
-    /// Samples as a machine pays for them that runs a tile of pixels until its longest ray ends.
+    /// Samples of a machine that runs a tile of pixels in lockstep until its longest ray ends.
     pub lane_samples: f64,
-    /// Samples with opacity, where shading is on; else 0.
+    /// Samples with opacity where shading is on, otherwise 0.
     pub shaded: f64,
-    /// Samples along shadow rays, with single scattering; else 0.
+    /// Samples along shadow rays with single scattering, otherwise 0.
     pub shadow_samples: f64,
-    /// [`Self::shadow_samples`] where eight rays beside each other wait while any of them shades, …
+    /// [`Self::shadow_samples`] of a renderer that marches eight adjacent rays in lockstep, so that all of
+    /// them wait while any of them shades.
     pub lane_shadow_samples: f64,
-    /// … and as if rays beside each other were far apart.
+    /// [`Self::lane_shadow_samples`] for adjacent rays far apart, whose samples are independent.
     pub(crate) parted_shadow_samples: f64,
-    /// Runs of samples between jumps; 0 without skipping.
+    /// Runs of consecutive samples between jumps; 0 without skipping.
     pub runs: f64,
-    /// Segments of those runs, those of shadow rays included; 0 without skipping.
+    /// Lookups in the skip map during runs, including those of shadow rays; 0 without skipping.
     pub segments: f64,
-    /// Distance of neighboring rays at the mean depth of the samples, reference steps.
+    /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
     pub ray_spacing: f64,
 }
 
 impl Work {
-    /// Share of what a ray reads that no neighboring ray reads, 0…1: s²/(s² + d²) at ray spacing s, where d is
-    /// the spacing at which it is half.
+    /// Share of a ray's reads that no neighboring ray shares, 0…1: s²/(s² + d²) at ray spacing s, where d =
+    /// `half` is the spacing at which the share is one half.
     pub(crate) fn unshared(&self, half: f64) -> f64 {
         let square = self.ray_spacing * self.ray_spacing;
         square / (square + half * half)
     }
 }
 
-/// Voxels of a volume of which a cache holds half.
+/// Number of voxels of a volume of which a cache holds half.
 ///
-/// The far share, the part of the reads that wait for memory, is the share that no neighboring ray reads times the
-/// share of the volume outside of a cache. This spacing and these voxels are those with the least cross-validated error over the tables of four
-/// machines; see the book's page on the cost of a frame.
+/// The far share, the part of the reads that wait for memory, is the unshared share of the reads times the
+/// share of the volume outside the cache. This constant and [`UNSHARED_SPACING`] minimize the cross-validated
+/// error over the tables of four machines; see the book's page on the cost of a frame.
 pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
 
-/// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
+/// Ray spacing at which half of a sample's reads are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 
-/// Ray spacing in reference steps at which half of what shading reads is shared with no other ray.
+/// Ray spacing at which half of the reads of shading are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
-/// What a camera sees of a volume under a transfer function, measured once per frame.
+/// View of a camera on a volume under a transfer function, measured once per frame.
 ///
 /// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::quantity`] then
-/// evaluate any step, skipping and size (of the same shape) without marching again, and other shadings too
-/// except that single scattering must be the measured frame's. Nothing here allocates.
+/// evaluate any step, skipping mode and image size (of the same aspect ratio) without marching again. They
+/// also evaluate other shading modes, except that single scattering requires a frame measured with it.
+/// Nothing here allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe_side: usize,
@@ -157,17 +160,17 @@ pub struct FrameFeatures {
 }
 
 impl Default for FrameFeatures {
-    /// Features of nothing, to be measured with [`PROBE_SIDE`]² rays.
+    /// Empty features, to be measured with [`PROBE_SIDE`]² rays.
     fn default() -> Self {
         Self::with_probe_side(PROBE_SIDE)
     }
 }
 
 impl FrameFeatures {
-    /// Features of nothing: no ray meets anything. Frames are to be measured with `side`² rays, `side` at most [`MAX_PROBE_SIDE`]: the
-    /// time that a measurement takes and the variance of what it estimates both go with the number of rays.
-    /// With 0 no ray is cast, and quantities that [need the probe](SceneQuantity::needs_probe) are those of
-    /// nothing.
+    /// Empty features: no ray meets anything. Frames will be measured with `side`² rays, `side` at most
+    /// [`MAX_PROBE_SIDE`]; the time of a measurement grows with the number of rays, the variance of its
+    /// estimates falls with it. With `side` 0 no ray is cast, and quantities that [need the
+    /// probe](SceneQuantity::needs_probe) stay empty.
     pub fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
@@ -184,7 +187,7 @@ impl FrameFeatures {
     }
 
     /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first;
-    /// without it, jumps are counted as with [`Skipping::Blocks`].
+    /// otherwise jumps are counted as with [`Skipping::Blocks`].
     ///
     /// # Errors
     /// As [`Frame::checked`].
@@ -206,9 +209,9 @@ impl FrameFeatures {
         Ok(())
     }
 
-    /// Takes a frame's view without casting rays: where the volume stands in the image is new, what its rays met
-    /// stays. For a view close to that of the measured frame, of all else the same. Gives whether that could be
-    /// done.
+    /// Adapts the features to another view without casting rays: recomputes the volume's place in the image
+    /// and keeps the results of the rays. For a view close to the measured one, with everything else
+    /// unchanged. Returns false where this is impossible.
     pub(crate) fn turn(&mut self, volume: &VolumeSummary, frame: &Frame) -> Result<bool> {
         frame.checked()?;
         if !self.probe.turn(volume.shape(), frame) {
@@ -219,28 +222,27 @@ impl FrameFeatures {
         Ok(true)
     }
 
-    /// Rays along each side of the probe.
+    /// Number of rays along each side of the probe.
     pub fn probe_side(&self) -> usize {
         self.probe_side
     }
 
-    /// Rays of the probe that met the volume in the frame that was measured last.
+    /// Number of probe rays that met the volume in the last measured frame.
     pub fn probe_rays(&self) -> u32 {
         self.probe.rays
     }
 
-    /// Rays along each side of the next probe.
+    /// Sets the number of rays along each side of the next probe.
     pub(crate) fn set_probe_side(&mut self, side: usize) {
         self.probe_side = side.min(MAX_PROBE_SIDE);
     }
 
-    /// By how much the probe is likely to be off: the standard error of the length among samples, as a share
-    /// of it; infinite where nobody knows.
+    /// Standard error of the probe's sampled length, relative to it; infinite where it is unknown.
     pub(crate) fn probe_error(&self) -> f32 {
         self.probe.error
     }
 
-    /// The probe behind the numbers.
+    /// The probe's results.
     #[cfg(test)]
     pub(crate) fn probe(&self) -> &Probe {
         &self.probe
@@ -251,8 +253,8 @@ impl FrameFeatures {
         self.pose
     }
 
-    /// Estimated work of the frame at a setting. Never decreases when the step gets finer or the image of the
-    /// same shape larger.
+    /// Estimated work of the frame at a setting. Monotonic: never smaller for a finer step, nor for a larger
+    /// image of the same aspect ratio.
     pub fn work(&self, setting: &Setting) -> Work {
         let p = &self.probe;
         let pixels = f64::from(setting.width) * f64::from(setting.height);
@@ -266,7 +268,7 @@ impl FrameFeatures {
         let per_ray = length * inv + crossing;
         let skips =
             if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
-        // Within a tile, the longest ray is about as far from the mean as the probe's neighbors are, scaled
+        // Within a tile, the longest ray exceeds the mean by as much as the probe's longest neighbor, scaled
         // to the tile's size.
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
@@ -274,7 +276,7 @@ impl FrameFeatures {
         let (mut shadow, mut shadow_skips, mut shadow_segments) = (0.0, 0.0, 0.0);
         if setting.shading == Shading::Scatter {
             let length = if skipping { p.shadow } else { p.shadow_all };
-            // Shadow rays begin one of their steps away from the sample, and take the sample that crosses the
+            // A shadow ray begins one of its steps away from the sample and takes the sample that crosses the
             // threshold.
             shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
@@ -296,12 +298,12 @@ impl FrameFeatures {
             segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
             ray_spacing: f64::from(p.spread / setting.height as f32),
         };
-        // Rays nearer than a voxel or two shade together.
+        // Adjacent rays closer than a voxel or two shade together.
         work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared(UNSHARED_SPACING) * (waiting - 1.0));
         work
     }
 
-    /// A quantity at a setting.
+    /// Value of a quantity at a setting.
     pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting, work: &Work) -> f64 {
         use SceneQuantity as Q;
         let p = &self.probe;
@@ -353,7 +355,7 @@ impl FrameFeatures {
         }
     }
 
-    /// Share of the volume that lies outside of a cache, 0…1: n / (n + [`CACHED_VOXELS`]).
+    /// Share of the volume outside the cache, 0…1: n / (n + [`CACHED_VOXELS`]).
     fn uncached(&self) -> f64 {
         let voxels = f64::from(self.voxels);
         voxels / (voxels + CACHED_VOXELS)

@@ -1,33 +1,33 @@
-//! How deep a cell lies among cells that are not empty: what tells how far a ray gets there before its renderer
-//! looks at the skip map again.
+//! Distance of a cell to the nearest empty cell, in classes: the interval, in cells, at which a renderer
+//! looks at its skip map there.
 
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::memory::{fit, longer};
 
-/// Distances in cells to the nearest empty cell from which the classes of depth after the first begin. Class c
-/// stands for 2^c cells.
+/// Smallest distances to the nearest empty cell, in cells, of the classes 1, 2 and 3. Class c means one
+/// lookup in 2^c cells.
 const FROM: [usize; 3] = [2, 3, 5];
 
-/// Vectors of words that are worked in: those of [`FROM`], and two to go through.
+/// Number of bit vectors: one per entry of [`FROM`], and two as working memory.
 const BUFFERS: usize = FROM.len() + 2;
 
-/// Bits of the cells that lie so deep among cells that are not empty, by rows along x: every row begins a word.
+/// Bit vectors of the cells of each class and above, by rows along x; every row begins a word.
 ///
-/// Cells beyond the grid count as not empty, as they do to a skip map that ends there.
+/// Cells outside the grid count as not empty, as in a skip map that ends at the grid.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Interior {
     bits: [Vec<u64>; BUFFERS],
     found: bool,
 }
 
-/// Words of a row along x.
+/// Number of words of a row along x.
 fn row_words(grid: [usize; 3]) -> usize {
     grid[0].div_ceil(64)
 }
 
 impl Interior {
-    /// Vectors with room for a grid, where the present ones have none.
+    /// New vectors where the present ones are too small for a grid.
     ///
     /// # Errors
     /// [`crate::ErrorKind::OutOfMemory`].
@@ -40,7 +40,7 @@ impl Interior {
         Ok(out)
     }
 
-    /// Takes the longer vectors. Nothing is found until [`Interior::find`].
+    /// Installs the longer vectors and invalidates the classes until [`Interior::find`].
     pub(super) fn fit(&mut self, longer: [Option<Vec<u64>>; BUFFERS], grid: [usize; 3]) {
         let words = row_words(grid) * grid[1] * grid[2];
         for (present, longer) in self.bits.iter_mut().zip(longer) {
@@ -49,8 +49,8 @@ impl Interior {
         self.found = false;
     }
 
-    /// Finds the cells of every class from the bits of all cells, unless that was done. Most of what it costs
-    /// is spared where no ray is cast.
+    /// Computes the classes from the bits of all cells, once per classification. Called only when a ray needs
+    /// a class.
     #[inline(always)]
     pub(super) fn find(&mut self, grid: [usize; 3], full: &[u64]) {
         if !self.found {
@@ -77,8 +77,8 @@ impl Interior {
         erode(b, fifth, a, words, ny);
     }
 
-    /// The class of a cell that is not empty: 0 beside an empty cell, else that of the distance to the nearest
-    /// one.
+    /// Class of a cell that is not empty: 0 next to an empty cell, otherwise by the distance to the nearest
+    /// empty cell.
     #[inline(always)]
     pub(super) fn class(&self, grid: [usize; 3], cell: usize) -> u32 {
         let (cell, nx) = (cell as u32, grid[0] as u32);
@@ -89,18 +89,18 @@ impl Interior {
     }
 }
 
-/// 64 bits from any place on.
+/// Reads 64 bits from any bit offset.
 #[inline(always)]
 fn read(bits: &[u64], at: usize) -> u64 {
     let word = |i: usize| bits.get(i).copied().unwrap_or(0);
-    // Two shifts: one by 64 has no meaning.
+    // Two shifts: a shift by 64 is undefined.
     word(at / 64) >> (at % 64) | word(at / 64 + 1) << 1 << (63 - at % 64)
 }
 
-/// Keeps the cells that are set with all 26 neighbors inside the grid: one pass per axis. Bits beyond the end of
-/// a row are set and stay so.
+/// Binary erosion: keeps set cells whose 26 neighbors inside the grid are all set, one pass per axis. Bits
+/// beyond the end of a row are set and stay set.
 fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: usize) {
-    // Along x, from word to word.
+    // Along x, with carries between words.
     for (from, to) in from.chunks_exact(words).zip(to.chunks_exact_mut(words)) {
         for w in 0..words {
             let before = if w > 0 { from[w - 1] >> 63 } else { 1 };
@@ -115,7 +115,7 @@ fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: us
     all_three(between, to, words * ny);
 }
 
-/// Every word together with those `stride` before and after it, where there are any.
+/// Bitwise and of every word with the words `stride` before and after it, where they exist.
 fn all_three(from: &[u64], to: &mut [u64], stride: usize) {
     to.copy_from_slice(from);
     let end = from.len() - stride.min(from.len());
@@ -128,7 +128,7 @@ mod tests {
     use super::*;
     use alloc::vec;
 
-    /// Chebyshev distance to the nearest clear cell inside the grid, by looking at every cell.
+    /// Chebyshev distance to the nearest clear cell inside the grid, by brute force.
     fn distance(set: &[bool], grid: [usize; 3], cell: usize) -> usize {
         let place = |c: usize| [c % grid[0], c / grid[0] % grid[1], c / grid[0] / grid[1]];
         let here = place(cell);
@@ -143,7 +143,7 @@ mod tests {
         for grid in [[20, 17, 15], [70, 9, 11], [1, 13, 30], [3, 3, 3], [129, 4, 5], [64, 1, 1], [1, 1, 1]] {
             let n: usize = grid.iter().product();
             for seed in 0..6u64 {
-                // A few clear cells: more of them with every seed, none with the first.
+                // Clear cells: none with the first seed, more with every seed.
                 let clear = |i: usize| (i as u64 * 0x9e37_79b9 + 77 * seed) % 2111 < seed * seed;
                 let set: Vec<bool> = (0..n).map(|i| !clear(i)).collect();
                 let mut full = vec![0u64; n.div_ceil(64)];

@@ -1,13 +1,13 @@
-//! Numbers about the scene: names, order and units, once per volume, once per transfer function and once per
-//! frame.
+//! Features of a scene: names, order and units; computed once per volume, once per transfer function and once
+//! per frame.
 //!
-//! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume, or kept up to
-//!   date from one time step to the next by a [`SummarySeries`].
-//! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, remade in place at
-//!   each edit.
-//! * [`FrameFeatures`]: what a camera sees of it: footprint, ray lengths and the coarse ray probe, measured
-//!   once per frame and then evaluated for any ray step and image size.
-//! * [`SceneFeature`]: the names under which a model file asks for these numbers.
+//! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume, or updated
+//!   from one time step to the next by a [`SummarySeries`].
+//! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, recomputed in
+//!   place at each edit.
+//! * [`FrameFeatures`]: a camera's view: footprint, ray lengths and the coarse ray probe, measured once per
+//!   frame and then evaluated for any ray step and image size.
+//! * [`SceneFeature`]: names under which a model file requests these features.
 
 mod classify;
 mod cost;

@@ -1,4 +1,4 @@
-//! The names, units and order of scene features, as model files use them (`entire.scene_features`).
+//! Names, units and order of scene features in model files (`entire.scene_features`).
 
 use alloc::string::String;
 use core::fmt;
@@ -6,7 +6,7 @@ use core::str::FromStr;
 use entire_core::Result;
 use entire_core::bail;
 
-/// The words of the table's last two columns.
+/// Keywords of the table's two yes/no columns.
 macro_rules! flag {
     (yes) => {
         true
@@ -38,23 +38,23 @@ macro_rules! quantities {
             /// Every quantity, in the order of the table.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
-            /// The name used in model files: what `Display` writes.
+            /// Name in model files, as written by `Display`.
             pub(crate) const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name,)* }
             }
 
-            /// What the log variant adds before it takes the natural logarithm.
+            /// Offset of the log variant: ln(value + floor).
             pub(crate) const fn log_floor(self) -> f64 {
                 match self { $(Self::$variant => $floor,)* }
             }
 
-            /// Whether the ray step of the setting enters it.
+            /// True where the quantity depends on the ray step of the setting.
             pub(crate) const fn depends_on_step(self) -> bool {
                 match self { $(Self::$variant => flag!($step),)* }
             }
 
-            /// Whether rays must be cast to know it. The others follow from camera, image size, transfer
-            /// function and volume at once.
+            /// True where the quantity needs probe rays. The others follow from camera, image size, transfer
+            /// function and volume alone.
             pub const fn needs_probe(self) -> bool {
                 match self { $(Self::$variant => flag!($probe),)* }
             }
@@ -134,29 +134,28 @@ impl From<SceneQuantity> for &'static str {
 }
 
 impl SceneQuantity {
-    /// The log variant of a value: ln(value + floor), −69 where that is not positive.
+    /// The log variant of a value: ln(value + floor), −69 where the sum is not positive.
     pub(crate) fn log(self, value: f64) -> f32 {
         libm::log((value + self.log_floor()).max(1.0e-30)) as f32
     }
 }
 
-/// A quantity as it stands or its logarithm. In files: the quantity's name, or that name after `log_`.
+/// A quantity or its logarithm. In files: the quantity's name, or that name after `log_`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SceneFeature {
-    /// What is measured.
+    /// The quantity.
     pub quantity: SceneQuantity,
-    /// Whether ln(value + floor) is meant instead of the value.
+    /// True for the log variant, ln(value + floor).
     pub log: bool,
 }
 
 impl FromStr for SceneFeature {
     type Err = entire_core::Error;
 
-    /// Reads a name as [`SceneFeature`]'s `Display` writes it.
+    /// Parses a name as [`SceneFeature`]'s `Display` writes it.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Unsupported`] for a name that this version does not compute; the message lists
-    /// all.
+    /// [`crate::ErrorKind::Unsupported`] for an unknown name; the message lists all names.
     fn from_str(name: &str) -> Result<Self> {
         let (bare, log) = match name.strip_prefix("log_") {
             Some(rest) => (rest, true),

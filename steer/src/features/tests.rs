@@ -1,4 +1,4 @@
-//! The summaries against plain loops, and the probe's invariants.
+//! Compares the summaries with plain loops, and checks the probe's invariants.
 
 use super::frame::UNSHARED_SHADING;
 use super::*;
@@ -160,7 +160,7 @@ fn bricks_give_the_same_bounds_as_voxels() {
     assert!(VolumeSummary::from_bricks([usize::MAX, usize::MAX, 9], [1.0; 3], t, [1; 3], &[]).is_err());
 }
 
-/// What a summary keeps, straight from the definitions, voxel by voxel.
+/// Compares a summary with its definitions, voxel by voxel.
 fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
     let s = VolumeSummary::new(view, SummaryOptions { cells_per_axis }).unwrap();
     let (low, high) = view.range();
@@ -207,8 +207,8 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         sorted.sort();
         sorted.iter().for_each(|&e| total[usize::from(e)] += 1);
         for (k, &q) in s.quantiles(i).iter().enumerate() {
-            // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is
-            // the largest.
+            // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it; the last
+            // bound is the largest entry.
             let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
             assert_eq!(q, sorted[rank], "{what} {c:?} bound {k}");
         }
@@ -277,7 +277,7 @@ fn every_type_range_and_layout_is_summarized_as_defined() {
                 check_against_definitions(&view, per_axis);
             }
         }
-        // The same voxels with x slowest.
+        // The same voxels with x as the slowest axis.
         let [x, y, z] = dims;
         let view = VolumeView::with(
             Scalars::U8(&bytes),
@@ -406,7 +406,7 @@ fn names_round_trip_and_unknown_ones_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// A coarser step or fewer pixels is never more work; every count is finite and not negative.
+    /// A coarser step or fewer pixels never increase the work; every count is finite and not negative.
     #[test]
     fn work_never_grows_with_the_step_nor_shrinks_with_the_image(
         rx in -89.0f32..89.0, ry in -180.0f32..180.0, dz in 0.05f32..6.0,
@@ -476,7 +476,7 @@ fn what_needs_no_probe_is_known_without_one() {
         assert_eq!(same, !q.needs_probe(), "{}", q.name());
     }
     let mut of = |side| of(side, Shading::None);
-    // Finer probes estimate the same thing with less scatter; beyond the finest there is nothing.
+    // Finer probes estimate the same value with less scatter; a side above the maximum changes nothing.
     let samples = SceneQuantity::ALL.iter().position(|q| *q == SceneQuantity::Samples).unwrap();
     let finest = of(MAX_PROBE_SIDE)[samples];
     for (side, tolerance) in [(4, 0.25), (7, 0.12), (8, 0.12), (11, 0.08), (12, 0.08), (13, 0.08)] {
@@ -489,7 +489,7 @@ fn what_needs_no_probe_is_known_without_one() {
 
 #[test]
 fn quantities_depend_on_the_step_where_the_table_says_so() {
-    // Dense and sparse, integers that are remapped and not, seen from outside and inside.
+    // Dense and sparse volumes, integers that are remapped and not, seen from outside and inside.
     let dims = [40, 40, 40];
     let n = dims.iter().product::<usize>();
     let blob = |i: usize| {
@@ -520,8 +520,7 @@ fn quantities_depend_on_the_step_where_the_table_says_so() {
                     };
                     let at_one = of(&frame, 1.0);
                     let at_three = of(&frame, 3.0);
-                    // What is measured depends on the step of the setting alone, not on that of the measured
-                    // frame.
+                    // The measurement depends on the step of the setting, not on that of the measured frame.
                     assert_eq!(at_three, of(&Frame { step: 2.0, ..frame }, 3.0));
                     for (changed, (a, b)) in changed.iter_mut().zip(at_one.iter().zip(&at_three)) {
                         *changed |= a != b;
@@ -540,7 +539,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     let dims = [20, 9, 10];
     let n = dims.iter().product::<usize>();
     let of = |scalars: Scalars<'_>| {
-        // The range that maps to the table says nothing about what is stored.
+        // The mapped range does not determine which values are stored.
         let view = VolumeView::with(
             scalars,
             dims,
@@ -576,7 +575,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
         let bricks = VolumeSummary::from_bricks([16, 8, 8], [1.0; 3], kind, [8; 3], &bounds).unwrap();
         assert_eq!(bricks.remapped(), remapped, "bricks of {kind:?} from {low}");
     }
-    // And the quantity says so.
+    // The quantity agrees.
     let bytes: Vec<u8> = with(9.0, 250.0).iter().map(|&v| v as u8).collect();
     let f = frame(20.0, 30.0, 2.0, 50);
     let features = measured(&summary(&bytes, dims, 48), &table(|_| 0.5), &f);
@@ -584,8 +583,8 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     assert_eq!(features.quantity(SceneQuantity::RemappedSamples, &Setting::from(&f), &work), work.samples);
 }
 
-/// Greatest difference of the shares of borders from those that all rays of an image count: nine rays stand
-/// for all of them.
+/// Bound on the difference between the shares of voxel borders from nine rays and those counted over all rays
+/// of an image.
 const ALONG_TOLERANCE: f64 = 0.06;
 
 #[test]
@@ -611,7 +610,7 @@ fn shares_of_borders_are_those_that_rays_count() {
             if near >= far {
                 continue;
             }
-            // Planes between where the ray enters and where it leaves, counted along each axis.
+            // Planes between the entry and the exit of the ray, counted along each axis.
             let planes = [0, 1, 2].map(|k| {
                 let index = |t: f32| f64::from((o[k] + t * d[k] + half[k]) / voxel[k]).floor();
                 (index(far) - index(near)).abs()

@@ -1,4 +1,4 @@
-//! What a transfer function makes of a volume: emptiness and extinction of each cell.
+//! Emptiness and extinction of each cell of a volume under a transfer function.
 
 use super::VolumeSummary;
 use super::classify::{Visible, classify, classify_blocks};
@@ -8,64 +8,65 @@ use entire_core::Result;
 use entire_core::memory::{fit, longer};
 use entire_core::scene::{TABLE_LEN, TransferTable};
 
-/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction
-/// is that of its mean transmittance over this length: with 0 it would be the mean extinction, which
-/// overrates cells that hold a few opaque voxels among transparent ones.
+/// Length over which values along a ray are fully correlated, in reference steps. A cell's extinction is that
+/// of its mean transmittance over this length; at length 0 it would be the mean extinction, an overestimate
+/// for cells that hold a few opaque voxels among transparent ones.
 pub(crate) const CORRELATION_LENGTH: f32 = 2.0;
 
-/// Opacities are capped here where extinction (−ln(1 − α)) is formed.
+/// Cap on opacities before the conversion to extinction, −ln(1 − α).
 const MAX_OPACITY: f32 = 1.0 - 1.0e-6;
 
-/// What a cell does to a ray that crosses it.
+/// Optical properties of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Optics {
     /// Extinction per reference step.
     pub(super) extinction: f32,
-    /// Share of the cell's values with any opacity.
+    /// Share of the cell's values with nonzero opacity.
     pub(super) visible: f32,
     /// Share of the cell's blocks that are not empty.
     pub(super) occupied: f32,
-    /// One over the cells that a renderer samples here before it looks at its skip map again.
+    /// Lookups in the skip map per cell that a renderer samples here.
     pub(super) looks: f32,
 }
 
-/// What is kept of a cell in one word, which packets of rays read at once: from the lowest bit on, the root of
-/// the visible share in 1/1023, extinction as a floating-point number without sign (10 bits of mantissa, 5 of
-/// exponent, 2⁻²⁷ at least), how deep it lies among cells that are not empty ([`Interior`]), and around them the
-/// number of the edit in which it was computed. All but that are zero for an empty cell, and not all for another.
+/// Layout of a cell's packed word, which packets of rays gather. From the lowest bit on: the square root of
+/// the visible share in units of 1/1023; the depth class ([`Interior`]); the extinction as an unsigned
+/// floating-point number (10 bits of mantissa, 5 of exponent, 2⁻²⁷ at least); around them the number of the
+/// edit in which the word was computed. Apart from the edit's number, the word is zero for an empty cell and
+/// nonzero for any other.
 pub(super) mod packed {
     /// Bits of the visible share's root.
     pub(crate) const SHOWS: u32 = 0x0000_03ff;
-    /// Bits of the extinction. Where they stand, they are those of an f32 but for [`EXPONENT`].
+    /// Bits of the extinction: at the positions of an f32's bits, with the exponent offset by [`EXPONENT`].
     pub(crate) const EXTINCTION: u32 = 0x0fff_e000;
-    /// Added to the bits of the extinction, gives those of the f32.
+    /// Offset that, added to the bits of the extinction, gives the bits of the f32.
     pub(crate) const EXPONENT: u32 = (127 - 27) << 23;
-    /// Of the visible share's root.
+    /// Unit of the visible share's root.
     pub(crate) const UNIT: f32 = 1.0 / 1023.0;
-    /// Bits of the depth's class.
+    /// Bits of the depth class.
     pub(crate) const DEPTH: u32 = 0x0000_0c00;
-    /// Times the bits of the class, what 2^−class lacks of the bits of 1.
+    /// Factor from the bits of the class to the difference between the bits of 1.0 and those of 2^−class.
     pub(crate) const HALVING: u32 = 1 << 13;
     /// Bits of the edit's number.
     pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION | DEPTH);
-    /// Edits until numbers repeat.
+    /// Number of edits after which their numbers repeat.
     pub(super) const EDITS: u32 = 1 << 5;
 
-    /// The bits of an edit's number below [`EDITS`].
+    /// Bits of an edit's number, which is less than [`EDITS`].
     pub(super) fn edit(number: u32) -> u32 {
         number << 28 | number >> 4 << 12
     }
 
-    /// The word of a cell that is not empty, without the edit.
+    /// Packs the word of a cell that is not empty, without the edit's number.
     pub(super) fn pack(extinction: f32, visible: f32, class: u32) -> u32 {
         let least = f32::from_bits(EXPONENT);
-        // Rounds to the bits that are kept.
+        // Adds half of the last kept bit, so that truncation rounds.
         let extinction = extinction.max(least).to_bits() + (1 << 12) - EXPONENT;
         let shows = (libm::sqrtf(visible) * 1023.0 + 0.5) as u32;
         extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS) | class << 10
     }
 
-    /// Extinction, visible share, and 2^−class of the depth.
+    /// Extinction, visible share, and 2^−class.
     #[inline(always)]
     pub(super) fn unpack(word: u32) -> (f32, f32, f32) {
         let root = (word & SHOWS) as f32 * UNIT;
@@ -76,37 +77,39 @@ pub(super) mod packed {
 
 /// Emptiness and extinction of each cell of a volume under a transfer function.
 ///
-/// An edit decides at once which cells are empty. What a cell that is not empty does to a ray is computed
-/// when a ray first meets the cell, and kept until the next edit: an edit costs what its frame looks at, not
-/// what the volume holds.
+/// An edit classifies all cells as empty or not at once. The optics of a cell that is not empty are computed
+/// when a ray first meets the cell, and are kept until the next edit, so the time of an edit depends on the
+/// cells that its frame meets, not on the size of the volume.
 #[derive(Clone, Debug)]
 pub struct TransferSummary {
-    /// A bit per cell, set where it is not empty.
+    /// One bit per cell, set where the cell is not empty.
     full: Vec<u64>,
-    /// How deep the others lie among each other.
+    /// Depth classes of the cells that are not empty.
     interior: Interior,
-    /// Share of each cell's blocks that are not empty, where cells hold several blocks, else nothing: of
-    /// cells that are not empty and whose word is known.
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks, otherwise empty.
+    /// Valid only for cells that are not empty and whose word is computed.
     occupied: Vec<f32>,
-    /// What is known of each cell, [`packed`].
+    /// Packed word of each cell, see [`packed`].
     cells: Vec<u32>,
-    /// The number of the present edit, as it stands in a cell's word; never 0, which fresh memory holds.
+    /// Bits of the present edit's number in a cell's word; never 0, the content of fresh memory.
     edit: u32,
-    /// The same as a plain number.
+    /// The present edit's number.
     edits: u32,
-    /// Opacity of each table entry, and the logarithm of what it lets through; zeros where it is not visible.
+    /// Opacity of each table entry and the logarithm of its transmittance; zeros where the entry is not
+    /// visible.
     entries: [[f32; 2]; TABLE_LEN],
     unit_distance: f32,
-    /// Table entries with opacity below each entry.
+    /// Prefix sums: number of visible table entries below each entry.
     opaque: [u16; TABLE_LEN + 1],
-    /// Sum of transmittances over the correlation length below each entry. In double precision: differences
-    /// of sums near 256 must resolve transmittances near 1e-12.
+    /// Prefix sums of transmittances over the correlation length. In double precision: differences of sums
+    /// near 256 must resolve transmittances near 1e-12.
     transmittance: [f64; TABLE_LEN + 1],
     grid: [usize; 3],
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
     distance: Vec<u8>,
     distance_ready: bool,
-    /// A bit per block of the cells that are not empty, where cells hold several, set where it is not.
+    /// One bit per block of the cells that are not empty, set where the block is not empty, where cells hold
+    /// several blocks.
     bits: Vec<u64>,
     /// Working memory: two lines of cells.
     line: Vec<u8>,
@@ -145,20 +148,20 @@ impl TransferSummary {
         Ok(summary)
     }
 
-    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
-    /// than any before it.
+    /// Applies another table, or the table to another volume. Allocates only where the volume has more cells
+    /// than every volume before.
     ///
     /// # Errors
-    /// As [`TransferSummary::new`]; nothing has changed then.
+    /// As [`TransferSummary::new`]; on an error nothing has changed.
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) -> Result<()> {
         self.apply(volume, Some(table))
     }
 
-    /// Applies the present table to another time step of the volume, or to another volume. Allocates as
+    /// Applies the present table to another time step of the volume, or to another volume. Allocates like
     /// [`TransferSummary::update`].
     ///
     /// # Errors
-    /// As [`TransferSummary::new`]; nothing has changed then.
+    /// As [`TransferSummary::new`]; on an error nothing has changed.
     pub(crate) fn follow(&mut self, volume: &VolumeSummary) -> Result<()> {
         self.apply(volume, None)
     }
@@ -169,7 +172,7 @@ impl TransferSummary {
         let longest = volume.cells().into_iter().max().unwrap_or(1);
         let blocks = volume.blocks().map_or(0, |blocks| blocks.low.len());
         let shares = if blocks > 0 { n } else { 0 };
-        // One word more: shares are counted across words.
+        // One word more than the blocks need: `share` reads across words.
         let words = blocks.div_ceil(64) + 1;
         let full = longer(&self.full, n.div_ceil(64))?;
         let interior = self.interior.longer(volume.cells())?;
@@ -178,7 +181,7 @@ impl TransferSummary {
         let cells = longer(&self.cells, n)?;
         let distance = longer(&self.distance, n)?;
         let line = longer(&self.line, 2 * longest)?;
-        // Nothing fails from here on.
+        // No error can occur from here on.
         fit(&mut self.full, full, n.div_ceil(64));
         fit(&mut self.bits, bits, words);
         fit(&mut self.occupied, occupied, shares);
@@ -197,7 +200,7 @@ impl TransferSummary {
         Ok(())
     }
 
-    /// What the table says of each entry, and prefix tables of it.
+    /// Reads the table's entries and computes their prefix sums.
     fn read_table(&mut self, table: &TransferTable) {
         let ratio = CORRELATION_LENGTH / table.unit_distance();
         self.unit_distance = table.unit_distance();
@@ -216,7 +219,7 @@ impl TransferSummary {
         }
     }
 
-    /// What follows from the table and the volume's histogram alone.
+    /// Computes the values that depend only on the table and the volume's histogram.
     fn read_histogram(&mut self, volume: &VolumeSummary) {
         let (mut extinction, mut shown) = (0.0f64, 0.0f64);
         for (i, (&[_, log], &share)) in self.entries.iter().zip(volume.histogram()).enumerate() {
@@ -228,7 +231,7 @@ impl TransferSummary {
         self.visible_share = shown as f32;
     }
 
-    /// Which cells are empty, and what share of the others' blocks is not.
+    /// Finds the empty cells, and the mean share of blocks that are not empty.
     fn classify(&mut self, volume: &VolumeSummary) {
         let (low, high) = volume.cell_ranges();
         let n = low.len();
@@ -240,7 +243,7 @@ impl TransferSummary {
         self.occupied_share = (sum / n as f64) as f32;
     }
 
-    /// Forgets what is known of cells under the table before.
+    /// Invalidates the words of cells computed under the table before.
     fn begin_edit(&mut self) {
         let edits = self.edits % (packed::EDITS - 1) + 1;
         if edits < self.edits {
@@ -249,7 +252,7 @@ impl TransferSummary {
         (self.edits, self.edit) = (edits, packed::edit(edits));
     }
 
-    /// What a cell does to a ray, `None` where it is empty or outside the grid.
+    /// Optical properties of a cell; `None` where it is empty or outside the grid.
     #[inline(always)]
     pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Option<Optics> {
         let mut word = *self.cells.get(cell)? ^ self.edit;
@@ -261,7 +264,7 @@ impl TransferSummary {
         (word != 0).then_some(Optics { extinction, visible, occupied, looks })
     }
 
-    /// Computes what a cell does to a ray, and keeps it until the next edit.
+    /// Computes the packed word of a cell and keeps it until the next edit.
     #[cold]
     #[inline(never)]
     pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) -> u32 {
@@ -289,13 +292,14 @@ impl TransferSummary {
         word
     }
 
-    /// The words of all cells, for packets of rays, and the bits of the present edit in them.
+    /// Words of all cells, for packets of rays, and the bits of the present edit's number in them.
     #[inline(always)]
     pub(super) fn words(&self) -> (&[u32], u32) {
         (&self.cells, self.edit)
     }
 
-    /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks; otherwise an empty
+    /// slice.
     #[inline(always)]
     pub(super) fn occupied_shares(&self) -> &[f32] {
         &self.occupied
@@ -306,7 +310,7 @@ impl TransferSummary {
         self.cells.len()
     }
 
-    /// Whether a cell is not empty; what lies outside the grid is.
+    /// True where a cell is not empty; false outside the grid.
     #[inline(always)]
     pub(super) fn is_occupied(&self, cell: usize) -> bool {
         self.full.get(cell / 64).is_some_and(|word| word >> (cell % 64) & 1 != 0)
@@ -322,15 +326,15 @@ impl TransferSummary {
         self.mean_extinction
     }
 
-    /// Share of voxels with any opacity.
+    /// Share of voxels with nonzero opacity.
     pub(crate) fn visible_share(&self) -> f32 {
         self.visible_share
     }
 
-    /// Whether a cell is empty, so that a renderer skips it whole.
+    /// True where a cell is empty, so that a renderer skips all of it.
     ///
     /// # Panics
-    /// When the cell lies outside the grid.
+    /// Where the cell lies outside the grid.
     #[cfg(test)]
     pub(crate) fn is_empty(&self, x: usize, y: usize, z: usize) -> bool {
         let g = self.grid;
@@ -341,7 +345,7 @@ impl TransferSummary {
     /// Extinction of a cell per reference step; 0 where it is empty.
     ///
     /// # Panics
-    /// When the cell lies outside the grid.
+    /// Where the cell lies outside the grid.
     #[cfg(test)]
     pub(crate) fn extinction(&mut self, volume: &VolumeSummary, [x, y, z]: [usize; 3]) -> f32 {
         let g = self.grid;
@@ -354,8 +358,8 @@ impl TransferSummary {
         self.grid
     }
 
-    /// Makes the distance map that [`entire_core::scene::Skipping::Distance`] needs, unless it is there. Never
-    /// allocates.
+    /// Computes the distance map for [`entire_core::scene::Skipping::Distance`], unless it is up to date.
+    /// Never allocates.
     pub fn prepare_distance(&mut self) {
         if self.distance_ready {
             return;
@@ -389,19 +393,20 @@ impl TransferSummary {
         self.distance_ready = true;
     }
 
-    /// Chebyshev distances in cells to the nearest occupied cell (255 where there is none), once prepared.
+    /// Chebyshev distances in cells to the nearest occupied cell (255 where there is none); `None` until
+    /// prepared.
     pub(super) fn distance(&self) -> Option<&[u8]> {
         self.distance_ready.then_some(&self.distance)
     }
 }
 
-/// Writes the least max(d(j), |i − j|) over j for each i.
+/// Writes the minimum of max(d(j), |i − j|) over j for each i.
 fn chebyshev_line(line: &[u8], out: &mut [u8]) {
     let n = line.len();
     for i in 0..n {
         let mut best = line[i];
         let mut r = 1;
-        // Nothing farther away than the best so far can be better.
+        // Entries farther away than the minimum so far cannot lower it.
         while r < usize::from(best) && (r <= i || i + r < n) {
             let left = if r <= i { line[i - r] } else { u8::MAX };
             let right = if i + r < n { line[i + r] } else { u8::MAX };
@@ -412,7 +417,7 @@ fn chebyshev_line(line: &[u8], out: &mut [u8]) {
     }
 }
 
-/// 1 / (n + 1) for the lengths of quantile intervals.
+/// Table of 1 / (n + 1) for the lengths of quantile intervals.
 static RECIPROCAL: [f32; TABLE_LEN] = {
     let mut out = [0.0; TABLE_LEN];
     let mut i = 0;

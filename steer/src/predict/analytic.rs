@@ -19,17 +19,17 @@ use entire_core::bail;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
 
-/// Parts of a cost that are corrected apart from each other; each holds one or more unit costs.
+/// Number of terms of a cost that are corrected separately; each holds one or more unit costs.
 pub const TERMS: usize = 9;
 
-/// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
+/// Term of each unit cost; costs that scale together on every machine share a term.
 const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 3, 3, 6, 8, 5, 5, 5, 4];
 
 impl UnitCosts {
-    /// What [`Key::UnitCosts`] holds.
+    /// The value of [`Key::UnitCosts`], as JSON.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for costs that JSON cannot hold.
+    /// [`crate::ErrorKind::InvalidArgument`] for costs that JSON cannot represent.
     pub(crate) fn to_json(self) -> Result<String> {
         let costs: BTreeMap<&str, f64> = self.named().collect();
         match serde_json::to_string(&costs) {
@@ -38,11 +38,11 @@ impl UnitCosts {
         }
     }
 
-    /// The unit costs of a model file; `None` where it holds none.
+    /// The unit costs in a model file; `None` where it has none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is
-    /// negative or not finite, or when all are zero.
+    /// [`crate::ErrorKind::InvalidModel`] for an unknown name, a cost that is negative or not finite, or
+    /// where all are zero.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(Key::UnitCosts.name()) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
@@ -70,19 +70,19 @@ impl UnitCosts {
     }
 }
 
-/// Fewest scene features that a file of unit costs names: another affine model of fewer is a network.
+/// Smallest number of scene features in a file of unit costs; any other affine model with fewer is a network.
 const FEWEST_NAMES: usize = 11;
 
-/// Shortest time that is ever predicted.
+/// Lower clamp of predicted times, in seconds.
 const SHORTEST: f32 = 1.0e-9;
 
-/// Longest time that is ever predicted.
+/// Upper clamp of predicted times, in seconds.
 const LONGEST: f32 = 1.0e9;
 
 /// One measured frame, for [`AnalyticModel::fit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
-    /// Work of each of [`COST_QUANTITIES`], after a leading 1 for the frame itself.
+    /// Work: 1 for the frame, then the quantities of [`COST_QUANTITIES`].
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
@@ -95,39 +95,39 @@ impl Measurement {
     }
 }
 
-/// How well a fit describes what it was fitted to.
+/// Goodness of a fit on the measurements it was fitted to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitReport {
-    /// Measurements used.
+    /// Number of measurements used.
     pub used: usize,
-    /// Measurements refused: a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), or
-    /// a count that is not finite and positive.
+    /// Number of measurements refused: a time that is not positive or over
+    /// [`LONGEST_FRAME`](super::LONGEST_FRAME), work that is negative or not finite, or no work at all.
     pub refused: usize,
     /// Median of |predicted / measured − 1|.
     pub median_error: f64,
-    /// 95th percentile of it.
+    /// 95th percentile of |predicted / measured − 1|.
     pub p95_error: f64,
 }
 
-/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more
-/// pixels.
+/// Linear cost model, t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer
+/// step or more pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
     costs: [f64; COSTS],
     fitted: bool,
     /// Rays along each side of the probe whose counts the costs were fitted to.
     probe_side: usize,
-    /// The calibration behind [`Prediction::upper`].
+    /// Calibration of [`Prediction::upper`].
     pub(super) calibration: UpperBound,
     range: FeatureRange,
-    /// The clock of the file that the costs come from.
+    /// Clock of the file that the costs come from.
     clock: Option<Clock>,
-    /// What the file says of its renderer's pictures.
+    /// Picture quality law in the file, with its renderer.
     quality: Option<KnownQuality>,
 }
 
 impl Default for AnalyticModel {
-    /// The model of a machine never measured: unit costs of a software renderer on a few cores.
+    /// The model of an unmeasured machine: unit costs of a software renderer on a few cores.
     fn default() -> Self {
         Self {
             costs: UnitCosts::SOFTWARE.0,
@@ -142,10 +142,11 @@ impl Default for AnalyticModel {
 }
 
 impl AnalyticModel {
-    /// A model with given unit costs in seconds: of a frame, then of each of [`COST_QUANTITIES`].
+    /// A model with the given unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or when all are zero.
+    /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or where all are
+    /// zero.
     pub fn from_costs(costs: [f64; COSTS]) -> Result<Self> {
         for (i, &c) in costs.iter().enumerate() {
             if !(c.is_finite() && c >= 0.0) {
@@ -162,25 +163,25 @@ impl AnalyticModel {
         Ok(Self { costs, fitted: true, ..Self::default() })
     }
 
-    /// The same model, whose costs are fitted to counts of a probe with `side`² rays.
+    /// Sets the probe to which the costs are fitted: `side`² rays.
     #[must_use]
     pub fn with_probe_side(mut self, side: usize) -> Self {
         self.probe_side = side;
         self
     }
 
-    /// The same model, whose range is that of frames of this work.
+    /// Sets the training range to that of frames with the given work.
     pub(crate) fn ranging_over<'a>(mut self, works: impl Iterator<Item = &'a [f64; COSTS]>) -> Self {
         self.range = FeatureRange::from_rows(&works.map(range_point).collect::<Vec<_>>());
         self
     }
 
-    /// Fits the unit costs to measured frames, near those of `default` at this machine's speed, and calibrates the
-    /// upper bound on the same frames. Costs of work that no measurement holds keep their ratio to the others in
-    /// `default`; costs that are 0 there stay 0.
+    /// Fits the unit costs to measured frames, with `default`, scaled to this machine's speed, as the prior;
+    /// calibrates the upper bound on the same frames. Costs of work that no measurement has keep their ratio
+    /// to the others in `default`; costs that are 0 there stay 0.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
+    /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable.
     pub fn fit(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
         let usable: Vec<&Measurement> = measurements
             .iter()
@@ -231,12 +232,11 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without the last
-    /// where it costs nothing) as scene features, target seconds, calibration and range beside it under
-    /// [`Key::Calibration`].
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without the last where its cost is 0) as
+    /// scene features, target seconds; calibration and range are stored under [`Key::Calibration`].
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.
+    /// [`crate::ErrorKind::InvalidTensor`] where a cost does not fit single precision.
     pub fn to_model_file(&self) -> Result<ModelFile> {
         let mut file = ModelFile::default();
         let used = if self.costs[COMMON_COSTS..].iter().all(|&c| c == 0.0) { COMMON_COSTS } else { COSTS };
@@ -271,15 +271,15 @@ impl AnalyticModel {
         Ok(file)
     }
 
-    /// Reads back what [`AnalyticModel::to_model_file`] wrote; `None` for any other model.
+    /// Reads a file of [`AnalyticModel::to_model_file`]; `None` for any other model.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] when the calibration beside it is damaged.
+    /// [`crate::ErrorKind::InvalidModel`] where the calibration is damaged.
     pub fn from_model(model: &Model) -> Result<Option<Self>> {
         let names = model.scene_features();
         let Some(net) = model.prednet() else { return Ok(None) };
         let [layer] = &net.layers[..] else { return Ok(None) };
-        // In order, none twice; a file of fewer names leaves the others' costs at zero.
+        // Names must be in ascending order without repetition; costs that the file does not name are zero.
         let mut places = Vec::with_capacity(names.len());
         for name in names {
             match COST_QUANTITIES.iter().position(|q| name == q.name()) {
@@ -318,7 +318,7 @@ impl AnalyticModel {
         Ok(Some(out))
     }
 
-    /// Predicts from work that is already counted: a leading 1, then [`COST_QUANTITIES`].
+    /// Predicts from the given work: 1, then the quantities of [`COST_QUANTITIES`].
     #[cfg(test)]
     pub(crate) fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
         dot(&self.costs, work)
@@ -329,7 +329,7 @@ impl AnalyticModel {
         UnitCosts(self.costs)
     }
 
-    /// The cost in parts for a frame at a setting.
+    /// The cost of a frame at a setting, by terms.
     pub(crate) fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
         let work = features.cost_work(setting);
         let mut sums = [0.0f64; TERMS];
@@ -373,7 +373,7 @@ impl Predictor for AnalyticModel {
     }
 
     fn identity(&self) -> u32 {
-        // Little-endian whatever the machine, so that a saved state fits its model on any.
+        // Little-endian on every machine, so that a saved state fits its model on any.
         crc32fast::hash(self.costs.map(f64::to_le_bytes).as_flattened())
     }
 
@@ -386,12 +386,12 @@ impl Predictor for AnalyticModel {
     }
 
     fn log_sd(&self) -> Option<f32> {
-        // Costs that were given without residuals are trusted to within a third.
+        // Costs that were given without residuals are assumed to be within a third.
         self.fitted.then(|| self.calibration.log_sd().unwrap_or(0.3))
     }
 }
 
-/// Quantities by which the analytic model knows its range.
+/// Number of quantities in the range of the analytic model.
 const RANGE_TERMS: usize = 5;
 
 fn range_point(work: &[f64; COSTS]) -> [f32; RANGE_TERMS] {
@@ -417,7 +417,7 @@ mod tests {
         0.0, 0.0, 0.0, 0.0,
     ];
 
-    /// Work of frames as they come: counts over several decades, scattering never used.
+    /// Simulated measurements: counts over several decades, scattering never used.
     fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
         let mut state = 9u64;
         let mut uniform = || {
@@ -460,7 +460,7 @@ mod tests {
         for (i, (&c, &t)) in model.costs().0.iter().zip(&TRUTH).enumerate().take(9) {
             assert!((c / t - 1.0).abs() < 0.25, "{i}: {c} {t}");
         }
-        // Never seen: their default ratio to the rest, not zero.
+        // Costs never observed keep their default ratio to the rest and are not zero.
         assert!(model.costs().0[9] > 0.0 && model.costs().0[10] > 0.0);
     }
 
@@ -477,7 +477,7 @@ mod tests {
         assert!(plain.costs().0[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
         assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 5e-3);
         assert!((asked.costs().0[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
-        // The file names what costs something, and reads back.
+        // The file names the quantities with nonzero costs, and reads back.
         for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COSTS - 1)] {
             let file = model.to_model_file().unwrap().to_model().unwrap();
             assert_eq!(file.scene_features().len(), names);
@@ -523,7 +523,7 @@ mod tests {
         let mut model = AnalyticModel::default();
         let report = model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));
-        // A time that no frame takes teaches nothing, the longest that one takes does.
+        // A time beyond the longest frame is refused, the longest one is used.
         let longest = f64::from(LONGEST_FRAME);
         let report =
             model.fit(&UnitCosts::SOFTWARE, &[rows[0], Measurement { seconds: longest, ..rows[1] }]).unwrap();

@@ -1,4 +1,4 @@
-//! Upper bounds from residuals (split-conformal), and how far inputs lie outside what was seen.
+//! Upper bounds from residuals (split-conformal), and out-of-range scores of inputs.
 
 use alloc::collections::BTreeMap;
 use alloc::string::ToString;
@@ -7,14 +7,14 @@ use entire_core::Result;
 use entire_core::bail;
 use entire_core::model::{Key, ModelFile};
 
-/// Level of the upper bound.
+/// Probability that a frame stays below its upper bound.
 pub const UPPER_LEVEL: f64 = 0.95;
 
 /// A multiplicative upper bound: with probability [`UPPER_LEVEL`] a frame like the calibration frames takes
-/// at most [`factor`](UpperBound::factor) times its prediction. The default was never calibrated.
+/// at most [`factor`](UpperBound::factor) times its prediction. The default is uncalibrated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UpperBound {
-    /// ln of the factor; never calibrated where it is not finite.
+    /// ln of the factor; not finite where uncalibrated.
     pub log_factor: f32,
 }
 
@@ -25,7 +25,7 @@ impl Default for UpperBound {
 }
 
 impl UpperBound {
-    /// From ln(measured / predicted) of frames that were not used for fitting (or so many that it does not
+    /// The bound from held-out residuals ln(measured / predicted) (or so many that holding out does not
     /// matter): the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few. Sorts the slice; NaN
     /// residuals count as misses.
     pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
@@ -43,8 +43,8 @@ impl UpperBound {
         Self { log_factor: log_residuals[rank.clamp(1, n) - 1] as f32 }
     }
 
-    /// As [`UpperBound::from_residuals`] where frames come in groups (volumes) and new frames are of new
-    /// groups: every group counts alike, however many frames it has. Residuals with their group.
+    /// As [`UpperBound::from_residuals`] for frames in groups (volumes), where new frames are of new groups:
+    /// every group has the same weight, whatever its number of frames. Pairs of residual and group.
     pub fn from_groups<G: Ord>(residuals: impl IntoIterator<Item = (f64, G)>) -> Self {
         let mut sorted: Vec<(f64, G)> =
             residuals.into_iter().map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, g)).collect();
@@ -65,11 +65,11 @@ impl UpperBound {
         sorted.last().map_or(Self::default(), |(r, _)| Self { log_factor: *r as f32 })
     }
 
-    /// Puts the bound into a model file, keeping what else its calibration holds; leaves the file as it is
-    /// where the bound is not known.
+    /// Stores the bound in a model file and keeps the other entries of its calibration; leaves the file
+    /// unchanged where the bound is uncalibrated.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] when what the file holds is damaged.
+    /// [`crate::ErrorKind::InvalidModel`] where the file's calibration is damaged.
     pub fn store(&self, file: &mut ModelFile) -> Result<()> {
         if !self.log_factor.is_finite() {
             return Ok(());
@@ -77,24 +77,24 @@ impl UpperBound {
         store_in_calibration(file, [("log_factor", serde_json::json!(self.log_factor))])
     }
 
-    /// The factor; NaN when never calibrated.
+    /// The factor; NaN where uncalibrated.
     pub fn factor(&self) -> f32 {
         if self.log_factor.is_finite() { libm::expf(self.log_factor) } else { f32::NAN }
     }
 
-    /// Standard deviation of ln(measured / predicted) that a normal distribution with this bound has, at
-    /// least 0.02; `None` when never calibrated.
+    /// Standard deviation of ln(measured / predicted), from the bound of a normal distribution, at least
+    /// 0.02; `None` where uncalibrated.
     pub(crate) fn log_sd(&self) -> Option<f32> {
         self.log_factor.is_finite().then_some((self.log_factor / 1.645).max(0.02))
     }
 
-    /// The bound for a prediction; never below the prediction itself.
+    /// The bound for a prediction; never below the prediction.
     pub fn upper(&self, seconds: f32) -> f32 {
         if self.log_factor.is_finite() { seconds * self.factor().max(1.0) } else { f32::NAN }
     }
 }
 
-/// Puts values into [`Key::Calibration`], keeping what else it holds.
+/// Stores values in [`Key::Calibration`] and keeps its other entries.
 pub(super) fn store_in_calibration<const N: usize>(
     file: &mut ModelFile,
     values: [(&str, serde_json::Value); N],
@@ -115,7 +115,7 @@ pub(super) fn store_in_calibration<const N: usize>(
     Ok(())
 }
 
-/// The box of what was seen in training, in up to `N` numbers, with a margin.
+/// Bounding box of the training data in up to `N` dimensions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FeatureRange<const N: usize = 5> {
     low: [f32; N],
@@ -124,23 +124,23 @@ pub(crate) struct FeatureRange<const N: usize = 5> {
 }
 
 impl<const N: usize> FeatureRange<N> {
-    /// Knows nothing: scores are NaN.
+    /// An unknown range: scores are NaN.
     pub(crate) const fn unknown() -> Self {
         Self { low: [0.0; N], high: [0.0; N], known: false }
     }
 
-    /// With given ends; unknown when any is not finite.
+    /// A range with the given ends; unknown where one is not finite.
     pub(crate) fn from_ends(low: [f32; N], high: [f32; N]) -> Self {
         let known = low.iter().chain(&high).all(|v| v.is_finite());
         if known { Self { low, high, known } } else { Self::unknown() }
     }
 
-    /// Low and high ends, or `None` where nothing is known.
+    /// Low and high ends; `None` for an unknown range.
     pub(crate) fn ends(&self) -> Option<(&[f32; N], &[f32; N])> {
         self.known.then_some((&self.low, &self.high))
     }
 
-    /// The range of the rows; values that are not finite are passed over.
+    /// The range of the rows; values that are not finite are ignored.
     pub(crate) fn from_rows(rows: &[[f32; N]]) -> Self {
         if rows.is_empty() {
             return Self::unknown();
@@ -162,9 +162,9 @@ impl<const N: usize> FeatureRange<N> {
         out
     }
 
-    /// 0 inside the range; outside, the largest distance of any number from it, in units of half the range's
-    /// width (at least 0.7, a factor of two in logarithms). 1 is the edge of trust. NaN where nothing is
-    /// known.
+    /// 0 inside the range; outside, the largest distance from it in any dimension, in units of half the
+    /// range's width (at least 0.7, a factor of two in logarithms). From 1 on the prediction is not trusted.
+    /// NaN for an unknown range.
     pub(crate) fn score(&self, row: &[f32; N]) -> f32 {
         if !self.known {
             return f32::NAN;

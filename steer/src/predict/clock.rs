@@ -1,9 +1,10 @@
-//! Whose seconds: a model and a steered renderer that disagree are compared by a factor that nobody meant.
+//! Clocks of frame times. Times of a model and of a renderer by different clocks differ by a factor that is
+//! neither the model's error nor the machine's speed.
 
 use entire_core::model::{Key, Model};
 use entire_core::names;
 
-/// A clock that frames are timed by.
+/// A clock of frame times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Clock {
     /// Processor time of the rendering process, over all of its threads.
@@ -21,13 +22,13 @@ names! { Clock:
 }
 
 impl Clock {
-    /// The clock of this name: `cpu`, `wall` or `device`; `None` for any other text.
+    /// The clock with this name: `cpu`, `wall` or `device`; `None` for any other text.
     pub fn named(name: &str) -> Option<Self> {
         [Self::Cpu, Self::Wall, Self::Device].into_iter().find(|c| c.name() == name)
     }
 
-    /// The clock whose seconds a model predicts, as its file says under [`Key::Clock`]; `None` where it says
-    /// nothing.
+    /// The clock whose seconds a model predicts, from [`Key::Clock`] of its file; `None` where the file does
+    /// not state it.
     pub fn of(model: &Model) -> Option<Self> {
         Self::named(model.metadata().get(Key::Clock.name())?)
     }

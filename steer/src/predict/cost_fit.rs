@@ -1,26 +1,27 @@
-//! Unit costs, and the weights of a factor's last layer, fitted to timed frames.
+//! Fits unit costs, and the weights of a factor's last layer, to timed frames.
 //!
-//! ln t = ln Σ c_i e^θ_i w_i + ψ·v + b, with w the counts of estimated work, c the expected unit costs, ψ the
-//! activations before the factor's last layer and v that layer's weights. θ_i ~ N(0, s_i²), v ~ N(v₀, s²), b free,
-//! errors of ln t Gaussian with [`NOISE`] and beyond twice their robust deviation linear (Huber). Three frames thus
-//! set the speed, ten the kinds of work that differ most, and hundreds every cost. Costs stay positive, so that no
-//! prediction is negative and none falls with a finer step or more pixels.
+//! ln t = ln Σ c_i e^θ_i w_i + ψ·v + b, where w is the estimated work, c the prior unit costs, ψ the
+//! activations before the factor's last layer and v that layer's weights. Priors: θ_i ~ N(0, s_i²), v ~ N(v₀,
+//! s²), b free. Errors of ln t are Gaussian with [`NOISE`], and linear (Huber) beyond twice their robust
+//! deviation. With this regularization, three frames determine the speed, ten the kinds of work that differ
+//! most, and hundreds every cost. Costs stay positive, so that no prediction is negative and none falls with
+//! a finer step or more pixels.
 
 use super::COSTS;
 use crate::numeric::{dot, median, solve};
 use alloc::vec;
 use alloc::vec::Vec;
 
-/// Standard deviation of the logarithm of a unit cost about the expected one, once the speed is known.
+/// Prior standard deviation of the logarithm of a unit cost, apart from the common speed.
 pub(crate) const COST_SD: f64 = 0.4;
 
 /// Standard deviation of ln t about the model.
 const NOISE: f64 = 0.06;
 
-/// Exponent of a frame's time in its weight: long frames decide the RMSE.
+/// Exponent of a frame's time in its weight: long frames dominate the RMSE.
 const IMPORTANCE: f64 = 0.25;
 
-/// Gauss-Newton iterations.
+/// Largest number of Gauss-Newton iterations.
 const ROUNDS: usize = 20;
 
 /// Share of a Gauss-Newton step below which it is not halved again.
@@ -28,7 +29,7 @@ const LEAST_SHARE: f64 = 0.02;
 
 /// A timed frame.
 pub(crate) struct FitRow {
-    /// Activations before the factor's last layer; empty without one.
+    /// Activations before the factor's last layer; empty without a factor.
     pub(crate) psi: Vec<f64>,
     /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
     pub(crate) work: [f64; COSTS],
@@ -40,11 +41,11 @@ pub(crate) struct FitRow {
 pub(crate) struct Expected<'a> {
     /// Unit costs; those at 0 stay 0.
     pub(crate) costs: &'a [f64; COSTS],
-    /// Standard deviations of their logarithms.
+    /// Standard deviations of the unit costs' logarithms.
     pub(crate) cost_sd: [f64; COSTS],
     /// Weights of the factor's last layer.
     pub(crate) weights: &'a [f64],
-    /// Their standard deviation.
+    /// Standard deviation of the weights.
     pub(crate) weight_sd: f64,
 }
 
@@ -104,7 +105,8 @@ impl CostFit {
             }
             gram[m * m - 1] += 1e-6;
             let Some(step) = solve(&mut gram, rhs) else { break };
-            // No longer than a factor of e for any cost, and halved for as long as it makes the fit worse.
+            // The step changes no cost by more than a factor of e, and is halved while it makes the fit
+            // worse.
             let loss = |fit: &Self, theta: &[f64]| -> f64 {
                 let of_rows: f64 = rows
                     .iter()
@@ -158,7 +160,7 @@ impl CostFit {
         libm::log(dot(&self.costs, &row.work).max(1e-12)) + dot(&self.weights, &row.psi) + self.bias
     }
 
-    /// Unit costs in seconds, the speed of the machine among them.
+    /// Unit costs in seconds, scaled by the speed of the machine.
     pub(crate) fn unit_costs(&self) -> [f64; COSTS] {
         self.costs.map(|c| c * libm::exp(self.bias))
     }

@@ -1,11 +1,11 @@
-//! What a predictor takes and gives.
+//! Inputs and outputs of predictors.
 
 use super::{Clock, Quality, TERMS};
 use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
 use entire_core::Result;
 use entire_core::scene::{Arcball, GaussianLobe};
 
-/// Where a prediction came from.
+/// Origin of a prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 #[repr(u32)]
@@ -14,7 +14,7 @@ pub enum Source {
     Analytic = 1,
     /// A network from a model file.
     Network = 2,
-    /// Recent frames, scaled to the setting asked for.
+    /// Recent frames, scaled to the requested setting.
     History = 3,
 }
 
@@ -23,19 +23,19 @@ pub enum Source {
 pub struct Prediction {
     /// Expected seconds; finite and positive.
     pub seconds: f32,
-    /// Upper bound of the calibrated level, seconds; NaN where the predictor was never calibrated.
+    /// Upper bound at the calibrated level, in seconds; NaN where the predictor is uncalibrated.
     pub upper: f32,
-    /// How far outside its training range the inputs lie: 0 inside, 1 at the edge of trust, growing beyond;
-    /// NaN where the predictor knows no range.
+    /// Distance of the inputs from the training range: 0 inside, 1 where trust ends, growing beyond; NaN
+    /// where the predictor has no range.
     pub out_of_range: f32,
-    /// Where it came from.
+    /// Origin of the prediction.
     pub source: Source,
 }
 
-/// A prediction as a sum of parts that can be corrected apart from each other.
+/// A prediction as a sum of terms that are corrected separately.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CostTerms {
-    /// Seconds of each part, none negative; their sum is the prediction.
+    /// Seconds of each term, none negative; their sum is the prediction.
     pub parts: [f32; TERMS],
     /// As [`Prediction::out_of_range`].
     pub out_of_range: f32,
@@ -44,7 +44,7 @@ pub struct CostTerms {
 }
 
 impl CostTerms {
-    /// A prediction in one piece, beside a fixed cost of its own.
+    /// A prediction without terms of its own: 2 % count as the frame's fixed cost, the rest as one term.
     pub fn whole(seconds: f32, out_of_range: f32, source: Source) -> Self {
         let mut parts = [0.0; TERMS];
         parts[0] = 0.02 * seconds;
@@ -52,22 +52,22 @@ impl CostTerms {
         Self { parts, out_of_range, source }
     }
 
-    /// The sum of the parts.
+    /// Sum of the terms.
     pub(crate) fn seconds(&self) -> f32 {
         self.parts.iter().sum()
     }
 }
 
-/// Everything that a predictor may ask for about a frame. Groups that the caller does not have are `None`.
+/// Inputs of a predictor for one frame. Groups that the caller does not have are `None`.
 #[derive(Clone, Copy, Debug)]
 pub struct Inputs<'a> {
     /// The measured frame.
     pub features: &'a FrameFeatures,
     /// The setting to predict for.
     pub setting: Setting,
-    /// What changed since the frame before.
+    /// Changes since the frame before.
     pub changes: Changes,
-    /// The camera as arcball pose.
+    /// The camera as an arcball pose.
     pub camera: Arcball,
     /// VolumeNet's output for the volume.
     pub volume_features: Option<&'a [f32]>,
@@ -75,15 +75,15 @@ pub struct Inputs<'a> {
     pub lobes: Option<&'a [GaussianLobe]>,
 }
 
-/// Predicts a frame's time. Implementations never allocate on success.
+/// Predicts a frame's time. Implementations do not allocate on success.
 pub trait Predictor {
     /// The prediction for one frame at one setting.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] when an input group that the model names was not supplied.
+    /// [`crate::ErrorKind::MissingInput`] where an input group of the model was not supplied.
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction>;
 
-    /// The prediction in parts. The default is [`CostTerms::whole`].
+    /// The prediction by terms. The default is [`CostTerms::whole`].
     ///
     /// # Errors
     /// As [`Predictor::predict`].
@@ -92,7 +92,7 @@ pub trait Predictor {
         Ok(CostTerms::whole(p.seconds, p.out_of_range, p.source))
     }
 
-    /// Whether every input that the model needs was supplied; cheaper than a prediction.
+    /// Checks that every input of the model was supplied; cheaper than a prediction.
     ///
     /// # Errors
     /// As [`Predictor::predict`].
@@ -100,42 +100,42 @@ pub trait Predictor {
         self.predict(inputs).map(drop)
     }
 
-    /// Standard deviation of ln(measured / predicted) on the machine that the model was measured on; `None`
-    /// for a model that was never measured.
+    /// Standard deviation of ln(measured / predicted) on the machine where the model was measured; `None` for
+    /// a model that was never measured.
     fn log_sd(&self) -> Option<f32> {
         None
     }
 
-    /// The clock whose seconds are predicted; `None`, the default, where that is not known.
+    /// The clock whose seconds are predicted; `None`, the default, where it is unknown.
     fn clock(&self) -> Option<Clock> {
         None
     }
 
-    /// What coarser steps and smaller images cost the pictures of the renderer of this name, where that was
-    /// measured; an empty name stands for the renderer that the predictor is of. `None` is the default.
+    /// Picture quality law of the renderer with this name, where it was measured; an empty name stands for
+    /// the predictor's own renderer. The default is `None`.
     fn quality(&self, _renderer: &str) -> Option<Quality> {
         None
     }
 
-    /// Rays along each side of the probe that the predictor was made with: what
-    /// [`FrameFeatures::with_probe_side`] takes. 0 where no input needs the probe.
+    /// Number of rays along each side of the probe that the predictor was trained with, see
+    /// [`FrameFeatures::with_probe_side`]. 0 where no input needs the probe.
     fn probe_side(&self) -> usize {
         PROBE_SIDE
     }
 
-    /// Whether a probe of another side than [`Predictor::probe_side`] serves as well: what is linear in
-    /// counts that every probe estimates was not trained with one.
+    /// True where probes of any number of rays serve as well: for models that are linear in counts, which
+    /// every probe estimates without bias.
     fn any_probe_side(&self) -> bool {
         false
     }
 
-    /// A number that tells predictors apart whose corrections must not be mixed up: what was learned of one
-    /// says nothing about another. 0, the default, for predictors that do not tell.
+    /// Hash of the model. Corrections learned for one predictor are not valid for another with a different
+    /// hash. The default is 0, for predictors without a hash.
     fn identity(&self) -> u32 {
         0
     }
 
-    /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.
+    /// True where the prediction depends on the ray step. Otherwise callers scale it by the analytic model.
     fn knows_step(&self) -> bool {
         true
     }

@@ -1,4 +1,4 @@
-//! The input row of a model: which groups it holds, in which order, and how they are written.
+//! Input rows of a model: its groups, their order and their format.
 
 use super::{GroupKind, Inputs, UnitCosts};
 use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work};
@@ -10,15 +10,15 @@ use entire_core::model::{InputGroup, Key, Model, ModelFile};
 use entire_core::nn::PredNetParts;
 use entire_core::scene::{Arcball, GaussianLobe};
 
-/// What a row is written from. `None` stands for what is not known of the frame.
+/// Source of the values of a row. `None` stands for a value that is unknown for the frame.
 pub trait InputValues {
-    /// The output of VolumeNet for the volume.
+    /// VolumeNet's output for the volume.
     fn volume_features(&self) -> Option<&[f32]>;
-    /// The camera, degrees and bounding-sphere radii.
+    /// The camera, in degrees and bounding-sphere radii.
     fn camera(&self) -> Arcball;
-    /// Width and height of the image, pixels.
+    /// Width and height of the image, in pixels.
     fn image_size(&self) -> [u32; 2];
-    /// The ray step, reference steps.
+    /// The ray step, in reference steps.
     fn step(&self) -> f32;
     /// The transfer function as Gaussian lobes.
     fn lobes(&self) -> Option<&[GaussianLobe]>;
@@ -68,30 +68,30 @@ impl InputValues for FrameValues<'_> {
     }
 }
 
-/// What a model takes: its input groups in order with their sizes, and what is needed to compute them.
+/// Layout of a model's inputs: its groups in order, with their sizes, and the parameters needed to compute
+/// them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputLayout {
     /// The groups with their sizes, in order.
     pub groups: Vec<(GroupKind, usize)>,
-    /// The scene features, in order: as many as their group has room for.
+    /// The scene features, in order; as many as the size of their group.
     pub scene_features: Vec<SceneFeature>,
-    /// Behind `estimated_seconds`, where the model file holds them.
+    /// Unit costs of `estimated_seconds`, where the model file has them.
     pub unit_costs: Option<UnitCosts>,
-    /// Whether Gaussian lobes go in by ascending center, or as they are given.
+    /// True where Gaussian lobes are sorted by center; false where they keep the caller's order.
     pub sorted_lobes: bool,
-    /// Rays along each side of the probe behind the scene features, 1 to [`MAX_PROBE_SIDE`]; 0 where none of them
-    /// needs a probe.
+    /// Number of rays along each side of the probe that measures the scene features, 1 to [`MAX_PROBE_SIDE`];
+    /// 0 where none of them needs a probe.
     pub probe_side: usize,
 }
 
 impl InputLayout {
     /// The layout of a new model. `lobes` is the number of Gaussian lobes of the transfer functions,
-    /// `volume_features` the number of outputs of the VolumeNet; groups that are not asked for do not look at
+    /// `volume_features` the number of outputs of the VolumeNet; both are ignored by groups that do not need
     /// them.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] where a group stands there twice, none does, or one would be
-    /// empty.
+    /// [`crate::ErrorKind::InvalidArgument`] for a repeated group, no group, or an empty one.
     pub fn new(
         groups: &[GroupKind],
         scene_features: Vec<SceneFeature>,
@@ -130,12 +130,12 @@ impl InputLayout {
         })
     }
 
-    /// The layout that a model file names.
+    /// The layout of a model file.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
-    /// [`crate::ErrorKind::Unsupported`] for such a scene feature or order of lobes,
-    /// [`crate::ErrorKind::InvalidModel`] for a damaged probe side or damaged unit costs.
+    /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
+    /// an unknown scene feature or order of lobes, [`crate::ErrorKind::InvalidModel`] for a damaged probe
+    /// side or damaged unit costs.
     pub fn of_model(model: &Model) -> Result<Self> {
         let groups = model
             .inputs()
@@ -153,21 +153,21 @@ impl InputLayout {
         })
     }
 
-    /// Whether the ray step enters any input.
+    /// True where an input depends on the ray step.
     pub fn knows_step(&self) -> bool {
         self.groups.iter().any(|g| g.0 == GroupKind::StepSize)
             || self.scene_features.iter().any(|f| f.quantity.depends_on_step())
     }
 
-    /// Numbers per row.
+    /// Number of values per row.
     pub fn width(&self) -> usize {
         self.groups.iter().map(|(_, size)| size).sum()
     }
 
-    /// Puts a network with this layout into a model file: the network's tensors and what its inputs are.
+    /// Stores a network with this layout in a model file: its tensors and the description of its inputs.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidTensor`] when the parts do not fit together or a weight overflows its
+    /// [`crate::ErrorKind::InvalidTensor`] where the parts do not fit together or a weight overflows its
     /// format.
     pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
         let group = |&(kind, size): &(GroupKind, usize)| InputGroup { name: kind.name().into(), size };
@@ -187,16 +187,16 @@ impl InputLayout {
         Ok(())
     }
 
-    /// Writes a frame's row of [`InputLayout::width`] numbers.
+    /// Writes a frame's row of [`InputLayout::width`] values.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] when a group was not supplied or has another size than the model's,
-    /// [`crate::ErrorKind::SizeMismatch`] for a row of another width.
+    /// [`crate::ErrorKind::MissingInput`] where a group was not supplied or has another size than the
+    /// model's, [`crate::ErrorKind::SizeMismatch`] for a row of another width.
     pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
         self.write_from(&mut FrameValues { inputs, work: None, seconds: None }, row)
     }
 
-    /// As [`InputLayout::write`] from values that are kept elsewhere.
+    /// As [`InputLayout::write`], with values from another source.
     ///
     /// # Errors
     /// As [`InputLayout::write`].
@@ -252,7 +252,8 @@ impl InputLayout {
                         lobes.len()
                     );
                 }
-                // Of fewer lobes the tallest is shared out: equal parts of it add up to the same function.
+                // Missing lobes are filled by splitting the tallest one: equal parts of it add up to the same
+                // function.
                 let mut tallest = 0;
                 for (i, lobe) in lobes.iter().enumerate() {
                     if lobe.height > lobes[tallest].height {
@@ -307,7 +308,7 @@ impl InputLayout {
     }
 }
 
-/// Whether rays must be cast to know these features.
+/// True where one of the features needs probe rays.
 fn need_probe(features: &[SceneFeature]) -> bool {
     features.iter().any(|f| f.quantity.needs_probe())
 }
@@ -352,8 +353,7 @@ fn takes_sorted_lobes(model: &Model) -> Result<bool> {
     }
 }
 
-/// Puts the lobes of a `transfer_function` group, (c, w, h) each, in the order of their centers; equal
-/// centers keep theirs.
+/// Sorts the lobes of a `transfer_function` group, (c, w, h) each, by center; the sort is stable.
 fn sort_lobes(group: &mut [f32]) {
     let count = group.len() / 3;
     for end in 1..count {

@@ -1,7 +1,7 @@
-//! From inputs to seconds: the analytic cost model and PredNet behind one trait, with upper bound and
+//! Prediction of seconds: the analytic cost model and PredNet behind one trait, with upper bound and
 //! out-of-range score.
 //!
-//! [`load`] turns a model file into the predictor that fits it.
+//! [`load`] makes the predictor of a model file.
 
 mod analytic;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]

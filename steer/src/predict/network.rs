@@ -1,4 +1,4 @@
-//! A network from a model file as a predictor.
+//! Predictor that runs a network from a model file.
 
 use super::quality::KnownQuality;
 use super::{
@@ -16,10 +16,10 @@ use entire_core::model::{Key, Model};
 use entire_core::nn::{PredNet, PredScratch};
 use serde::{Deserialize, Serialize};
 
-/// Distance from the training mean, in standard deviations, up to which an input counts as inside.
+/// Distance from the training mean up to which an input counts as inside, in standard deviations.
 const INSIDE: f32 = 2.5;
 
-/// What [`Key::Calibration`] holds.
+/// Content of [`Key::Calibration`].
 #[derive(Serialize, Deserialize)]
 pub(super) struct Stored {
     pub(super) level: f64,
@@ -53,7 +53,7 @@ impl Stored {
     }
 }
 
-/// The predictor that fits a model file: the analytic model where the file is one, else its PredNet.
+/// Makes the predictor of a model file: the analytic model where the file holds one, otherwise its PredNet.
 ///
 /// # Errors
 /// As [`ModelPredictor::new`].
@@ -64,22 +64,22 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
     })
 }
 
-/// A model file's PredNet, its inputs assembled from named groups in the file's order.
+/// Predictor that runs a model file's PredNet on inputs assembled from named groups in the file's order.
 ///
-/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them;
-/// volume features take no part in it, since an encoder maps any volume to familiar codes.
+/// The out-of-range score uses the inputs' distances from their training means, where the file has them.
+/// Volume features do not count, since an encoder maps any volume to familiar codes.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,
     layout: InputLayout,
-    /// Mean and standard deviation per input; NaN mean where an input takes no part in the score.
+    /// Mean and standard deviation per input; the mean is NaN where an input does not count in the score.
     spread: Vec<(f32, f32)>,
     scratch: PredScratch,
     row: Vec<f32>,
     knows_step: bool,
     probe_side: usize,
     calibration: UpperBound,
-    /// What the network's inputs are held within.
+    /// Range to which the network's inputs are clamped.
     range: Option<InputRange>,
     clock: Option<Clock>,
     quality: Option<KnownQuality>,
@@ -87,12 +87,12 @@ pub struct ModelPredictor {
 }
 
 impl ModelPredictor {
-    /// From a checked model, for this CPU's best level.
+    /// A predictor from a checked model, for this CPU's best level.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
-    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a
-    /// file without PredNet or with a damaged calibration.
+    /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
+    /// an unknown scene feature, [`crate::ErrorKind::InvalidModel`] for a file without PredNet or with a
+    /// damaged calibration.
     pub fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet() else {
             bail!(
@@ -103,12 +103,12 @@ impl ModelPredictor {
         Self::with_net(Arc::new(PredNet::new(parts)?), model)
     }
 
-    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several
+    /// As [`ModelPredictor::new`], with a network already built from the same model, so that several
     /// predictors share its weights.
     ///
     /// # Errors
-    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input
-    /// size.
+    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network with another number
+    /// of inputs.
     pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
         let layout = InputLayout::of_model(model)?;
         let width = layout.width();
@@ -152,7 +152,7 @@ impl ModelPredictor {
         })
     }
 
-    /// The input row of a frame, in the model's order, before it is held within [`InputRange`].
+    /// The input row of a frame, in the model's order, before it is clamped to [`InputRange`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
@@ -176,10 +176,10 @@ impl ModelPredictor {
     }
 }
 
-/// A checksum of everything behind a model's predictions: the weights, what goes in, and the metadata, which
-/// names the renderer, the device and the clock where they are known.
+/// Checksum of everything that determines a model's predictions: weights, input layout and metadata, which
+/// names renderer, device and clock where they are known.
 fn identity_of(model: &Model) -> u32 {
-    // Little-endian whatever the machine, so that a saved state fits its model on any.
+    // Little-endian on every machine, so that a saved state fits its model on any.
     let numbers = |hash: &mut crc32fast::Hasher, values: &[f32]| {
         let mut bytes = [0; 256];
         for chunk in values.chunks(64) {
@@ -226,7 +226,7 @@ impl Predictor for ModelPredictor {
         }
         let seconds = self.net.predict(&self.row, &mut self.scratch);
         let (seconds, clamped) = checked_seconds(seconds)?;
-        // A score that is NaN, where no range is known, gives way as well.
+        // `max` replaces a score that is NaN, where no range is known, as well.
         let out_of_range = if clamped { out_of_range.max(CLAMPED_SCORE) } else { out_of_range };
         Ok(Prediction {
             seconds,
@@ -333,7 +333,7 @@ mod tests {
     fn a_models_identity_is_the_same_on_every_machine() {
         let norm = Normalization { mean: vec![1.0, 2.0, 3.0], std: vec![4.0, 5.0, 6.0] };
         let identity = |norm| identity_of(&model(&[("camera", 3)], &[], Target::LogSeconds, norm));
-        // Of the little-endian bytes, by zlib.
+        // Checksums of the little-endian bytes, computed by zlib.
         assert_eq!([identity(None), identity(Some(norm))], [3_801_741_576, 2_685_955_157]);
     }
 
@@ -551,7 +551,7 @@ mod tests {
             assert!((a - b).abs() <= 1e-7 * a);
         }
         assert_eq!(back.calibration.log_factor, 0.25);
-        // The same file through the network's path gives the same seconds.
+        // The same file loaded as a network predicts the same seconds.
         let features = FrameFeatures::default();
         let inputs = inputs(&features, &[], &[]);
         let mut net = ModelPredictor::new(&model).unwrap();

@@ -1,4 +1,4 @@
-//! What coarser steps and smaller images cost a renderer's pictures, as a model file states it.
+//! Law of the picture error of coarser steps and smaller images, as stored in a model file.
 
 use alloc::borrow::ToOwned;
 use alloc::string::{String, ToString};
@@ -7,27 +7,27 @@ use entire_core::bail;
 use entire_core::model::{Key, Model, ModelFile};
 use serde::{Deserialize, Serialize};
 
-/// What a coarser step and a smaller image cost a renderer's pictures, and what time they save: where the
-/// time of a frame can be had by either, the one is chosen that shows less.
+/// Picture error and time of a renderer as functions of ray step and image size. Where a frame's time can be
+/// reached by either, the plan uses the one with the smaller error.
 ///
-/// With a step of s finest ones, and rays d pixels apart along each side, a picture's distance from full
-/// quality goes as (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, and its time as
-/// (`ray_share` + (1 − `ray_share`) / s) / d². The unit of that distance does not matter.
-/// [`crate::calibrate::fit_quality`] fits it to compared pictures.
+/// For a step of s finest steps and rays d pixels apart along each side, the picture's error against full
+/// quality is proportional to (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, its time
+/// to (`ray_share` + (1 − `ray_share`) / s) / d². The unit of the error does not matter.
+/// [`crate::calibrate::fit_quality`] fits the law to compared pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
-    /// What an image of half the size along each side (d = 2) costs, over what a step twice as coarse (s = 2)
-    /// does.
+    /// Error of an image of half the size along each side (d = 2), over the error of a step twice as coarse
+    /// (s = 2).
     pub image_weight: f32,
-    /// How the step's cost grows.
+    /// Exponent of the step's error.
     pub step_exponent: f32,
-    /// How the image's cost grows: near 0 where any smaller image is blurred.
+    /// Exponent of the image's error; near 0 where any smaller image is blurred.
     pub image_exponent: f32,
-    /// Share of the time at full quality that goes with rays, not with their samples.
+    /// Share of the time at full quality that depends on the number of rays and not on their samples.
     pub ray_share: f32,
 }
 
-/// Name, least and greatest value of each number.
+/// Name, smallest and largest value of each parameter.
 const BOUNDS: [(&str, f32, f32); 4] = [
     ("image weight", 1.0e-3, 1.0e3),
     ("step exponent", 0.05, 8.0),
@@ -40,7 +40,7 @@ impl Quality {
         [self.image_weight, self.step_exponent, self.image_exponent, self.ray_share]
     }
 
-    /// From numbers in the order of the fields, each brought within what [`Quality::check`] accepts.
+    /// A law from values in the order of the fields, each clamped to the bounds of [`Quality::check`].
     pub(crate) fn within(numbers: [f64; 4]) -> Self {
         let [image_weight, step_exponent, image_exponent, ray_share] = core::array::from_fn(|i| {
             let (_, low, high) = BOUNDS[i];
@@ -49,7 +49,7 @@ impl Quality {
         Self { image_weight, step_exponent, image_exponent, ray_share }
     }
 
-    /// Checks the numbers; [`crate::Session::set_quality`] does so too.
+    /// Checks the parameters; [`crate::Session::set_quality`] does so too.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
@@ -63,32 +63,32 @@ impl Quality {
         Ok(())
     }
 
-    /// A picture's distance from full quality, in units of that at a step of 2 finest ones.
+    /// The picture's error against full quality, in units of that at a step of 2 finest ones.
     pub fn error(&self, step: f64, distance: f64) -> f64 {
         let power = |x: f64, exponent: f32| if x > 0.0 { libm::pow(x, f64::from(exponent)) } else { 0.0 };
         power(step - 1.0, self.step_exponent)
             + f64::from(self.image_weight) * power(distance - 1.0, self.image_exponent)
     }
 
-    /// Its time, as a share of that at full quality.
+    /// The picture's time, as a share of that at full quality.
     pub fn time_share(&self, step: f64, distance: f64) -> f64 {
         let rays = f64::from(self.ray_share);
         (rays + (1.0 - rays) / step) / (distance * distance)
     }
 
-    /// The step at which an image takes a share of the time of full quality; `None` where no step over 1
-    /// does.
+    /// The step at which an image takes the given share of the time of full quality; `None` where this step
+    /// would be below 1 or does not exist.
     pub(crate) fn step_for(&self, share: f64, distance: f64) -> Option<f64> {
         let rays = f64::from(self.ray_share);
         let left = share * distance * distance - rays;
         (left > 0.0 && left <= 1.0 - rays).then(|| (1.0 - rays) / left)
     }
 
-    /// Puts each image sample distance where pictures of the same time show less with it than with smaller ones:
-    /// `from` gets the step · distance² from which on each of `distances` is drawn, ascending ones from 1 on;
-    /// infinite for those that never are.
+    /// Computes the thresholds between image sample distances. `distances` ascends from 1; `from` receives
+    /// the value of step · distance² from which each distance has a smaller error at equal time than the
+    /// smaller distances; infinite for distances that never have.
     pub(crate) fn lay(&self, distances: &[f64], from: &mut [f64]) {
-        /// Times that are looked at: each this share of the one before, so many.
+        /// Ratio of successive times that are tried, and their number.
         const FINER: f64 = 0.97;
         const TIMES: usize = 400;
         from[1..].fill(f64::INFINITY);
@@ -96,7 +96,8 @@ impl Quality {
         for _ in 0..TIMES {
             let mut best = (taken, f64::INFINITY, 0.0);
             for (level, &distance) in distances.iter().enumerate().skip(taken) {
-                // The finest step may take less than the time there is, and show less all the same.
+                // At the finest step an image may take less than the available time, and still have the
+                // smallest error.
                 let finest = (self.time_share(1.0, distance) <= share).then_some(1.0);
                 if let Some(step) = self.step_for(share, distance).or(finest) {
                     let error = self.error(step, distance);
@@ -106,8 +107,9 @@ impl Quality {
                 }
             }
             if best.0 > taken {
-                // The smaller distance takes this time, if at all, at another c: where that is larger, this distance
-                // shows less from its own c on.
+                // The smaller distance reaches this time, if at all, at another value of step · distance²:
+                // the threshold is the geometric mean of both, or this distance's own value where that is
+                // smaller.
                 let square = distances[taken] * distances[taken];
                 let before = self.step_for(share, distances[taken]).map_or(best.2, |s| s * square);
                 let at = libm::sqrt(before.min(best.2) * best.2).max(from[taken]);
@@ -118,10 +120,11 @@ impl Quality {
         }
     }
 
-    /// What a model file states of its renderer's pictures, under [`Key::Quality`]; `None` where nothing.
+    /// The law in a model file, under [`Key::Quality`]; `None` where the file has none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for anything but an object of the four numbers within their bounds.
+    /// [`crate::ErrorKind::InvalidModel`] for anything but an object of the four parameters within their
+    /// bounds.
     pub fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(Key::Quality.name()) else { return Ok(None) };
         let quality: Self = match serde_json::from_str(text) {
@@ -134,7 +137,7 @@ impl Quality {
         Ok(Some(quality))
     }
 
-    /// Puts it into a model file.
+    /// Stores the law in a model file.
     ///
     /// # Errors
     /// As [`Quality::check`].
@@ -145,7 +148,7 @@ impl Quality {
     }
 }
 
-/// A model's [`Quality`] with the renderer that it was measured with.
+/// A model's [`Quality`] and the renderer with which it was measured.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct KnownQuality {
     quality: Quality,
@@ -158,7 +161,7 @@ impl KnownQuality {
         Ok(Quality::of(model)?.map(|quality| Self { quality, renderer }))
     }
 
-    /// What holds for the renderer of a name; any where it is empty.
+    /// The law if it belongs to the renderer of this name; an empty name matches any.
     pub(super) fn holds_for(known: Option<&Self>, renderer: &str) -> Option<Quality> {
         known.filter(|k| renderer.is_empty() || renderer == k.renderer).map(|k| k.quality)
     }

@@ -1,4 +1,4 @@
-//! Beyond what a learned factor has seen of an input, it is that of the nearest value that it has.
+//! Clamps the inputs of a learned factor to the range of its training data.
 
 use super::network::Stored;
 use alloc::boxed::Box;
@@ -7,20 +7,20 @@ use entire_core::Result;
 use entire_core::bail;
 use entire_core::model::{Key, Model, ModelFile};
 
-/// Least and greatest value of every input that a network learned from; its inputs are held within.
+/// Range of each input in a network's training data, to which its inputs are clamped.
 ///
-/// Networks go on in a straight line where they have seen nothing, and a factor on an estimate of the time
-/// has no reason to. Where frames of training volumes beyond 85 % of one input are left out, a factor whose
-/// inputs are held is nearer than one that goes on (`lab/scripts/beyond.py`).
+/// Networks extrapolate linearly outside their training data, which is not justified for a factor on an
+/// estimated time. Where frames of training volumes beyond the 85 % quantile of one input are held out, a
+/// factor with clamped inputs has a smaller error than one that extrapolates (`lab/scripts/beyond.py`).
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputRange {
-    /// Low and high end by input, each finite, low ≤ high.
+    /// Low and high end per input, each finite, low ≤ high.
     ends: Box<[(f32, f32)]>,
 }
 
 impl InputRange {
-    /// Of rows of `width` inputs each; `free` more inputs, after these, are never held. Values that are not
-    /// finite are passed over.
+    /// The range of rows of `width` inputs each; `free` further inputs, after these, are never clamped.
+    /// Values that are not finite are ignored.
     pub fn of_rows(rows: &[f32], width: usize, free: usize) -> Self {
         let mut seen = Self { ends: alloc::vec![(f32::MAX, f32::MIN); width].into() };
         seen.extend(rows);
@@ -29,7 +29,7 @@ impl InputRange {
         Self { ends: seen.ends.iter().copied().map(any).chain(free).collect() }
     }
 
-    /// Takes in what further rows hold.
+    /// Extends the range by further rows.
     pub fn extend(&mut self, rows: &[f32]) {
         for row in rows.chunks_exact(self.ends.len().max(1)) {
             for (&x, (low, high)) in row.iter().zip(&mut self.ends) {
@@ -40,11 +40,11 @@ impl InputRange {
         }
     }
 
-    /// What a model file holds; `None` where its inputs are free.
+    /// The range in a model file; `None` where its inputs are not clamped.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for another number of inputs than `width`, or ends that are out of
-    /// order or not finite.
+    /// [`crate::ErrorKind::InvalidModel`] where the number of inputs is not `width`, or ends are out of order
+    /// or not finite.
     pub fn of(model: &Model, width: usize) -> Result<Option<Self>> {
         let Some(Stored { input_low: Some(low), input_high: Some(high), .. }) = Stored::of(model)? else {
             return Ok(None);
@@ -67,10 +67,10 @@ impl InputRange {
         Ok(Some(Self { ends: ends.into() }))
     }
 
-    /// Puts the range into a model file, keeping what else its calibration holds.
+    /// Stores the range in a model file and keeps the other entries of its calibration.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] when what the file holds is damaged.
+    /// [`crate::ErrorKind::InvalidModel`] where the file's calibration is damaged.
     pub fn store(&self, file: &mut ModelFile) -> Result<()> {
         let (low, high): (Vec<f32>, Vec<f32>) = self.ends.iter().copied().unzip();
         super::bounds::store_in_calibration(
@@ -79,10 +79,10 @@ impl InputRange {
         )
     }
 
-    /// Holds the inputs of one row within.
+    /// Clamps the inputs of one row.
     pub fn hold(&self, row: &mut [f32]) {
         for (x, &(low, high)) in row.iter_mut().zip(&self.ends) {
-            // A NaN stays one.
+            // NaN remains NaN.
             *x = x.clamp(low, high);
         }
     }
@@ -119,7 +119,7 @@ mod tests {
         assert!(held(&range, [f32::NAN, 6.0])[0].is_nan());
         range.extend(&[-4.0, 6.0]);
         assert_eq!(held(&range, [-9.0, 99.0]), [-4.0, 9.0]);
-        // The second is free; so is one that no row has.
+        // The second input is not clamped; nor is one without a finite value in any row.
         let free = InputRange::of_rows(&[1.0], 1, 1);
         assert_eq!(held(&free, [7.0, 1e30]), [1.0, 1e30]);
         assert_eq!(held(&InputRange::of_rows(&[f32::NAN, 1.0], 2, 0), [3.0, 3.0]), [3.0, 1.0]);

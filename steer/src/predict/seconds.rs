@@ -1,25 +1,25 @@
-//! The door that every network's output goes through: what comes out is a finite, positive number of seconds,
-//! or an error.
+//! Validation of every network's output: a finite, positive number of seconds, or an error.
 
 use core::ops::RangeInclusive;
 use entire_core::Result;
 use entire_core::bail;
 
-/// Shortest and longest time that a prediction is taken for, seconds. A network trained on seconds goes to zero and
-/// below for cheap frames, and the exponential of a network trained on their logarithm can vanish.
+/// Range to which predictions are clamped, in seconds. A network trained on seconds predicts zero or less for
+/// cheap frames, and the exponential of a network trained on log-seconds can underflow.
 pub const PREDICTED_SECONDS: RangeInclusive<f32> = 1.0e-6..=1.0e9;
 
-/// Longest frame time that is believed, seconds: of an observation, and of a frame that a model is fitted to.
+/// Longest accepted frame time, in seconds: of an observation, and of a frame that a model is fitted to.
 pub const LONGEST_FRAME: f32 = 10_000.0;
 
-/// Least out-of-range score of a prediction that had to be brought into [`PREDICTED_SECONDS`]: far beyond
-/// any edge of trust.
+/// Smallest out-of-range score of a prediction that was clamped to [`PREDICTED_SECONDS`]; far beyond every
+/// limit of trust.
 pub(crate) const CLAMPED_SCORE: f32 = 1000.0;
 
-/// A network's output as a time: its seconds, and whether they had to be brought into [`PREDICTED_SECONDS`]; the least out-of-range score is 1000 then.
+/// Converts a network's output to seconds, clamped to [`PREDICTED_SECONDS`]; returns true as well where it
+/// was clamped, in which case the out-of-range score is at least [`CLAMPED_SCORE`].
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidModel`] for NaN or an infinity: weights so large that sums of them leave `f32`.
+/// [`crate::ErrorKind::InvalidModel`] for NaN or infinity: the weights are so large that sums overflow `f32`.
 pub(crate) fn checked_seconds(raw: f32) -> Result<(f32, bool)> {
     if !raw.is_finite() {
         bail!(
@@ -32,11 +32,11 @@ pub(crate) fn checked_seconds(raw: f32) -> Result<(f32, bool)> {
     Ok((seconds, seconds != raw))
 }
 
-/// Networks' outputs as times, in place: seconds, brought into [`PREDICTED_SECONDS`]. Gives how many had to be.
+/// Clamps networks' outputs to [`PREDICTED_SECONDS`], in place; returns the number of clamped values.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidModel`] for NaN or an infinity, naming the first row at fault: weights so large that
-/// sums of them leave `f32`. The batch is then as it was.
+/// [`crate::ErrorKind::InvalidModel`] for NaN or infinity, naming the first such row: the weights are so
+/// large that sums overflow `f32`. The batch is unchanged in this case.
 pub fn check_predictions(seconds: &mut [f32]) -> Result<usize> {
     if let Some(row) = seconds.iter().position(|s| !s.is_finite()) {
         bail!(

@@ -1,33 +1,33 @@
 //! Longest-processing-time-first for render farms (paper, section "Load Balancing").
 //!
-//! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment
-//! is made from *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times
-//! whose sum is finite on the slowest node.
+//! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half as long. An assignment
+//! is made from *predicted* times and evaluated with *measured* ones: [`Assignment::makespan`] takes any
+//! times whose sum is finite on the slowest node.
 
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::memory::{collected, filled};
 
-/// Most nodes of a schedule.
+/// Largest number of nodes of a schedule.
 pub const MAX_NODES: usize = 1 << 20;
 
-/// Which node runs each task.
+/// Assignment of tasks to nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Assignment {
-    /// Node of each task, by task.
+    /// Node of each task.
     pub node_of: Vec<usize>,
     /// Number of nodes.
     pub nodes: usize,
 }
 
 impl Assignment {
-    /// Time until the last node is done, for given task times and node speeds.
+    /// Time until the last node has finished, for given task times and node speeds.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment
-    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable, or a task on a
-    /// node that there is not.
+    /// [`crate::ErrorKind::SizeMismatch`] where the number of `times` or `speeds` is not that of this
+    /// assignment's tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for an invalid time or speed, or a
+    /// task on a node that does not exist.
     pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
         check(times, speeds)?;
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
@@ -51,21 +51,21 @@ impl Assignment {
     }
 }
 
-/// Task numbers from longest to shortest; equal times in ascending number.
+/// Indices of the tasks from longest to shortest; equal times in ascending order of index.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for a time that is negative or not finite,
-/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the numbers.
+/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the indices.
 pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
     check_times(times)?;
     let mut order = collected(0..times.len())?;
-    // In place; the number decides among equal times.
+    // An unstable sort in place; the index orders equal times.
     order.sort_unstable_by(|&a, &b| times[b].total_cmp(&times[a]).then(a.cmp(&b)));
     Ok(order)
 }
 
 /// Longest processing time first (Graham 1969): tasks in descending time, each to the node that would finish
-/// it first. For uniform times pass equal numbers: tasks are then dealt out in turn.
+/// it first. Equal times give a round-robin assignment on equal nodes.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
@@ -101,7 +101,7 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
         }
     }
     check_times(times)?;
-    // No node's load can be beyond a number then, whichever tasks it runs.
+    // Then every node's load is finite, for any set of tasks.
     let slowest = speeds.iter().copied().fold(f64::INFINITY, f64::min);
     if !times.iter().map(|t| t / slowest).sum::<f64>().is_finite() {
         bail!(

@@ -1,4 +1,4 @@
-//! The integration tests that need no harness of their own, as one program.
+//! Integration tests that need no harness of their own, in one program.
 
 mod hot_calls;
 mod units;

@@ -1,5 +1,5 @@
-//! A scene predicts the same time in any unit of length: over 60 orders of magnitude, from voxels and from
-//! bricks, by arcball and by view camera.
+//! A scene's predicted time is independent of the unit of length: over 60 orders of magnitude, from voxels
+//! and from bricks, with arcball and view cameras.
 
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, Shading, Skipping, TransferFunction,
@@ -10,8 +10,7 @@ use entire_steer::features::{SummaryOptions, VolumeSummary};
 use entire_steer::predict::Prediction;
 use glam::{Mat3, Mat4, Vec3};
 
-/// Relative difference that another unit may make where it is no power of two times the first: f32 rounds the
-/// spacing.
+/// Bound on the relative difference between units whose ratio is not a power of two: f32 rounds the spacing.
 const TOLERANCE: f32 = 1e-5;
 
 const DIMS: [usize; 3] = [40, 24, 31];
@@ -22,7 +21,7 @@ fn voxels() -> Vec<u8> {
     (0..DIMS.iter().product::<usize>()).map(|i| (i * 37 % 251) as u8).collect()
 }
 
-/// The scene with a unit of length: summaries from voxels and from bricks.
+/// Summaries of the scene in a unit of length, from voxels and from bricks.
 fn summaries(unit: f32) -> [VolumeSummary; 2] {
     let spacing = SPACING.map(|s| s * unit);
     let voxels = voxels();
@@ -36,7 +35,7 @@ fn summaries(unit: f32) -> [VolumeSummary; 2] {
     [whole, bricks]
 }
 
-/// The arcball camera, and the same as a view matrix in world units.
+/// The arcball camera, and the same camera as a view matrix in world units.
 fn cameras(radius: f32) -> [Camera; 2] {
     let arcball = Camera::from_arcball(Arcball { rx: 20.0, ry: -40.0, dz: 2.5 }).unwrap();
     let center = radius * Vec3::new(0.25, -0.5, 0.125);
@@ -46,8 +45,8 @@ fn cameras(radius: f32) -> [Camera; 2] {
     [arcball, Camera::from_world_view(world, center, radius).unwrap()]
 }
 
-/// Predictions of the scene in a unit of length: voxels and bricks, each with both cameras, with and without
-/// shading.
+/// Predictions of the scene in a unit of length: from voxels and bricks, each with both cameras, with and
+/// without shading.
 fn predictions(unit: f32) -> Vec<Prediction> {
     let table = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.4, width: 0.05, height: 0.3 }])
         .to_table()

@@ -1,4 +1,4 @@
-//! The layers after the first: vectors along output channels, channels-last output.
+//! The layers after the first: vectors along output channels, output in channels-last layout.
 
 use super::layout::{Block, Buffer, Output, Shape, Taps, cut};
 use super::tiles::{self, Cut, MAX_POSITIONS, Tile};
@@ -9,7 +9,8 @@ use crate::memory::room;
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Output positions after which the next block of channels is taken, so that inputs stay in the cache.
+/// Number of output positions computed for one block of channels before the next block; their inputs stay in
+/// the cache.
 const CHUNK: usize = 256;
 
 #[derive(Clone, Debug)]
@@ -18,25 +19,26 @@ pub(super) struct ChannelsLast {
     pub(super) cut: Cut,
     pub(super) shape: Shape,
     pub(super) inputs: usize,
-    /// Floats between input channels, columns, rows and planes (planes only where the input is whole).
+    /// Strides of the input, in floats: channel, column, row and plane (the plane stride is used only where
+    /// the whole input is in memory).
     pub(super) channel_stride: usize,
     pub(super) column: usize,
     pub(super) row: usize,
     pub(super) plane: usize,
-    /// Offsets of the taps where the input is whole.
+    /// Offsets of the kernel's taps in the input, in floats, for an input that is whole in memory.
     pub(super) taps: Vec<usize>,
-    /// Planar channel, vectors, and place of the weights of each block of channels.
+    /// Blocks of channels: first channel, number of vectors, offset of the weights in floats.
     pub(super) blocks: Vec<(usize, usize, usize)>,
     pub(super) weights: Buffer,
     pub(super) bias: Buffer,
-    /// Of the output: borders, floats per position, size.
+    /// Layout of the output: border in voxels, floats per position, total length in floats.
     pub(super) border: usize,
     pub(super) out_channels: usize,
     pub(super) out_len: usize,
 }
 
 impl ChannelsLast {
-    /// Place of an output position, channel 0.
+    /// Offset of channel 0 of an output position, in floats.
     pub(super) fn place(&self, z: usize, y: usize, x: usize) -> usize {
         let edge = self.shape.output + 2 * self.border;
         (((z + self.border) * edge + y + self.border) * edge + x + self.border) * self.out_channels
@@ -108,19 +110,19 @@ impl ChannelsLast {
         self.shape.output.pow(3)
     }
 
-    /// Number of tasks that a layer with its whole input at hand falls into: chunks of positions, then blocks
-    /// of channels, then tiles.
+    /// Number of tasks of a layer whose whole input is in memory: chunks of positions × blocks of channels ×
+    /// tiles.
     pub(super) fn tasks(&self) -> usize {
         self.positions().div_ceil(CHUNK) * self.blocks.len() * CHUNK.div_ceil(self.cut.positions)
     }
 
-    /// Runs tasks; the input has its borders in every direction.
+    /// Runs a range of tasks; the input has its borders on every side.
     pub(super) fn whole(&self, input: &[f32], target: Output, tasks: Range<usize>) {
         let tiles = CHUNK.div_ceil(self.cut.positions);
         let taps = Taps { offsets: &self.taps, first: 0 };
         let mut task = tasks.start;
         while task < tasks.end {
-            // A run of tiles in one block of channels and one chunk.
+            // Consecutive tiles of one block of channels in one chunk.
             let (chunk, block, tile) =
                 (task / tiles / self.blocks.len(), task / tiles % self.blocks.len(), task % tiles);
             let run = (tiles - tile).min(tasks.end - task);
@@ -132,8 +134,8 @@ impl ChannelsLast {
         }
     }
 
-    /// Computes one block of channels at a range of positions, whose inputs lie `plane` floats apart from one
-    /// output plane to the next (0 where the taps say where the planes lie).
+    /// Computes one block of channels for a range of positions. `plane` is the distance in floats between the
+    /// inputs of neighboring output planes (0 where the offsets of the taps include the plane).
     pub(super) fn tiles(
         &self,
         input: &[f32],
@@ -147,7 +149,7 @@ impl ChannelsLast {
     }
 }
 
-/// One block of channels at a range of positions.
+/// Kernel: one block of channels for a range of positions.
 struct Tiles<'a> {
     layer: &'a ChannelsLast,
     input: &'a [f32],
@@ -181,7 +183,7 @@ impl Kernel for Tiles<'_> {
             bias: layer.bias.as_slice()[channel..].as_ptr(),
         };
         let Shape { output: edge, stride, .. } = layer.shape;
-        // Sixteen positions of one row lie at equal distances.
+        // Sixteen positions of one row are equally spaced.
         let rows_of_16 = edge.is_multiple_of(16) && positions.start.is_multiple_of(16);
         let step = if layer.cut.wide && vectors == 1 && rows_of_16 { 16 } else { layer.cut.positions };
         let (mut z, mut y, mut x) =
@@ -196,7 +198,8 @@ impl Kernel for Tiles<'_> {
                 // SAFETY: the place lies inside the layer's output, and so does the block of channels after
                 // it.
                 tile.output[i] = unsafe { target.0.add(layer.place(z, y, x) + channel) };
-                // The last tile repeats its last position: the same numbers go to the same places.
+                // The last tile is filled up with its last position: the same values are written to the same
+                // place again.
                 if p + i + 1 < positions.end {
                     x += 1;
                     if x == edge {
@@ -208,8 +211,9 @@ impl Kernel for Tiles<'_> {
                 }
             }
             tile.next = input.as_ptr().wrapping_add(z * plane + stride * (y * layer.row + x * layer.column));
-            // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and
-            // biases are packed for whole blocks; no other thread has these positions and channels.
+            // SAFETY: every position's offset plus any tap and channel lies inside the bordered input;
+            // weights and biases are packed for whole blocks; no other thread writes these positions and
+            // channels.
             unsafe { tiles::run_tile(s, &tile, step, vectors) };
             p += step;
         }

@@ -1,9 +1,9 @@
-//! The dense layer at the end.
+//! The dense layer after the convolutions.
 
 use super::layout::LINE;
 use crate::kernels::simd::{Kernel, Simd};
 
-/// The dense layer at the end: sums in lines of 16 partial sums.
+/// The dense layer after the convolutions: 16 partial sums per output.
 pub(super) struct Dense<'a> {
     pub(super) dense: core::slice::ChunksExact<'a, f32>,
     pub(super) bias: &'a [f32],

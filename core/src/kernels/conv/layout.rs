@@ -1,4 +1,4 @@
-//! Sizes, aligned memory and places that the layers share.
+//! Sizes, aligned buffers and offsets shared by the layers.
 
 use super::tiles::Cut;
 use crate::Result;
@@ -8,10 +8,10 @@ use crate::memory::filled;
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Floats per cache line, the widest vector, and the unit that rows are padded to.
+/// Floats per cache line; also the widest vector and the unit to which rows are padded.
 pub(super) const LINE: usize = 16;
 
-/// Floats on a cache line boundary, zero at first.
+/// Zero-initialized floats, aligned to a cache line.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Buffer(Vec<Line>);
 
@@ -48,7 +48,7 @@ pub(super) fn cut(level: Level) -> Cut {
     level.run(CutOfLevel)
 }
 
-/// One block's sizes and weights (outputs × inputs × kernel³, one bias per output).
+/// Sizes and weights of one convolution (outputs × inputs × kernel³, one bias per output).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Block<'a> {
     pub(crate) inputs: usize,
@@ -71,7 +71,7 @@ pub(crate) struct Head<'a> {
     pub(crate) bias: &'a [f32],
 }
 
-/// Cubic kernel, stride and padding, and edges in and out.
+/// Kernel edge, stride, padding, and edges of input and output.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Shape {
     pub(super) input: usize,
@@ -92,8 +92,8 @@ impl Shape {
         }
     }
 
-    /// The input planes that output plane `z` needs, and the first kernel plane among them: the rest is
-    /// padding.
+    /// Range of input planes that output plane `z` reads, and the first kernel plane that falls inside the
+    /// input; the others fall into the padding.
     pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {
         let low = z * self.stride;
         let first = low.max(self.padding);
@@ -102,17 +102,17 @@ impl Shape {
     }
 }
 
-/// Which taps a tile adds: offsets in the input, and how many of the packed ones come before them.
+/// Kernel taps of one tile: offsets in the input, and the number of packed taps before the first.
 pub(super) struct Taps<'a> {
     pub(super) offsets: &'a [usize],
     pub(super) first: usize,
 }
 
-/// Where several threads write, each its own positions and channels.
+/// Pointer to an output that several threads write, each its own positions and channels.
 #[derive(Clone, Copy)]
 pub(super) struct Output(pub(super) *mut f32);
 
-// SAFETY: the tasks of one layer write disjoint floats, and whoever owns the buffer waits for all of them.
+// SAFETY: the tasks of one layer write disjoint floats, and the owner of the buffer waits for all of them.
 unsafe impl Send for Output {}
 // SAFETY: as above.
 unsafe impl Sync for Output {}

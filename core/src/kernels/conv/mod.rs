@@ -3,23 +3,22 @@
 //! # Layouts
 //!
 //! The first layer has one input channel, so its vectors run along x. Its input planes are *prepared*: every
-//! row is split into `stride` phases (padded coordinate X = stride·q + phase goes to place q of its phase),
-//! so that the samples which one tap needs for neighboring outputs lie side by side. Its output is *planar*:
-//! one row per y and channel.
+//! row is split into `stride` phases (padded coordinate X = stride·q + phase is element q of its phase), so
+//! that the samples that one tap reads for neighboring outputs are contiguous. Its output is *planar*: one
+//! row per y and channel.
 //!
-//! Every rest layer has its vectors along output channels and takes its input one number at a time,
-//! broadcast. Its input is either the planar output of the first layer, or *channels last*: (z, y, x,
-//! channel) with zero borders as wide as the layer's padding. Its output is channels last, with the borders
-//! of the layer that follows.
+//! Every other layer has its vectors along output channels and broadcasts one input value at a time. Its
+//! input is either the planar output of the first layer or *channels last*: (z, y, x, channel) with zero
+//! borders as wide as the layer's padding. Its output is channels last, with the borders of the next layer.
 //!
-//! The first two layers run plane by plane: a thread keeps only as many prepared planes and planes of the
-//! first layer's output as the kernels span. Borders are zeroed once and never written.
+//! The first two layers run plane by plane: a thread keeps only as many prepared planes, and planes of the
+//! first layer's output, as the kernels span. Borders are zeroed once and never written.
 //!
 //! # Order
 //!
-//! Every output starts at its bias and adds its taps in one accumulator, in the order (kernel z, y, x, input
-//! channel), or (kernel z, y, input channel, x) at all positions of a channel. So neither the tile an output
-//! falls into nor the number of threads changes a bit.
+//! Every output starts at its bias and adds its taps in one accumulator, either in the order (kernel z, y, x,
+//! input channel), or in the order (kernel z, y, input channel, x) at all positions of a channel. So the
+//! result is bit-identical for every tiling and every number of threads.
 
 mod channels_last;
 mod head;
@@ -45,7 +44,7 @@ pub(crate) struct Encoder {
     level: Level,
     first: Planar,
     rest: Vec<ChannelsLast>,
-    /// Per feature: one weight per float of the last layer's output.
+    /// Per feature, one weight per float of the last layer's output.
     dense: Buffer,
     dense_len: usize,
     dense_bias: Vec<f32>,
@@ -56,7 +55,7 @@ pub(crate) struct Encoder {
 pub(crate) struct Scratch {
     workers: Vec<Worker>,
     outputs: Vec<Buffer>,
-    /// What the buffers were made for.
+    /// Sizes for which the buffers were allocated.
     sizes: Vec<usize>,
 }
 
@@ -92,7 +91,7 @@ impl Encoder {
                 level,
             )?);
         }
-        // The dense layer's weights, moved to where the last layer writes.
+        // The dense layer's weights, reordered to the layout of the last layer's output.
         let edge = blocks[blocks.len() - 1].output_edge;
         let channels = blocks[blocks.len() - 1].outputs;
         let dense_len = rest.last().map_or(edge * first.out_plane, |l| l.out_len).next_multiple_of(LINE);
@@ -125,7 +124,7 @@ impl Encoder {
             None => 0,
         };
         let whole = if self.rest.is_empty() { f.lead + f.shape.output * f.out_plane } else { 0 };
-        // The tail keeps the last row's reads, rounded up to whole vectors, inside.
+        // The extra line keeps the reads of the last row, rounded up to whole vectors, inside the buffer.
         [f.shape.kernel * f.plane + LINE, ring + LINE, whole + LINE, f.plane, f.row, f.phase]
             .into_iter()
             .chain(
@@ -133,10 +132,10 @@ impl Encoder {
             )
     }
 
-    /// Makes the scratch fit this encoder and number of threads.
+    /// Reallocates the scratch unless it fits this encoder and number of threads.
     fn fit(&self, scratch: &mut Scratch, threads: usize) -> Result<()> {
         if !self.sizes().eq(scratch.sizes.iter().copied()) {
-            // Empty until everything is there, so that a scratch which memory had no room for is made anew.
+            // Empty until every allocation has succeeded: after a failed one, the next call starts anew.
             *scratch = Scratch::default();
             let sizes: Vec<usize> = self.sizes().collect();
             scratch.outputs.push(Buffer::zeroed(sizes[2])?);
@@ -167,7 +166,8 @@ impl Encoder {
         size_of::<f32>() * (first + rest.sum::<usize>() + working + self.dense.as_slice().len())
     }
 
-    /// Runs the network; `features` has one place per output of the dense layer. Makes the scratch fit first.
+    /// Runs the network; `features` holds one value per output of the dense layer. Reallocates the scratch
+    /// where it does not fit.
     ///
     /// # Errors
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the scratch.
@@ -215,7 +215,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// The first layers, split over the workers by output planes.
+    /// Computes the first two layers, output planes split over the workers.
     fn front(
         &self,
         prepare: &Prepare<'_>,
@@ -243,17 +243,17 @@ impl Encoder {
         );
     }
 
-    /// The only layer of a one-layer network.
+    /// Planes of a network with one convolution.
     fn first_planes(&self, prepare: &Prepare<'_>, worker: &mut Worker, target: Output, planes: Range<usize>) {
         let mut next = 0;
         for z in planes {
-            // SAFETY: plane `z` lies inside the whole output, and no other thread has it.
+            // SAFETY: plane `z` lies inside the whole output, and no other thread writes it.
             let out = unsafe { target.0.add(self.first.lead + z * self.first.out_plane) };
             self.first.plane(prepare, &mut worker.prepared, &mut worker.taps, &mut next, z, out);
         }
     }
 
-    /// The first two layers, plane by plane of the second's output.
+    /// Computes the first two layers, one output plane of the second at a time.
     fn front_planes(
         &self,
         second: &ChannelsLast,
@@ -294,7 +294,7 @@ impl Encoder {
     }
 }
 
-/// Runs `work` on a range, halved over the executor's threads.
+/// Runs `work` on a range, halved recursively over the executor's threads.
 fn spread(executor: Executor<'_>, parts: usize, range: Range<usize>, work: &(dyn Fn(Range<usize>) + Sync)) {
     if parts <= 1 || range.len() <= 1 {
         if !range.is_empty() {

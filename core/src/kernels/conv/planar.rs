@@ -12,15 +12,15 @@ pub(super) struct Planar {
     pub(super) level: Level,
     pub(super) cut: Cut,
     pub(super) shape: Shape,
-    /// Floats per phase, per prepared row and per prepared plane.
+    /// Strides of the prepared input, in floats: phase, row, plane.
     pub(super) phase: usize,
     pub(super) row: usize,
     pub(super) plane: usize,
-    /// Output channels, in whole groups.
+    /// Output channels, padded to whole groups.
     pub(super) padded: usize,
     pub(super) weights: Buffer,
     pub(super) bias: Buffer,
-    /// Of the output: zeros on each side, floats per row and per plane, floats before the first plane.
+    /// Layout of the output: border width, floats per row, floats per plane, floats before the first plane.
     pub(super) border: usize,
     pub(super) out_row: usize,
     pub(super) out_plane: usize,
@@ -30,7 +30,7 @@ pub(super) struct Planar {
 /// Writes the prepared plane `z` of the input.
 pub(crate) type Prepare<'a> = dyn Fn(usize, &mut PreparedPlane<'_>) + Sync + 'a;
 
-/// Where a prepared plane goes; see the module's text.
+/// Target of one prepared plane (layout: see `conv`).
 #[derive(Debug)]
 pub(crate) struct PreparedPlane<'a> {
     data: &'a mut [f32],
@@ -41,8 +41,8 @@ pub(crate) struct PreparedPlane<'a> {
 }
 
 impl PreparedPlane<'_> {
-    /// Fills the plane from rows of voxels that start at `base` and follow at `stride`, mapped to [0, 1] by
-    /// `map` and from there to [-1, 1].
+    /// Fills the plane from rows of voxels that start at `base`, `stride` elements apart; values are mapped
+    /// to [0, 1] by `map`, then to [-1, 1].
     pub(crate) fn fill<T: Scalar, M: Map<T>>(&mut self, src: &[T], base: usize, stride: usize, map: M) {
         struct Body<'a, 'b, T, M>(&'a mut PreparedPlane<'b>, &'a [T], usize, usize, M);
         impl<T: Scalar, M: Map<T>> Kernel for Body<'_, '_, T, M> {
@@ -59,7 +59,7 @@ impl PreparedPlane<'_> {
                     if phases == 2 {
                         let (even, odd) = out.split_at_mut(plane.phase);
                         let (pairs, rest) = row.as_chunks::<2>();
-                        // The first voxel lies at padded place `padding`.
+                        // The first voxel has padded coordinate `padding`.
                         let (a, b) = if padding % 2 == 0 {
                             (&mut even[padding / 2..], &mut odd[padding / 2..])
                         } else {
@@ -110,7 +110,7 @@ impl Planar {
                 weights.as_mut_slice()[place] = block.weight[c * taps + tap];
             }
         }
-        // The zeros after a row are the zeros before the next one.
+        // The zeros after a row serve as the zeros before the next one.
         let out_row = (shape.output + border).next_multiple_of(LINE);
         let out_plane = (shape.output + 2 * border) * padded * out_row;
         Ok(Self {
@@ -130,12 +130,12 @@ impl Planar {
         })
     }
 
-    /// Place of x = 0 in a row of the whole output.
+    /// Offset of x = 0 of a row in the whole output, in floats.
     pub(super) fn place(&self, z: usize, y: usize, channel: usize) -> usize {
         self.lead + z * self.out_plane + ((y + self.border) * self.padded + channel) * self.out_row
     }
 
-    /// Computes output plane `z` into `out`, preparing the input planes from `next` on that it lacks.
+    /// Computes output plane `z` into `out`; prepares the missing input planes, from `next` on.
     #[allow(clippy::too_many_arguments, reason = "one call site per caller; a struct would only rename them")]
     pub(super) fn plane(
         &self,
@@ -174,12 +174,12 @@ impl Planar {
     }
 }
 
-/// The rows of one plane of the first layer.
+/// Kernel: the rows of one output plane of the first layer.
 struct Rows<'a> {
     first: &'a Planar,
     input: &'a [f32],
     taps: &'a [usize],
-    /// Taps left out before the first one.
+    /// Number of packed taps before the first one of `taps`.
     skipped: usize,
     output: *mut f32,
 }
@@ -206,8 +206,9 @@ impl Kernel for Rows<'_> {
                     channels: group,
                     width: first.shape.output,
                 };
-                // SAFETY: every tap plus the width in whole steps stays inside the prepared planes (phases
-                // are long enough for it), the group's rows inside the output plane, which nobody else has.
+                // SAFETY: every tap plus the width, rounded up to whole steps, stays inside the prepared
+                // planes (phases are long enough); the group's rows stay inside the output plane, which no
+                // other thread writes.
                 unsafe { tiles::run_row(s, &row) };
             }
         }

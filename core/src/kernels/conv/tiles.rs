@@ -1,23 +1,23 @@
-//! The inner loops: every accumulator is a variable of its own, so that none leaves its register.
+//! The inner loops: every accumulator is a variable of its own, so that all of them stay in registers.
 
 use crate::kernels::simd::Simd;
 
-/// Output positions per tile at most.
+/// Largest number of output positions per tile.
 pub(super) const MAX_POSITIONS: usize = 16;
 
 /// One tile of a channels-last layer: a few output positions times one block of channels.
 pub(super) struct Tile {
-    /// Per position: the input number that tap 0 and channel 0 take.
+    /// Per position: pointer to the input value of tap 0 and channel 0.
     pub(super) input: [*const f32; MAX_POSITIONS],
-    /// Per position: the first channel of the block.
+    /// Per position: pointer to the first channel of the block.
     pub(super) output: [*mut f32; MAX_POSITIONS],
-    /// How many positions from the first on are not repetitions of the one before.
+    /// Number of distinct positions; the entries after them repeat the last one.
     pub(super) distinct: usize,
-    /// Whether the positions lie two floats apart.
+    /// True where neighboring positions are two floats apart.
     pub(super) two_apart: bool,
-    /// Whether the taps come in triples that lie one float apart.
+    /// True where the taps come in triples, one float apart.
     pub(super) tap_triples: bool,
-    /// As `input[0]`, of the tile after this one.
+    /// `input[0]` of the next tile, for prefetching.
     pub(super) next: *const f32,
     /// Offset of each tap from `input`, in floats.
     pub(super) taps: *const usize,
@@ -32,14 +32,14 @@ pub(super) struct Tile {
 
 /// One output row of the first layer, for one group of channels.
 pub(super) struct Row {
-    /// The prepared number that tap 0 takes for x = 0.
+    /// Pointer to the input value of tap 0 for x = 0.
     pub(super) input: *const f32,
     pub(super) taps: *const usize,
     pub(super) tap_count: usize,
     /// `tap_count` × group of channels.
     pub(super) weights: *const f32,
     pub(super) bias: *const f32,
-    /// x = 0 of the group's first channel.
+    /// Pointer to x = 0 of the group's first channel.
     pub(super) output: *mut f32,
     /// Floats from one output channel to the next.
     pub(super) channel_stride: usize,
@@ -48,10 +48,10 @@ pub(super) struct Row {
     pub(super) width: usize,
 }
 
-/// How far ahead weights are asked for, in floats: what a core works on while the last cache answers.
+/// Prefetch distance of weights, in floats.
 const WEIGHTS_AHEAD: usize = 1024;
 
-/// How one level cuts the work.
+/// Tile sizes of one level.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
     /// Floats per vector.
@@ -62,13 +62,13 @@ pub(super) struct Cut {
     pub(super) width: usize,
     /// Positions per tile in the channels-last layers.
     pub(super) positions: usize,
-    /// Whether there are tiles of 16 positions and one vector.
+    /// True where the level has tiles of 16 positions and one vector.
     pub(super) wide: bool,
 }
 
 impl Cut {
     pub(super) const fn of<S: Simd>() -> Self {
-        // 32 registers hold 16 sums with room to spare, 16 registers hold 12 or 8.
+        // 32 registers hold 16 sums and their operands, 16 registers hold 12 or 8.
         let big = S::LANES == 16;
         Self {
             lanes: S::LANES,
@@ -82,12 +82,12 @@ impl Cut {
 
 macro_rules! two_vectors {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
-        /// A tile of two vectors of channels. Integer instructions compete with the sums for their ports, so
-        /// there are few: with `TWO_APART`, positions lie two floats apart and share a pointer; with
-        /// `CONTIGUOUS_CHANNELS`, channels lie side by side and are taken four at a time.
+        /// A tile of two vectors of channels. Integer instructions compete with the sums for execution ports,
+        /// so addresses are shared: with `TWO_APART`, positions are two floats apart and share a pointer;
+        /// with `CONTIGUOUS_CHANNELS`, channels are contiguous and are processed four at a time.
         #[inline(always)]
         unsafe fn $name<S: Simd, const TWO_APART: bool, const CONTIGUOUS_CHANNELS: bool>(s: S, tile: &Tile) {
-            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
             unsafe {
                 let origin = tile.input[0];
                 $(let $x = tile.input[$p];)*
@@ -134,7 +134,7 @@ macro_rules! one_vector {
         /// A tile of one vector of channels.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
-            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
             unsafe {
                 $(let $x = tile.input[$p];)*
                 let b0 = s.load(tile.bias);
@@ -161,11 +161,11 @@ macro_rules! one_vector {
 
 macro_rules! wide {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
-        /// A tile of 16 positions and one vector; position p + 8 lies as far from p as position 8 from
-        /// position 0.
+        /// A tile of 16 positions and one vector; positions p and p + 8 are as far apart as positions 0 and
+        /// 8.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
-            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
             unsafe {
                 $(let $x = tile.input[$p];)*
                 let distance = tile.input[8].offset_from_unsigned(tile.input[0]);
@@ -199,13 +199,13 @@ macro_rules! wide {
     };
 }
 
-/// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: each channel's three are
-/// added together, so that an input that two neighbors share is read once.
+/// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: the three taps of a
+/// channel are added together, so that an input shared by two neighboring positions is read once.
 #[inline(always)]
 unsafe fn sixteen_by_tap_triples<S: Simd>(s: S, tile: &Tile) {
     macro_rules! body {
         ($first:ident, $($p:literal $a:ident $before:ident),*; $last:ident) => {{
-            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
             unsafe {
                 let b0 = s.load(tile.bias);
                 let mut $first = b0;
@@ -254,12 +254,11 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 /// Computes a tile of `positions` positions and `vectors` vectors of channels.
 ///
 /// # Safety
-/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and
-/// p + 8 lie at one distance. Where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0.
-/// Where
-/// [`Tile::tap_triples`] says so, taps come in triples of neighbors. Every input pointer plus any tap plus
-/// any channel is readable, weights and biases are packed for the tile, and every output pointer has room for
-/// its vectors, which no other thread touches.
+/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] is true, `vectors` is 1 and the distance from
+/// position p to p + 8 is the same for every p. Where [`Tile::two_apart`] is true, position p lies 2·p floats from
+/// position 0. Where [`Tile::tap_triples`] is true, taps come in triples of neighbors. Every input pointer
+/// plus any tap plus any channel is readable, weights and biases are packed for the tile, and every output
+/// pointer has room for its vectors, which no other thread accesses.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };
@@ -280,7 +279,8 @@ pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vect
             (_, true) => one_by_eight(s, tile),
             (_, false) => one_by_six(s, tile),
         }
-        // A loop of its own: a copy per sum would be most of the code. Repeated positions get it once.
+        // A separate loop: inlined once per sum, SELU would be most of the code. Repeated positions get it
+        // once.
         for output in &tile.output[..tile.distinct] {
             for v in 0..vectors {
                 let p = output.add(v * S::LANES);
@@ -296,7 +296,7 @@ macro_rules! row_step {
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, row: &Row, x: usize) {
             const GROUP: usize = [$($c),*].len();
-            // SAFETY: `run_row`'s caller vouches for every pointer that is read or written here.
+            // SAFETY: the caller of `run_row` guarantees every pointer that is read or written here.
             unsafe {
                 $(
                     let mut $a = s.splat(*row.bias.add($c));
@@ -346,7 +346,7 @@ row_step!(four_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3);
 /// # Safety
 /// The input pointer plus any tap plus the width, rounded up to whole steps, is readable; weights and biases
 /// are packed for the group; the output has room for `width` floats per channel, rounded up to whole vectors
-/// with zeros (which SELU leaves zero), which no other thread touches.
+/// with zeros (SELU(0) = 0), which no other thread accesses.
 #[inline(always)]
 pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     let mut x = 0;
@@ -363,7 +363,7 @@ pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     }
     for c in 0..row.channels {
         for x in (0..row.width).step_by(S::LANES) {
-            // SAFETY: the caller vouches for whole vectors of every channel's row.
+            // SAFETY: the caller guarantees whole vectors of every channel's row.
             unsafe {
                 let p = row.output.add(c * row.channel_stride + x);
                 s.store(p, s.selu(s.load(p)));

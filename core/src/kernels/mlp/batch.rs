@@ -1,4 +1,4 @@
-//! Blocks of rows, in tiles of up to six: matrix-matrix products.
+//! Batches of rows through the layers: matrix-matrix products in tiles of up to six rows.
 
 use super::int8::{quantize, tile_int8};
 use super::packing::{Layer, panels};
@@ -24,7 +24,7 @@ impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
         let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
         let wide: *mut f32 = scratch.panel.as_mut_ptr().cast();
-        // SAFETY: `fits` has checked that the buffers hold `scratch.rows` rows of `stride` numbers each
+        // SAFETY: `fits` has checked that the buffers hold `scratch.rows` rows of `stride` floats each
         // (`quantized` the same in bytes, padded to 32) and the largest panel; there are at most that many
         // rows.
         unsafe {
@@ -47,7 +47,7 @@ impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
     }
 }
 
-/// Buffers of a block of rows; rows are `stride` numbers apart (bytes in `q`: padded to 32).
+/// Buffers of a batch; `stride` is the distance between rows in floats (in `q`: in bytes, padded to 32).
 #[derive(Clone, Copy)]
 struct Rows {
     count: usize,
@@ -59,10 +59,10 @@ struct Rows {
 }
 
 impl Mlp {
-    /// One layer for a block of rows.
+    /// Runs one layer for a batch.
     ///
     /// # Safety
-    /// The buffers must hold the rows' padded inputs and outputs, and `wide` the widened panel.
+    /// The buffers must hold the rows' padded inputs and outputs, and `wide` the largest panel as f32.
     #[inline(always)]
     unsafe fn layer_rows<S: Simd, const INT8: bool>(
         &self,
@@ -73,7 +73,7 @@ impl Mlp {
     ) {
         let bytes = rows.stride.next_multiple_of(32);
         let (mut line, mut first) = (layer.start, 0);
-        // SAFETY: panels follow one another in `data`; the caller vouches for the buffers.
+        // SAFETY: panels are contiguous in `data`; the caller guarantees the buffers.
         unsafe {
             let dot4 = INT8 && layer.storage == Storage::Int8;
             if dot4 {
@@ -96,7 +96,7 @@ impl Mlp {
                     _ => {}
                 }
                 line += layer.panel_lines(n);
-                // The next panel arrives while this one is used: some of its lines with each tile.
+                // The next panel is prefetched while this one is used: a part of its lines with each tile.
                 let tiles = rows.count.div_ceil(S::TILE_ROWS);
                 let share = layer.panel_lines(n).div_ceil(tiles);
                 let mut ahead = line;
@@ -109,9 +109,9 @@ impl Mlp {
                     let x = rows.x.add(r * rows.stride);
                     let y = rows.y.add(r * rows.stride + first);
                     let q = rows.q.wrapping_add(r * bytes);
-                    // Six rows, or what is left of them in four, two and one.
+                    // Six rows, and the remainder in tiles of four, two and one.
                     let count = match rows.count - r {
-                        // Without vectors, bytes are multiplied one by one: a tile would gain nothing.
+                        // Without vectors, bytes are multiplied one by one, and a tile gains nothing.
                         _ if dot4 && S::LANES == 4 => 1,
                         6.. => 6,
                         4.. => 4,
@@ -140,8 +140,8 @@ impl Mlp {
     }
 }
 
-/// SELU over `count` rows of `n` numbers, `stride` apart: a loop of its own, since one copy per sum of every
-/// tile would be most of the library's code.
+/// Applies SELU to `count` rows of `n` floats, `stride` apart. A separate loop: inlined once per sum of every
+/// tile, SELU would be most of the library's code.
 ///
 /// # Safety
 /// `y` must hold the rows; `n` is a multiple of LANES.
@@ -149,7 +149,7 @@ impl Mlp {
 unsafe fn selu_rows<S: Simd>(simd: S, y: *mut f32, count: usize, n: usize, stride: usize) {
     for r in 0..count {
         for o in (0..n).step_by(S::LANES) {
-            // SAFETY: the caller vouches for the rows.
+            // SAFETY: the caller guarantees the rows.
             unsafe {
                 let p = y.add(r * stride + o);
                 simd.store(p, simd.selu(simd.load(p)));
@@ -158,12 +158,12 @@ unsafe fn selu_rows<S: Simd>(simd: S, y: *mut f32, count: usize, n: usize, strid
     }
 }
 
-/// `ROWS` rows through one panel: y = W·x + b. Every row's sums run over the inputs in order, whatever `ROWS`
-/// is.
+/// Multiplies `ROWS` rows by one panel: y = W·x + b. Every row is summed over the inputs in order, for any
+/// `ROWS`.
 ///
 /// # Safety
-/// `panel` must start with `n` biases, `weights` hold `inputs` × `n` numbers; `x` and `y` hold `ROWS` rows,
-/// `stride` apart, of `inputs` and `n` numbers.
+/// `panel` must start with `n` biases, `weights` hold `inputs` × `n` floats; `x` and `y` hold `ROWS` rows,
+/// `stride` apart, of `inputs` and `n` floats.
 #[inline(always)]
 #[allow(clippy::too_many_arguments, reason = "one tile's buffers")]
 unsafe fn tile<S: Simd, const ROWS: usize>(
@@ -179,7 +179,7 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
     let mut from = 0;
     while from < n {
         let left = (n - from) / S::LANES;
-        // SAFETY: offsets stay within what the caller vouches for.
+        // SAFETY: offsets stay within the buffers that the caller guarantees.
         unsafe {
             let (panel, weights, y) = (panel.add(from), weights.add(from), y.add(from));
             if S::TILE_VECTORS == 4 && left >= 4 {
@@ -212,7 +212,7 @@ unsafe fn tile_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
     y: *mut f32,
     stride: usize,
 ) {
-    // SAFETY: offsets stay within what the caller vouches for.
+    // SAFETY: offsets stay within the buffers that the caller guarantees.
     unsafe {
         let zero = simd.splat(0.0);
         let bias = |v: usize| if v < VECTORS { simd.load(panel.add(v * S::LANES)) } else { zero };

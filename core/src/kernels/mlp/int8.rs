@@ -1,23 +1,23 @@
-//! The byte arithmetic of [`Storage::Int8`](super::Storage::Int8): inputs become unsigned bytes, sums are
-//! exact.
+//! Integer arithmetic of [`Storage::Int8`](super::Storage::Int8): inputs are quantized to unsigned bytes,
+//! sums are exact.
 
 use crate::kernels::simd::Simd;
 
-/// Scale and zero point of a row that was turned into bytes: x ≈ scale·(byte − zero).
+/// Scale and zero point of a quantized row: x ≈ scale·(byte − zero).
 #[derive(Clone, Copy)]
 pub(super) struct Range {
     pub(super) scale: f32,
     pub(super) zero: f32,
 }
 
-/// Turns `n` numbers (a multiple of 16) into unsigned bytes. Anything not finite makes the scale NaN, and
-/// with it every result.
+/// Quantizes `n` floats (a multiple of 16) to unsigned bytes. A value that is not finite makes the scale NaN,
+/// and so every result.
 ///
 /// # Safety
-/// `x` must hold `n` numbers and `q` have room for `n` bytes.
+/// `x` must hold `n` floats and `q` have room for `n` bytes.
 #[inline(always)]
 pub(super) unsafe fn quantize<S: Simd>(simd: S, x: *const f32, n: usize, q: *mut u8) -> Range {
-    // SAFETY: offsets stay below n, which the caller vouches for.
+    // SAFETY: offsets stay below n, which the caller guarantees.
     unsafe {
         let zero = simd.splat(0.0);
         let (mut high, mut low, mut check) = (zero, zero, zero);
@@ -43,7 +43,7 @@ pub(super) unsafe fn quantize<S: Simd>(simd: S, x: *const f32, n: usize, q: *mut
     }
 }
 
-/// One row of bytes through one int8 panel of `N` outputs.
+/// Multiplies one quantized row by one int8 panel of `N` outputs.
 ///
 /// # Safety
 /// As `panel_row` of the module `row`, with `inputs` bytes at `q`, `inputs` a multiple of 32.
@@ -113,7 +113,7 @@ pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
     }
 }
 
-/// From integer sums to W·x + b: scale·(weight scale·sum − zero·weight sum) + bias.
+/// Dequantizes integer sums to W·x + b: scale·(weight scale·sum − zero·weight sum) + bias.
 ///
 /// # Safety
 /// `panel` must be a packed int8 panel of `n` outputs, `o` + LANES ≤ `n`.
@@ -126,7 +126,7 @@ unsafe fn dequantize<S: Simd>(
     sum: S::I,
     range: Range,
 ) -> S::F {
-    // SAFETY: the caller vouches for the panel.
+    // SAFETY: the caller guarantees the panel.
     unsafe {
         let (bias, scales, sums) =
             (simd.load(panel.add(o)), simd.load(panel.add(n + o)), simd.load(panel.add(2 * n + o)));
@@ -135,8 +135,8 @@ unsafe fn dequantize<S: Simd>(
     }
 }
 
-/// As `tile` of the module `batch`, for an int8 panel: `q` holds the rows' bytes, `bytes` apart, `ranges`
-/// their scales and zero points.
+/// As `tile` of the module `batch`, for an int8 panel: `q` holds the quantized rows, `bytes` apart, and
+/// `ranges` their scales and zero points.
 ///
 /// # Safety
 /// As `tile` of the module `batch`.
@@ -172,7 +172,7 @@ pub(super) unsafe fn tile_int8<S: Simd, const ROWS: usize>(
     }
 }
 
-/// As [`tile_int8`], for `VECTORS` vectors of outputs beginning at output `from`.
+/// As [`tile_int8`], for `VECTORS` vectors of outputs from output `from` on.
 ///
 /// # Safety
 /// As `tile` of the module `batch`.
@@ -190,7 +190,7 @@ unsafe fn tile_int8_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
     y: *mut f32,
     stride: usize,
 ) {
-    // SAFETY: offsets stay within what the caller vouches for; `inputs` is a multiple of 4.
+    // SAFETY: offsets stay within the buffers that the caller guarantees; `inputs` is a multiple of 4.
     unsafe {
         let weights = panel.add(3 * n).cast::<i8>();
         let zero = simd.zero_i();

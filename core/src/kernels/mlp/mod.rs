@@ -1,22 +1,22 @@
-//! Dense layers packed for streaming, and the networks made of them.
+//! Dense layers packed for sequential reads, and the networks made of them.
 //!
-//! A layer's outputs are padded to a multiple of 16 and cut into panels of 64, 32 and 16. A panel lies in
-//! memory in the order in which it is read: its biases, then for each input the weights of all its outputs.
-//! So a matrix-vector product is one sequential stream with all sums in registers, and the same panel serves
-//! a tile of several rows. The last layer, which has one output, stays a plain row. Padding is zero, and
-//! SELU(0) = 0 keeps it so.
+//! A layer's outputs are padded to a multiple of 16 and cut into panels of 64, 32 and 16. A panel is stored
+//! in the order in which it is read: its biases, then for each input the weights of all its outputs. So a
+//! matrix-vector product is one sequential stream with all sums in registers, and the same panel serves a
+//! tile of several rows. The last layer, which has one output, stays a plain row. Padding is zero and remains
+//! so, since SELU(0) = 0.
 //!
-//! | module | what |
+//! | module | content |
 //! |---|---|
 //! | `packing` | storage formats and the panels of a layer |
-//! | `weights` | packed weights as vectors |
-//! | `row` | one row of inputs through the layers |
-//! | `batch` | blocks of rows, in tiles |
-//! | `int8` | the byte arithmetic of both |
+//! | `weights` | packed weights loaded as vectors |
+//! | `row` | one row of inputs |
+//! | `batch` | batches of rows, in tiles |
+//! | `int8` | integer arithmetic of `row` and `batch` |
 
-/// Writes out every row and vector of a tile with literal indices, so that each sum has a register of its
-/// own: in loops the compiler keeps arrays of sums in memory. Rows beyond `ROWS` and vectors beyond `VECTORS`
-/// vanish.
+/// Expands every row and vector of a tile with literal indices, so that each sum has a register of its own:
+/// in loops the compiler keeps arrays of sums in memory. Rows from `ROWS` on and vectors from `VECTORS` on
+/// compile to nothing.
 #[rustfmt::skip]
 macro_rules! unrolled {
     ($do:ident!) => {
@@ -46,34 +46,34 @@ pub(crate) use packing::{Dense, Line};
 use packing::{LINE_BYTES, Layer, pack};
 use row::{Forward, LastRow, LayerPart, LoadInputs};
 
-/// Rows that a batch works on at once: two buffers of them and a layer's weights stay in a second-level
-/// cache.
+/// Largest number of rows per batch: two buffers of them and a layer's weights fit in a second-level cache.
 pub(crate) const BLOCK_ROWS: usize = 384;
 
-/// Lines of weights from which on a layer is worth splitting over two threads: 64 KiB.
+/// Fewest cache lines of weights (64 KiB) for which splitting a layer over two threads pays.
 const SPLIT_LINES: usize = 1024;
 
 /// A network of dense layers with SELU after every layer but the last, which has one output.
 #[derive(Clone, Debug)]
 pub(crate) struct Mlp {
     level: Level,
-    /// Whether the layers between the first and the last are [`Storage::Int8`].
+    /// True where the layers between the first and the last are [`Storage::Int8`].
     int8: bool,
     inputs: usize,
     layers: Vec<Layer>,
-    /// Inputs of the last layer, and where its row starts.
+    /// The last layer: number of inputs, and the line where its row starts.
     last: (usize, usize),
     last_bias: f32,
-    /// Mean, then reciprocal of std, each padded to whole lines; empty without normalization.
+    /// Means, then reciprocals of the standard deviations, each padded to whole lines; empty without
+    /// normalization.
     norm: Vec<Line>,
     data: Vec<Line>,
-    /// Widest activation, in numbers.
+    /// Width of the widest activation, in floats.
     width: usize,
-    /// Numbers in the largest panel, for widening.
+    /// Size of the largest panel, in floats, for widening to f32.
     panel: usize,
 }
 
-/// Working memory: activations of one or more rows, and room for one widened panel.
+/// Working memory: activations of one or more rows, and room for one panel widened to f32.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MlpScratch {
     rows: usize,
@@ -85,10 +85,9 @@ pub(crate) struct MlpScratch {
 }
 
 impl Mlp {
-    /// Packs the layers, first to last. `norm` is the mean and the std of each input.
+    /// Packs the layers, first to last. `norm` holds the mean and the standard deviation of each input.
     ///
-    /// Sizes must agree, the last layer must have one output, and nothing may be empty: callers have checked
-    /// that.
+    /// Callers have checked that sizes agree, that the last layer has one output, and that nothing is empty.
     ///
     /// # Errors
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed weights.
@@ -103,7 +102,7 @@ impl Mlp {
         let mut data = Vec::new();
         let mut packed = room(hidden.len())?;
         for (i, layer) in hidden.iter().enumerate() {
-            // The first layer sees inputs of any scale, and it is small.
+            // The first layer stays F32: its inputs have any scale, and it is small.
             let storage = if i == 0 && storage == Storage::Int8 { Storage::F32 } else { storage };
             packed.push(pack(layer, storage, &mut data)?);
         }
@@ -139,17 +138,17 @@ impl Mlp {
         self.inputs
     }
 
-    /// Bytes read by one prediction.
+    /// Bytes that one prediction reads.
     pub(crate) fn bytes(&self) -> usize {
         (self.data.len() + self.norm.len()) * LINE_BYTES
     }
 
-    /// The weights as the caches see them, for benchmarks that evict them.
+    /// The packed weights, for benchmarks that evict them from the caches.
     pub(crate) fn memory(&self) -> &[u8] {
         bytemuck::cast_slice(&self.data)
     }
 
-    /// Working memory for blocks of so many rows.
+    /// Allocates working memory for batches of `rows` rows.
     ///
     /// # Errors
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
@@ -169,7 +168,7 @@ impl Mlp {
         })
     }
 
-    /// Whether the scratch was made by a network of these sizes.
+    /// True where the scratch was made by a network of these sizes.
     fn fits(&self, scratch: &MlpScratch) -> bool {
         let numbers = scratch.rows * self.width;
         let int8 = self.int8;
@@ -183,8 +182,8 @@ impl Mlp {
                         >= scratch.rows * self.width.next_multiple_of(32)))
     }
 
-    /// The last layer's output for one row of inputs, or `None` for a wrong number of inputs or a foreign
-    /// scratch.
+    /// The last layer's output for one row of inputs; `None` where the number of inputs is wrong or the
+    /// scratch belongs to another network.
     #[inline]
     pub(crate) fn forward(&self, inputs: &[f32], scratch: &mut MlpScratch) -> Option<f32> {
         if inputs.len() != self.inputs || !self.fits(scratch) {
@@ -193,7 +192,7 @@ impl Mlp {
         Some(self.run_row(inputs, scratch))
     }
 
-    /// One row whose sizes have been checked.
+    /// Runs one row whose sizes have been checked.
     #[inline]
     fn run_row(&self, inputs: &[f32], scratch: &mut MlpScratch) -> f32 {
         if self.int8 {
@@ -203,7 +202,7 @@ impl Mlp {
         }
     }
 
-    /// As [`forward`](Self::forward), the outputs of each large layer split in two: same bits.
+    /// As [`forward`](Self::forward), the outputs of each large layer split over two threads: same bits.
     pub(crate) fn forward_split<J: Join>(
         &self,
         threads: &J,
@@ -213,7 +212,7 @@ impl Mlp {
         if inputs.len() != self.inputs || !self.fits(scratch) {
             return None;
         }
-        // Int8 is faster alone: what a core gains from its half is less than the two cores' talk.
+        // Int8 is faster on one core: synchronization costs more than the second core saves.
         if self.int8 || self.layers.iter().all(|layer| layer.lines() < SPLIT_LINES) {
             return Some(self.run_row(inputs, scratch));
         }

@@ -1,28 +1,28 @@
-//! Storage formats, and the panels that a layer is packed into.
+//! Storage formats, and packing of a layer into panels.
 
 use crate::Result;
 use crate::memory::resize;
 use alloc::vec::Vec;
 use bytemuck::{Pod, Zeroable};
 
-/// How a network keeps its weights in memory. Sums and activations are f32 throughout, except for
-/// [`Int8`](Storage::Int8).
+/// Format in which a network keeps its weights in memory. Sums and activations are f32 throughout, except
+/// with [`Int8`](Storage::Int8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Storage {
     /// Single precision.
     F32,
-    /// Half precision, widened when it is used.
+    /// Half precision, widened to f32 on use.
     F16,
-    /// bfloat16, widened when it is used.
+    /// bfloat16, widened to f32 on use.
     Bf16,
-    /// Signed bytes with one scale per output; a layer's inputs become unsigned bytes with a scale and a zero
-    /// point found at each call, sums are exact 32-bit integers. The first and the last layer stay F32.
+    /// Signed bytes with one scale per output. A layer's inputs are quantized at each call to unsigned bytes
+    /// with a scale and a zero point; sums are exact 32-bit integers. The first and the last layer stay F32.
     Int8,
 }
 
 impl Storage {
-    /// Every storage, widest first.
+    /// Every format, widest first.
     pub const ALL: [Storage; 4] = [Storage::F32, Storage::F16, Storage::Bf16, Storage::Int8];
 
     pub(crate) const fn name(self) -> &'static str {
@@ -48,7 +48,7 @@ pub(crate) struct Line([f32; 16]);
 
 pub(super) const LINE_BYTES: usize = size_of::<Line>();
 
-/// Outputs of the panels that `width` (a multiple of 16) is cut into, in order.
+/// Sizes of the panels that cover `width` outputs (a multiple of 16), in order.
 pub(super) fn panels(width: usize) -> impl Iterator<Item = usize> {
     core::iter::repeat_n(64, width / 64).chain([32, 16].into_iter().filter(move |n| (width % 64) & n != 0))
 }
@@ -57,18 +57,18 @@ pub(super) fn panels(width: usize) -> impl Iterator<Item = usize> {
 #[derive(Clone, Debug)]
 pub(super) struct Layer {
     pub(super) storage: Storage,
-    /// Inputs padded with zero weights: to 8, or to 32 with [`Storage::Int8`].
+    /// Inputs padded with zero weights, to a multiple of 8, or of 32 with [`Storage::Int8`].
     pub(super) inputs: usize,
-    /// Inputs padded to 16: how far the layer before has written.
+    /// Inputs padded to a multiple of 16: the length that the layer before writes.
     pub(super) filled: usize,
-    /// Outputs padded to 16.
+    /// Outputs padded to a multiple of 16.
     pub(super) width: usize,
-    /// Where the first panel starts, in lines.
+    /// First line of the first panel.
     pub(super) start: usize,
 }
 
 impl Layer {
-    /// Lines of one panel of `n` outputs.
+    /// Number of lines of one panel of `n` outputs.
     pub(super) fn panel_lines(&self, n: usize) -> usize {
         let weights = self.inputs * n;
         let (numbers, bytes) = match self.storage {
@@ -84,7 +84,7 @@ impl Layer {
     }
 }
 
-/// Row-major weights and biases of one layer, as the packing reads them.
+/// Row-major weights and biases of one layer, input of the packing.
 pub(crate) struct Dense<'a> {
     pub(crate) inputs: usize,
     pub(crate) outputs: usize,
@@ -131,7 +131,7 @@ pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) ->
                 }
             }
             Storage::Bf16 => {
-                // One word per output and pair of inputs: the even input in the lower half.
+                // One word per output and pair of inputs, the even input in the lower half.
                 for (k, row) in bytemuck::cast_slice_mut::<_, u32>(rest).chunks_exact_mut(n).enumerate() {
                     let bits = |o, k| u32::from(half::bf16::from_f32_const(at(first + o, k)).to_bits());
                     row.iter_mut().enumerate().for_each(|(o, w)| {

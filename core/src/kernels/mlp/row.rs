@@ -6,10 +6,10 @@ use super::weights::{AsBf16, AsF16, AsF32, Format};
 use super::{Mlp, MlpScratch, Storage};
 use crate::kernels::simd::{Kernel, Simd};
 
-/// One row through one panel of `N` outputs: y = SELU(W·x + b).
+/// Multiplies one row by one panel of `N` outputs: y = SELU(W·x + b).
 ///
 /// # Safety
-/// `panel` must be the packed panel (bias first), `x` hold `inputs` numbers, `y` have room for `N`.
+/// `panel` must be the packed panel (biases first), `x` hold `inputs` floats, `y` have room for `N`.
 #[inline(always)]
 unsafe fn panel_row<S: Simd, W: Format, const N: usize>(
     simd: S,
@@ -18,8 +18,8 @@ unsafe fn panel_row<S: Simd, W: Format, const N: usize>(
     x: *const f32,
     y: *mut f32,
 ) {
-    // Eight sums: `vectors` outputs at a time, even and odd inputs apart, 4 / `vectors` pairs of inputs at a
-    // time.
+    // Eight sums: `vectors` vectors of outputs at a time, even and odd inputs in separate sums, 4 / `vectors`
+    // pairs of inputs at a time.
     let vectors = if N / S::LANES < 4 { N / S::LANES } else { 4 };
     let pairs = 4 / vectors;
     let mut from = 0;
@@ -86,7 +86,7 @@ impl<const INT8: bool> Kernel for Forward<'_, INT8> {
         let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
         // SAFETY: `fits` has checked that both buffers hold the widest activation, padded to 16 (and
-        // `quantized` to 32), and packing has laid the panels out as the loops below walk them.
+        // `quantized` to 32), and packing has laid out the panels in the order of the loops below.
         unsafe {
             net.load_inputs(simd, inputs, x);
             for layer in &net.layers {
@@ -114,7 +114,7 @@ impl Kernel for LoadInputs<'_> {
     }
 }
 
-/// Outputs `from` to `to` of one layer, written to the start of `y`.
+/// Kernel: outputs `from` to `to` of one layer, written to the start of `y`.
 pub(super) struct LayerPart<'a> {
     pub(super) net: &'a Mlp,
     pub(super) layer: &'a Layer,
@@ -131,7 +131,7 @@ impl Kernel for LayerPart<'_> {
     fn run<S: Simd>(self, simd: S) {
         let Self { net, layer, from, to, x, y } = self;
         assert!(x.len() >= layer.inputs.min(net.width) && y.len() >= to - from && to <= layer.width);
-        // SAFETY: `x` and `y` are long enough; `q` is not used without int8 layers.
+        // SAFETY: `x` and `y` are long enough; `q` is unused without int8 layers.
         unsafe {
             net.layer_row::<S, false>(
                 simd,
@@ -162,14 +162,14 @@ impl Kernel for LastRow<'_> {
 }
 
 impl Mlp {
-    /// Copies one row of inputs, normalized, and clears the padding behind it.
+    /// Copies one row of inputs, normalizes it, and zeroes the padding after it.
     ///
     /// # Safety
     /// `inputs` must have the network's length and `x` room for it, padded to 16.
     #[inline(always)]
     pub(super) unsafe fn load_inputs<S: Simd>(&self, simd: S, inputs: &[f32], x: *mut f32) {
         let padded = self.inputs.next_multiple_of(16);
-        // SAFETY: the caller vouches for `x`; `norm` holds two runs of `padded` numbers or none.
+        // SAFETY: the caller guarantees `x`; `norm` is empty or holds `padded` means and as many reciprocals.
         unsafe {
             core::ptr::copy_nonoverlapping(inputs.as_ptr(), x, self.inputs);
             for i in self.inputs..padded {
@@ -185,8 +185,8 @@ impl Mlp {
         }
     }
 
-    /// Outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row, written to
-    /// the start of `y`.
+    /// Computes outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row;
+    /// writes them to the start of `y`.
     ///
     /// # Safety
     /// `x` must hold the layer's padded inputs, `y` have room for its width, `q` (int8 only) for its padded
@@ -205,7 +205,7 @@ impl Mlp {
     ) {
         macro_rules! walk {
             ($panel:ident, $($arg:tt)*) => {{
-                // SAFETY: panels follow one another in `data`; the caller vouches for the buffers.
+                // SAFETY: panels are contiguous in `data`; the caller guarantees the buffers.
                 unsafe {
                     let mut panel = self.data.as_ptr().add(layer.start + from / 64 * layer.panel_lines(64)).cast::<f32>();
                     let mut o = from;
@@ -231,22 +231,22 @@ impl Mlp {
                 panel_row_int8::<S, $n>(simd, $p, layer.inputs, q, $range, $y)
             };
         }
-        // The first and the last layer of an int8 network are F32, the rest of it Int8.
+        // In an int8 network the first and the last layer are F32, the others Int8.
         match layer.storage {
             Storage::F32 => walk!(panel_row, AsF32),
             Storage::F16 if !INT8 => walk!(panel_row, AsF16),
             Storage::Bf16 if !INT8 => walk!(panel_row, AsBf16),
             _ if !INT8 => {}
             _ => {
-                // SAFETY: the caller vouches for the buffers; what lies in `q` beyond `filled` meets zero
-                // weights.
+                // SAFETY: the caller guarantees the buffers; bytes of `q` beyond `filled` are multiplied by
+                // zero weights.
                 let range = unsafe { quantize(simd, x, layer.filled, q) };
                 walk!(panel_row_int8, range);
             }
         }
     }
 
-    /// The last layer for one row.
+    /// Computes the last layer for one row.
     ///
     /// # Safety
     /// `x` must hold the layer's inputs padded to 16.

@@ -1,11 +1,13 @@
-//! Packed weights as vectors, and their widening to f32.
+//! Packed weights loaded as vectors and widened to f32.
 
 use crate::kernels::simd::Simd;
 
-/// Reads weights of two successive inputs.
+/// Storage format whose weights are loaded for two successive inputs at a time.
 pub(super) trait Format {
-    /// Vectors of the weights of inputs `k` and `k + 1` (`k` even), starting at output `o` of a panel of `n`.
+    /// Vectors of the weights of inputs `k` and `k + 1` (`k` even), from output `o` of a panel of `n` on.
+    ///
     /// # Safety
+    ///
     /// The panel must hold them.
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F);
 }
@@ -17,7 +19,7 @@ pub(super) struct AsBf16;
 impl Format for AsF32 {
     #[inline(always)]
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F) {
-        // SAFETY: the caller vouches for the panel.
+        // SAFETY: the caller guarantees the panel.
         unsafe { (simd.load(panel.add(k * n + o)), simd.load(panel.add((k + 1) * n + o))) }
     }
 }
@@ -26,7 +28,7 @@ impl Format for AsF16 {
     #[inline(always)]
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F) {
         let panel = panel.cast::<u16>();
-        // SAFETY: the caller vouches for the panel.
+        // SAFETY: the caller guarantees the panel.
         unsafe { (simd.load_f16(panel.add(k * n + o)), simd.load_f16(panel.add((k + 1) * n + o))) }
     }
 }
@@ -34,15 +36,15 @@ impl Format for AsF16 {
 impl Format for AsBf16 {
     #[inline(always)]
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F) {
-        // SAFETY: the caller vouches for the panel.
+        // SAFETY: the caller guarantees the panel.
         unsafe { simd.load_bf16_pairs(panel.cast::<u32>().add(k / 2 * n + o)) }
     }
 }
 
-/// Widens a panel's weights to f32, and says where they are.
+/// Widens a panel's weights to f32 and returns a pointer to them.
 ///
 /// # Safety
-/// `weights` must hold `inputs` × `n` numbers of the format, `wide` have room for them.
+/// `weights` must hold `inputs` × `n` weights of the format, `wide` have room for them.
 #[inline(always)]
 pub(super) unsafe fn widen<S: Simd, W: Format>(
     simd: S,
@@ -53,7 +55,7 @@ pub(super) unsafe fn widen<S: Simd, W: Format>(
 ) -> *const f32 {
     for k in (0..inputs).step_by(2) {
         for o in (0..n).step_by(S::LANES) {
-            // SAFETY: the caller vouches for both; `n` is a multiple of LANES and `inputs` is even.
+            // SAFETY: the caller guarantees both; `n` is a multiple of LANES and `inputs` is even.
             unsafe {
                 let (even, odd) = W::pair(simd, weights, n, k, o);
                 simd.store(wide.add(k * n + o), even);

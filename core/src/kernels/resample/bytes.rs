@@ -1,22 +1,22 @@
-//! Averages of bytes at integer ratios: integer sums of rows, then of neighbors along the row.
+//! Averages of bytes at integer ratios: integer sums over rows, then over neighbors along the row.
 
 use super::{After, Geometry};
 use crate::kernels::Isa;
 use crate::kernels::simd::{Kernel, Simd};
 
-/// Rows of bytes whose sum fits 16 bits.
+/// Largest number of rows of bytes whose sum fits 16 bits.
 const BYTE_ROWS: usize = 65535 / 255;
 
-/// Whether every axis is an integer multiple of `n` and the sums of bytes fit.
+/// True where every axis is an integer multiple of `n` and the sums of bytes fit their types.
 pub(crate) fn integer_ratio(dims: &[usize; 3], n: usize) -> bool {
     dims.iter().all(|&d| d % n == 0)
         && (dims[1] / n).saturating_mul(dims[2] / n) <= BYTE_ROWS
-        // Exact in a float's 24 bits.
+        // Sums stay exact in the 24 bits of a float's significand.
         && dims.iter().map(|&d| d / n).fold(1usize, usize::saturating_mul) <= (1 << 24) / 255
 }
 
-/// Fills reduced planes `z0 …`: averages of bytes at integer ratios, with integer sums. The result is
-/// `sum·scale / voxels + offset`, clamped to [0, 1].
+/// Fills reduced planes from `z0` on with averages of bytes at integer ratios. The result is `sum·scale /
+/// voxels + offset`, clamped to [0, 1].
 pub(crate) fn bytes(
     g: &Geometry<'_>,
     src: &[u8],
@@ -45,7 +45,7 @@ pub(crate) fn bytes(
 }
 
 /// As [`bytes`] for contiguous rows that shrink to a quarter: sums of four neighbors are dot products with
-/// ones, and no sum leaves its register before all rows are in.
+/// ones, and every sum stays in its register until all rows are added.
 struct Quads<'a> {
     g: &'a Geometry<'a>,
     src: &'a [u8],
@@ -89,7 +89,7 @@ impl Kernel for Quads<'_> {
     }
 }
 
-/// The rows that one output row averages.
+/// The input rows averaged by one output row.
 struct QuadRows<'a> {
     src: &'a [u8],
     g: &'a Geometry<'a>,
@@ -110,7 +110,7 @@ impl QuadRows<'_> {
         })
     }
 
-    /// Sums of eight vectors of outputs.
+    /// Sums for eight vectors of outputs.
     #[inline(always)]
     fn eight<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
         let ones = simd.splat_bytes(0x0101_0101);
@@ -121,7 +121,7 @@ impl QuadRows<'_> {
             for y in self.y..self.y + self.ry {
                 let at = z * self.g.strides[2] + y * self.g.strides[1] + 4 * x;
                 let row = &self.src[at..at + 32 * S::LANES];
-                // Each plane is a stream of its own that stops after these rows: ask for its next ones early.
+                // Each plane is a separate stream that ends after these rows: prefetch its next ones.
                 prefetch(self.src, at + self.ry * self.g.strides[1], 32 * S::LANES);
                 macro_rules! add {
                     ($($sum:ident $i:literal),*) => {$(
@@ -139,7 +139,7 @@ impl QuadRows<'_> {
         }
     }
 
-    /// Sums of one vector of outputs.
+    /// Sums for one vector of outputs.
     #[inline(always)]
     fn one<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
         let ones = simd.splat_bytes(0x0101_0101);
@@ -173,7 +173,7 @@ fn bytes_body(
             for z in (z0 + dz) * rz..(z0 + dz + 1) * rz {
                 let mut row = y * ry;
                 let end = row + ry;
-                // Each plane is a stream of its own that stops after these rows: ask for its next ones early.
+                // Each plane is a separate stream that ends after these rows: prefetch its next ones.
                 for next in end..end + ry {
                     prefetch(src, z * g.strides[2] + next * g.strides[1], g.dims[0]);
                 }
@@ -213,7 +213,7 @@ fn bytes_body(
     }
 }
 
-/// Asks for a row's cache lines; a row beyond the end is ignored.
+/// Prefetches a row's cache lines; ignores a row beyond the end.
 #[inline(always)]
 fn prefetch(src: &[u8], at: usize, len: usize) {
     let Some(row) = src.get(at..at.saturating_add(len)) else { return };

@@ -1,6 +1,6 @@
-//! Inner loops of resampling: weighted sums of rows, then along the row. One source for every level; the
-//! order of operations is the same in each and products are never fused into sums, so every level gives the
-//! same bits.
+//! Inner loops of resampling: weighted sums over rows, then along the row. One source for every level: the
+//! order of operations is the same and multiplications and additions are never fused, so every level gives
+//! the same bits.
 
 mod bytes;
 mod planes;
@@ -10,8 +10,8 @@ use bytemuck::Pod;
 pub(crate) use bytes::{bytes, integer_ratio};
 pub(crate) use planes::{Fetch, fetch, planes};
 
-/// The input voxels that one output voxel averages along one axis: `first … first + count`, with one weight
-/// for the first, one for the last, and one for all between. A single voxel has weight `head`.
+/// The input voxels averaged by one output voxel along one axis: `first … first + count`, with one weight for
+/// the first, one for the last, and one for all between. A single voxel has weight `head`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Span {
     pub(crate) first: usize,
@@ -22,7 +22,7 @@ pub(crate) struct Span {
 }
 
 impl Span {
-    /// The voxels and weights of output `i` when `m` voxels become `n`; weights come from exact integers.
+    /// Voxels and weights of output `i` when `m` voxels become `n`; weights are quotients of exact integers.
     pub(crate) fn of(i: usize, m: usize, n: usize) -> Self {
         let (i, m, n) = (i as u64, m as u64, n as u64);
         let ratio = |a: u64, b: u64| (a as f64 / b as f64) as f32;
@@ -30,7 +30,7 @@ impl Span {
             return Self::single(i as usize);
         }
         if m > n {
-            // In units of 1/n voxel: the output covers [i·m, (i+1)·m), voxel j covers [j·n, (j+1)·n).
+            // In units of 1/n voxel: output i covers [i·m, (i+1)·m), voxel j covers [j·n, (j+1)·n).
             let (low, high) = (i * m, (i + 1) * m);
             let (first, last) = (low / n, (high - 1) / n);
             if first == last {
@@ -44,7 +44,7 @@ impl Span {
                 tail: ratio(high - last * n, m),
             };
         }
-        // In units of 1/(2n) voxel: the center of the output, from the center of the first voxel.
+        // In units of 1/(2n) voxel: distance from the center of the first voxel to the center of the output.
         let at = ((2 * i + 1) * m).saturating_sub(n);
         let (first, rest) = (at / (2 * n), at % (2 * n));
         if rest == 0 || first + 1 >= m {
@@ -75,12 +75,12 @@ impl Span {
     }
 }
 
-/// A voxel type that rows are made of.
+/// Types of voxels.
 pub(crate) trait Scalar: Pod + Send + Sync {
-    /// The stored value.
+    /// The stored value as f32.
     fn to_f32(self) -> f32;
 
-    /// The stored values of two neighbors.
+    /// The stored values of two neighbors as f32.
     #[inline(always)]
     fn pair(pair: [Self; 2]) -> [f32; 2] {
         [pair[0].to_f32(), pair[1].to_f32()]
@@ -93,7 +93,7 @@ impl Scalar for u8 {
         f32::from(self)
     }
 
-    /// Split by a mask and a shift of one word: compilers turn shuffles of single bytes into far more
+    /// Splits one word by a mask and a shift: compilers turn shuffles of single bytes into far more
     /// instructions.
     #[inline(always)]
     fn pair(pair: [Self; 2]) -> [f32; 2] {
@@ -123,9 +123,9 @@ impl Scalar for f32 {
     }
 }
 
-/// What is done to a voxel before it is averaged.
+/// Mapping of a voxel before it is averaged.
 pub(crate) trait Map<T: Scalar>: Copy + Send + Sync {
-    /// From a stored value to the one that enters the average.
+    /// Maps a stored value to the value that enters the average.
     fn value(&self, stored: f32) -> f32;
 
     /// As [`Map::value`], from the voxel.
@@ -154,7 +154,7 @@ pub(crate) struct Affine {
 }
 
 impl Affine {
-    /// The map of a range, where the range has a width whose reciprocal is a normal number.
+    /// The map of a range; `None` where the reciprocal of the range's width is not a normal number.
     pub(crate) fn of((low, high): (f32, f32)) -> Option<Self> {
         let (width, scale) = (high - low, 1.0 / (high - low));
         (width > 0.0 && width.is_finite() && scale.is_normal()).then_some(Self { low, scale })
@@ -171,7 +171,7 @@ impl<T: Scalar> Map<T> for Affine {
     }
 }
 
-/// What is done to an average: `v·scale + offset`, then clamped to [0, 1].
+/// Mapping of an average: `v·scale + offset`, then clamped to [0, 1].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct After {
     pub(crate) scale: f32,
@@ -187,7 +187,7 @@ impl After {
     }
 }
 
-/// Sizes of one call.
+/// Sizes and strides of one call.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Geometry<'a> {
     /// Input voxels along x, y, z.
@@ -198,30 +198,30 @@ pub(crate) struct Geometry<'a> {
     pub(crate) n: usize,
     /// One span per output column.
     pub(crate) columns: &'a [Span],
-    /// Which instructions to use.
+    /// SIMD level of the loops.
     pub(crate) level: Level,
 }
 
-/// Floats of scratch that one thread needs: a row sum, a second one for long sums, rows of voxels, and two
-/// rows for the spread.
+/// Floats of scratch per thread: a row sum, a second one for long sums, rows of voxels, and two rows for
+/// [`spread`].
 pub(crate) fn scratch_len(row: usize, n: usize) -> usize {
     (2 + ROWS) * row + 2 * n
 }
 
-/// Rows that are added to a sum at once.
+/// Number of rows added to a sum at once.
 const ROWS: usize = 4;
 
-/// The span of plane `z` of the reduced planes: the output's planes, or the input's where z grows.
+/// Span of reduced plane `i`: an output plane, or an input plane where z grows.
 #[inline(always)]
 fn reduced_span(i: usize, m: usize, n: usize) -> Span {
     if m < n { Span::single(i) } else { Span::of(i, m, n) }
 }
 
-/// Linear interpolation in place from the last `m` slabs of `data` to all `n` slabs of `slab` values each.
-/// `spare` holds two rows of any equal length that divides `slab`.
+/// Interpolates linearly, in place, from the last `m` slabs of `data` to all `n` slabs of `slab` values each.
+/// `spare` holds two rows of equal length, which divides `slab`.
 ///
-/// Going up, slab `i` is written after everything that reads the source slab in the same place: that source
-/// is number `i - (n - m)`, and output `i` reads source `floor((i + ½)·m/n - ½)`, which is never below it.
+/// Slabs are written in ascending order. Slab `i` overwrites source number `i - (n - m)`, which no later
+/// output reads: output `i` reads source `floor((i + ½)·m/n - ½)` and the next one, never a lower one.
 pub(crate) fn spread(data: &mut [f32], m: usize, n: usize, slab: usize, spare: &mut [f32]) {
     let row = spare.len() / 2;
     let (low, high) = spare.split_at_mut(row);

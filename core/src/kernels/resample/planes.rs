@@ -1,17 +1,17 @@
-//! Averages of any voxels at any ratio: weighted sums of rows, then along the row.
+//! Averages of any voxels at any ratio: weighted sums over rows, then along the row.
 
 use super::{After, Geometry, Map, ROWS, Scalar, Span, reduced_span, spread};
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
 
-/// Rows summed straight into one row of floats; longer sums go through a second one, which keeps rounding
-/// errors from piling up.
+/// Largest number of rows summed directly into one row of floats; longer sums use a second row, which bounds
+/// the accumulated rounding error.
 const DIRECT_ROWS: usize = 64;
 
-/// Writes a row's voxels, as they enter the average: of the row that starts at a given element.
+/// Writes a row of mapped voxels; arguments: index of the row's first element, output.
 pub(crate) type Fetch<'a> = dyn Fn(usize, &mut [f32]) + Sync + 'a;
 
-/// Copies a row of mapped voxels that start at `src[at]` and follow at `stride`.
+/// Copies a row of mapped voxels from `src[at]` on, `stride` elements apart.
 pub(crate) fn fetch<T: Scalar, M: Map<T>>(
     level: Level,
     src: &[T],
@@ -41,9 +41,9 @@ pub(crate) fn fetch<T: Scalar, M: Map<T>>(
     level.run(Body(&src[at..], map, stride, out));
 }
 
-/// Fills reduced planes `z0 …` of any volume: rows are fetched and summed with their weights, then along x.
+/// Fills reduced planes from `z0` on of any volume: fetches rows, sums them with their weights, then along x.
 ///
-/// One body for all voxel types and maps: only fetching knows them.
+/// One body for all voxel types and maps; only `fetch` depends on them.
 pub(crate) fn planes(
     g: &Geometry<'_>,
     fetch: &Fetch<'_>,
@@ -80,7 +80,7 @@ fn planes_body(
     let height = g.dims[1].min(n);
     for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
         let zs = reduced_span(z0 + dz, g.dims[2], n);
-        // Where y grows, the input's rows go to the last places of the plane.
+        // Where y grows, the input's rows are stored in the last rows of the plane.
         for (y, out) in plane[(n - height) * n..].chunks_exact_mut(n).enumerate() {
             let ys = reduced_span(y, g.dims[1], n);
             if ys.count.saturating_mul(zs.count) <= DIRECT_ROWS {

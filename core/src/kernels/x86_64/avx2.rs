@@ -1,4 +1,4 @@
-//! AVX2, FMA, F16C and POPCNT: the one file with these `#[target_feature]`s.
+//! AVX2, FMA, F16C and POPCNT: the only file with these `#[target_feature]`s.
 
 use crate::kernels::simd::{Kernel, Simd};
 use core::arch::x86_64::*;
@@ -16,7 +16,7 @@ pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
 impl Simd for Avx2 {
     type F = __m256;
     type I = __m256i;
-    /// The sign bits choose.
+    /// The sign bits are the mask.
     type M = __m256;
     const LANES: usize = 8;
     const TILE_ROWS: usize = 6;
@@ -25,7 +25,7 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
-        // SAFETY: a prefetch reads nothing and faults nowhere.
+        // SAFETY: a prefetch reads nothing and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
     }
     #[inline(always)]
@@ -155,7 +155,8 @@ impl Simd for Avx2 {
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
         // SAFETY: token.
         unsafe {
-            // Even and odd bytes apart: two products of 255·127 overflow maddubs' 16 bits, but not 32.
+            // Even and odd bytes separately: two products of 255·127 overflow the 16 bits of maddubs, but not
+            // 32.
             let low = _mm256_set1_epi16(0xff);
             let even = _mm256_madd_epi16(
                 _mm256_and_si256(a, low),
@@ -264,7 +265,7 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
         assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "no word, or too many");
-        // SAFETY: token; indices end at the last word.
+        // SAFETY: token; indices are clamped to the last word.
         unsafe {
             let index = _mm256_min_epu32(index, _mm256_set1_epi32(from.len() as i32 - 1));
             _mm256_i32gather_epi32::<4>(from.as_ptr().cast(), index)
@@ -348,14 +349,14 @@ impl Simd for Avx2 {
     }
 }
 
-/// The bits of 32 bytes' values from `first` on: value first + i sets bit i of its byte, others none.
+/// One-hot codes of 32 bytes: value first + i sets bit i, any other value sets none.
 ///
 /// # Safety
 /// The CPU has AVX2, and `p` is valid for reading 32 bytes.
 #[inline(always)]
 unsafe fn bits_of(p: *const u8, first: u8) -> __m256i {
-    // SAFETY: as the caller promises. Values 16 and more above the first set the highest bit of their index,
-    // which stands for zero.
+    // SAFETY: the caller guarantees both. For values 16 and more above `first`, the shuffle index has its
+    // highest bit set, which gives zero.
     unsafe {
         let bits = _mm_setr_epi8(1, 2, 4, 8, 16, 32, 64, -128, 0, 0, 0, 0, 0, 0, 0, 0);
         let index = _mm256_sub_epi8(_mm256_loadu_si256(p.cast()), _mm256_set1_epi8(first as i8));
@@ -364,13 +365,13 @@ unsafe fn bits_of(p: *const u8, first: u8) -> __m256i {
     }
 }
 
-/// Sum and carry of the bits in three vectors.
+/// Bitwise full adder: sum and carry of three vectors.
 ///
 /// # Safety
 /// The CPU has AVX2.
 #[inline(always)]
 unsafe fn add_bits(a: __m256i, b: __m256i, c: __m256i) -> (__m256i, __m256i) {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees AVX2.
     unsafe {
         let ab = _mm256_xor_si256(a, b);
         let carry = _mm256_or_si256(_mm256_and_si256(a, b), _mm256_and_si256(ab, c));
@@ -378,14 +379,14 @@ unsafe fn add_bits(a: __m256i, b: __m256i, c: __m256i) -> (__m256i, __m256i) {
     }
 }
 
-/// Adds `weight` times the number of bytes in which each bit is set.
+/// Adds to each count `weight` times the number of bytes in which its bit is set.
 ///
 /// # Safety
 /// The CPU has AVX2.
 #[inline(always)]
 unsafe fn take(counts: &mut [u32; 8], mut sums: __m256i, weight: u32) {
     for count in counts.iter_mut().rev() {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees AVX2.
         unsafe {
             *count += weight * _mm256_movemask_epi8(sums).count_ones();
             sums = _mm256_add_epi8(sums, sums);

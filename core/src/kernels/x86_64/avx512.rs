@@ -1,4 +1,4 @@
-//! AVX-512 F, BW, DQ and VL, with and without VNNI: the one file with these `#[target_feature]`s.
+//! AVX-512 F, BW, DQ and VL, with and without VNNI: the only file with these `#[target_feature]`s.
 
 use crate::kernels::simd::{Kernel, Simd};
 use core::arch::x86_64::*;
@@ -30,7 +30,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
 
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
-        // SAFETY: a prefetch reads nothing and faults nowhere.
+        // SAFETY: a prefetch reads nothing and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
     }
     #[inline(always)]
@@ -165,7 +165,8 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
             if VNNI {
                 return _mm512_dpbusd_epi32(sum, a, w);
             }
-            // Even and odd bytes apart: two products of 255·127 overflow maddubs' 16 bits, but not 32.
+            // Even and odd bytes separately: two products of 255·127 overflow the 16 bits of maddubs, but not
+            // 32.
             let low = _mm512_set1_epi16(0xff);
             let even = _mm512_madd_epi16(
                 _mm512_and_si512(a, low),
@@ -270,7 +271,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         // SAFETY: token; indices end at the last word.
         unsafe {
             let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
-            // One word after another: gather instructions take two to three times as long on many machines.
+            // Scalar loads: gather instructions take two to three times as long on many machines.
             let mut at = [0u32; 16];
             _mm512_storeu_si512(at.as_mut_ptr().cast(), index);
             let [low, high] = [eight_words(from, &at, 0), eight_words(from, &at, 8)];
@@ -348,14 +349,14 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
 }
 
-/// The bits of 64 bytes' values from `first` on: value first + i sets bit i of its byte, others none.
+/// One-hot codes of 64 bytes: value first + i sets bit i, any other value sets none.
 ///
 /// # Safety
 /// The CPU has AVX-512 F and BW, and `p` is valid for reading 64 bytes.
 #[inline(always)]
 unsafe fn bits_of(p: *const u8, first: u8) -> __m512i {
-    // SAFETY: as the caller promises. Values 16 and more above the first set the highest bit of their index,
-    // which stands for zero.
+    // SAFETY: the caller guarantees both. For values 16 and more above `first`, the shuffle index has its
+    // highest bit set, which gives zero.
     unsafe {
         let bits = _mm_setr_epi8(1, 2, 4, 8, 16, 32, 64, -128, 0, 0, 0, 0, 0, 0, 0, 0);
         let index = _mm512_sub_epi8(_mm512_loadu_si512(p.cast()), _mm512_set1_epi8(first as i8));
@@ -363,23 +364,24 @@ unsafe fn bits_of(p: *const u8, first: u8) -> __m512i {
     }
 }
 
-/// Sum and carry of the bits in three vectors.
+/// Bitwise full adder: sum and carry of three vectors.
 ///
 /// # Safety
 /// The CPU has AVX-512 F.
 #[inline(always)]
 unsafe fn add_bits(a: __m512i, b: __m512i, c: __m512i) -> (__m512i, __m512i) {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees AVX-512 F.
     unsafe { (_mm512_ternarylogic_epi32::<0x96>(a, b, c), _mm512_ternarylogic_epi32::<0xe8>(a, b, c)) }
 }
 
-/// Adds [`bits_of`] eight vectors to sums of ones, twos and fours; gives those, and the eights.
+/// Adds the [`bits_of`] eight vectors to the sums of weight one, two and four; returns these and the carry of
+/// weight eight.
 ///
 /// # Safety
 /// As [`bits_of`], of 512 bytes.
 #[inline(always)]
 unsafe fn add_eight(p: *const u8, first: u8, [ones, twos, fours]: [__m512i; 3]) -> ([__m512i; 3], __m512i) {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees both.
     unsafe {
         let (a, two) = add_bits(ones, bits_of(p, first), bits_of(p.add(64), first));
         let (b, second) = add_bits(a, bits_of(p.add(128), first), bits_of(p.add(192), first));
@@ -392,14 +394,14 @@ unsafe fn add_eight(p: *const u8, first: u8, [ones, twos, fours]: [__m512i; 3]) 
     }
 }
 
-/// Adds `weight` times the number of bytes in which each bit is set.
+/// Adds to each count `weight` times the number of bytes in which its bit is set.
 ///
 /// # Safety
 /// The CPU has AVX-512 BW.
 #[inline(always)]
 unsafe fn take(counts: &mut [u32; 8], mut sums: __m512i, weight: u32) {
     for count in counts.iter_mut().rev() {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees AVX-512 BW.
         unsafe {
             *count += weight * _mm512_movepi8_mask(sums).count_ones();
             sums = _mm512_add_epi8(sums, sums);
@@ -413,7 +415,7 @@ unsafe fn take(counts: &mut [u32; 8], mut sums: __m512i, weight: u32) {
 /// All of these lie in `from`, and there are four.
 #[inline(always)]
 unsafe fn four_words(from: &[u32], at: &[u32; 16], i: usize) -> __m128i {
-    // SAFETY: as the caller promises; SSE2 is part of x86-64.
+    // SAFETY: the caller guarantees the indices; SSE2 is part of x86-64.
     unsafe {
         let [a, b, c, d] = [at[i], at[i + 1], at[i + 2], at[i + 3]].map(|at| at as usize);
         let (a, b) = (*from.get_unchecked(a) as i32, *from.get_unchecked(b) as i32);
@@ -427,7 +429,7 @@ unsafe fn four_words(from: &[u32], at: &[u32; 16], i: usize) -> __m128i {
 /// As [`four_words`], of eight; the CPU has AVX2.
 #[inline(always)]
 unsafe fn eight_words(from: &[u32], at: &[u32; 16], i: usize) -> __m256i {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees both.
     unsafe {
         let low = _mm256_castsi128_si256(four_words(from, at, i));
         _mm256_inserti128_si256::<1>(low, four_words(from, at, i + 4))

@@ -1,4 +1,4 @@
-//! A probe that begins coarse.
+//! A probe that begins coarse and is refined while the plan depends on it.
 
 use super::Session;
 use crate::features::{FrameFeatures, MAX_PROBE_SIDE, Setting};
@@ -8,28 +8,28 @@ use entire_core::bail;
 use entire_core::scene::Frame;
 use glam::Vec3;
 
-/// Rays along each side of the probes that a plan begins with, coarsest first.
+/// Numbers of rays along each side of the successive probes of a plan, coarsest first.
 const SIDES: [usize; 4] = [4, 7, 11, 16];
 
-/// The probe is taken to be off by at most as many of its standard errors: of normal errors 95 % are smaller.
+/// Bound on the probe's error, in standard errors: 95 % of normal errors are smaller.
 const STANDARD_ERRORS: f32 = 2.0;
 
-/// How far the eye may turn about the volume, and the view about the eye, before rays are cast again, in radians
-/// per unit of the tolerance: after a turn by the tolerance over d ln(time) / d angle, the frame takes the tolerance's share
-/// of its time more. That slope stays below 1 / `TURN` on the recorded training paths.
+/// Largest turn of the eye about the volume, and of the view about the eye, before rays are cast again, in
+/// radians per unit of the tolerance. A turn by the tolerance / (d ln(time) / d angle) changes a frame's time
+/// by the tolerance; this slope stays below 1 / `TURN` on the recorded training paths.
 const TURN: f32 = 0.4;
 
-/// As [`TURN`], of ln of the eye's distance.
+/// As [`TURN`], for the change of ln of the eye's distance.
 const APPROACH: f32 = 0.15;
 
-/// The frame that the probe's rays were cast for.
+/// View and settings for which the probe's rays were cast.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cast {
     setting: Setting,
     termination: f32,
     eye: Vec3,
     axis: Vec3,
-    /// Height of the view at distances 0 and 1.
+    /// Visible height at distances 0 and 1.
     heights: [f32; 2],
 }
 
@@ -45,7 +45,7 @@ impl Cast {
         }
     }
 
-    /// Whether rays cast for this frame tell of another as well as the tolerance asks.
+    /// True where rays cast for this view also serve `other`, within the tolerance.
     fn serves(&self, other: &Self, tolerance: f32) -> bool {
         let least = libm::cosf(TURN * tolerance);
         let near =
@@ -60,31 +60,32 @@ impl Cast {
     }
 }
 
-/// How far a plan looks.
+/// Refinement of the probe.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ladder {
-    /// Rays along each side of the finest probe.
+    /// Number of rays along each side of the finest probe.
     finest: usize,
-    /// Share of a frame's time that a plan need not know.
+    /// Largest accepted error of a frame's time, relative to it.
     tolerance: f32,
 }
 
 impl Session {
-    /// Measures frames with `side`² probe rays: fewer cost less time and scatter more (see
-    /// [`FrameFeatures::with_probe_side`]). For linear cost models
-    /// ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was trained with.
+    /// Sets the number of probe rays to `side`²: fewer take less time and have more scatter (see
+    /// [`FrameFeatures::with_probe_side`]). For linear cost models ([`crate::Predictor::any_probe_side`]); a
+    /// network keeps the probe that it was trained with.
     ///
-    /// With a `tolerance`, plans begin with a probe of 4² rays, and take one of 7², 11², 16² and at last `side`² only
-    /// while the error that a probe estimates of itself could change the plan: while it is larger than the tolerance (a
-    /// share of the frame's time, which changes the step by as much), unless even so the finest step surely meets the
-    /// target, or the coarsest surely does not. While the view has hardly turned since rays were cast, plans take what
-    /// those met, and where the volume stands in the image now. So `side` bounds what a plan may cost, and most plans cost less.
-    /// [`FrameFeatures::probe_side`] of [`Session::features`] tells how far the last one went.
-    /// [`Session::predict`] and [`Session::choose`] take the finest probe.
+    /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last
+    /// `side`² only while the probe's estimated error could change the plan: while this error exceeds the
+    /// tolerance (a share of the frame's time, which changes the step by as much), unless even then the
+    /// finest step meets the target or the coarsest one does not. While the view has hardly turned since rays
+    /// were cast, plans reuse their results and recompute only the volume's place in the image. So `side`
+    /// bounds the time of a plan, and most plans take less. [`FrameFeatures::probe_side`] of
+    /// [`Session::features`] returns the side of the last probe. [`Session::predict`] and [`Session::choose`]
+    /// use the finest probe.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance
-    /// that is not in 0…1.
+    /// outside 0…1.
     pub fn with_probe(mut self, side: usize, tolerance: Option<f32>) -> Result<Self> {
         if !(1..=MAX_PROBE_SIDE).contains(&side) {
             bail!(
@@ -107,12 +108,12 @@ impl Session {
         Ok(self)
     }
 
-    /// Notes which frame rays are cast for.
+    /// Stores the frame for which rays are cast.
     pub(super) fn note_cast(&mut self, frame: &Frame) {
         self.cast_for = self.ladder.map(|_| Cast::of(frame));
     }
 
-    /// Measures a frame as finely as anything may.
+    /// Measures a frame with the finest probe.
     pub(super) fn measure(&mut self, frame: &Frame) -> Result<()> {
         if let Some(ladder) = self.ladder {
             self.features.set_probe_side(ladder.finest);
@@ -128,7 +129,7 @@ impl Session {
             && !self.changes_for(frame).any()
             && let Some(volume) = &self.volume
             && self.features.turn(volume, frame)?
-            // Nothing is finer than the finest.
+            // The finest probe needs no check.
             && (self.features.probe_side() >= ladder.finest
                 || self.suffices(frame, target, ladder.tolerance)?)
         {
@@ -144,7 +145,7 @@ impl Session {
         self.measure(frame)
     }
 
-    /// Whether the plan would stay as it is, however wrong the probe is likely to be.
+    /// True where the plan would stay the same within the probe's error.
     fn suffices(&mut self, frame: &Frame, target: f32, tolerance: f32) -> Result<bool> {
         let error = STANDARD_ERRORS * self.features.probe_error();
         if error <= tolerance {

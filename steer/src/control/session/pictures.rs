@@ -1,4 +1,4 @@
-//! What coarser steps and smaller images cost the renderer's pictures.
+//! Picture quality: coarser steps and smaller images.
 
 use super::Session;
 use crate::calibrate::Picture;
@@ -7,11 +7,11 @@ use entire_core::Result;
 use entire_core::bail;
 
 impl Session {
-    /// Allows plans to coarsen the image: neighboring rays stand up to `distance` pixels apart along each
-    /// side (VTK's ImageSampleDistance). Ray step and image are then coarsened together
-    /// ([`Plan::image_sample_distance`](super::Plan::image_sample_distance)), from `step_alone` times the finest step on; 1 is from the start. A
-    /// `distance` of 1, where sessions start, leaves the image alone. For predictors that know the image
-    /// size.
+    /// Allows plans to coarsen the image: neighboring rays are up to `distance` pixels apart along each side
+    /// (VTK's ImageSampleDistance). Ray step and image are coarsened together
+    /// ([`Plan::image_sample_distance`](super::Plan::image_sample_distance)), from `step_alone` times the
+    /// finest step on; 1 couples them from the start. A `distance` of 1, the initial value, keeps the full
+    /// image size. For predictors that depend on the image size.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
@@ -27,10 +27,10 @@ impl Session {
         Ok(())
     }
 
-    /// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
-    /// shows less. `None`, where sessions start, takes what the model states of the renderer's pictures, where it
-    /// was calibrated with pictures of the renderer that [`Session::set_timing_source`] names (or none is named).
-    /// Takes the place of `step_alone` in [`Session::set_max_image_sample_distance`].
+    /// Sets the picture quality law of this renderer, so that plans coarsen where the error is smaller. With
+    /// `None`, the initial value, the model's law is used, if it was calibrated with pictures of the renderer
+    /// named by [`Session::set_timing_source`] (or none is named). A law replaces `step_alone` of
+    /// [`Session::set_max_image_sample_distance`].
     ///
     /// # Errors
     /// As [`Quality::check`].
@@ -43,20 +43,20 @@ impl Session {
         Ok(())
     }
 
-    /// What plans coarsen by: what [`Session::set_quality`] set, else what the model states of the renderer's
-    /// pictures; `None` where nothing is known.
+    /// The picture quality law of plans: set by [`Session::set_quality`], otherwise the model's; `None` where
+    /// neither is known.
     #[must_use]
     pub fn quality(&self) -> Option<Quality> {
         self.quality.or_else(|| self.predictor.quality(&self.timing[0]))
     }
 
-    /// Lays the path by what is known now.
+    /// Recomputes the path of coarsening with the present law.
     pub(super) fn weigh_pictures(&mut self) {
         self.coarsening.set_quality(self.quality());
     }
 
-    /// Keeps a picture that was compared with the same view at full quality, for [`Session::calibrate`]: the model
-    /// then states what coarser steps and smaller images cost this renderer's pictures
+    /// Records a picture that was compared with the same view at full quality, for [`Session::calibrate`],
+    /// which then stores this renderer's picture quality law in the model
     /// ([`crate::calibrate::fit_quality`]). Draw each scene at the same settings, full quality among them.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Frames that a session plans and hears of, kept to fit a model to.
+//! Records a session's planned and observed frames, to fit a model to them.
 
 use super::{PENDING_PLANS, Session};
 use crate::calibrate::{Calibrated, Calibration, Picture, Shown};
@@ -13,22 +13,22 @@ use entire_core::memory::filled;
 use entire_core::model::ModelFile;
 use entire_core::scene::TransferTable;
 
-/// What is kept of a plan until its frame's time is known.
+/// Record of a plan until its frame's time is known.
 #[derive(Clone, Copy)]
 struct Planned {
-    /// The plan's id; 0 where there is nothing to keep.
+    /// The plan's id; 0 for an empty slot.
     id: u64,
     work: [f64; COSTS],
     shown: Shown,
 }
 
-/// A calibration that a session fills.
+/// A calibration filled by a session.
 pub(super) struct Recording {
     calibration: Calibration,
     planned: Box<[Planned]>,
-    /// Inputs of the planned frames, one row after the other.
+    /// Inputs of the planned frames, row by row.
     rows: Vec<f32>,
-    /// What the session shows now.
+    /// Volume and transfer function of the present frames.
     shown: Shown,
 }
 
@@ -41,22 +41,22 @@ impl Recording {
         (id % PENDING_PLANS as u64) as usize
     }
 
-    /// Another volume is shown: a number that the same volume has again.
+    /// Sets the present volume.
     pub(super) fn set_volume(&mut self, volume: &VolumeSummary) {
         self.shown = Shown { volume: volume.fingerprint(), transfer: 0 };
     }
 
-    /// Another transfer function is shown.
+    /// Sets the present transfer function.
     pub(super) fn set_transfer(&mut self, table: &TransferTable) {
         self.shown.transfer = table.fingerprint();
     }
 
-    /// Keeps what a plan's frame will do, drawn at the inputs' setting. A frame that lacks an input which the
-    /// prior takes is not kept.
+    /// Records the work of a planned frame at the inputs' setting. A frame that lacks an input of the prior
+    /// is not recorded.
     fn plan(&mut self, id: u64, inputs: &Inputs<'_>) {
         let prior = self.calibration.prior();
         let (at, width) = (Self::place(id), prior.width());
-        // The first frame of all and of a volume pays for uploads.
+        // The first frame of a session and of a volume includes uploads.
         let counts = !inputs.changes.first
             && !inputs.changes.volume
             && prior.write(inputs, &mut self.rows[at * width..(at + 1) * width]).is_ok();
@@ -67,7 +67,7 @@ impl Recording {
         }
     }
 
-    /// Hears a planned frame's time.
+    /// Records the time of a planned frame.
     pub(super) fn observe(&mut self, id: u64, seconds: f32) {
         let (at, width) = (Self::place(id), self.calibration.prior().width());
         let Planned { id: kept, work, shown } = self.planned[at];
@@ -80,22 +80,23 @@ impl Recording {
 }
 
 impl Session {
-    /// From now on keeps the frames that are planned and observed, up to `frames` of them
-    /// ([`crate::calibrate::KEPT_FRAMES`]; later ones take the place of earlier ones, so that those kept are
-    /// a fair sample), for [`Session::calibrate`]. What was kept before is forgotten.
+    /// Starts to record planned and observed frames for [`Session::calibrate`], up to `frames` of them
+    /// ([`crate::calibrate::KEPT_FRAMES`]; later ones replace earlier ones at random, so that the kept ones
+    /// are a fair sample). Frames recorded before are dropped.
     ///
-    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic one, or one times a
-    /// learned factor, whose probe must be the session's. Without one, unit costs of a software renderer are
-    /// what is started from. Frames whose observation is unusual or cancelled do not count, nor do the first
-    /// one of all and of a volume, nor those that lack an input which the prior takes. Planning and observing
-    /// go on without allocating.
+    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic one, or one
+    /// times a learned factor, whose probe must be the session's. Without one, the fit starts from unit costs
+    /// of a software renderer. Not recorded are frames whose observation is unusual or cancelled, the first
+    /// frame of the session and of a volume, and frames that lack an input of the prior. Planning and
+    /// observing still do not allocate.
     ///
-    /// A log of frames that were timed earlier is learned from in the same way: with steering off
-    /// ([`Session::set_enabled`]), plan each frame as it was drawn, and observe its time.
+    /// Frames timed earlier can be recorded in the same way: with steering off ([`Session::set_enabled`]),
+    /// plan each frame as it was drawn, and observe its time.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for another number of frames or a prior with another probe,
-    /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
+    /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range or a prior with another
+    /// probe, [`crate::ErrorKind::Unsupported`] for a prior of another kind,
+    /// [`crate::ErrorKind::OutOfMemory`].
     pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
         let side = self.features.probe_side();
         let calibration = Calibration::new(prior, frames)?;
@@ -121,15 +122,14 @@ impl Session {
         Ok(())
     }
 
-    /// Frames that were kept since [`Session::record`]; `None` before.
+    /// Number of frames recorded since [`Session::record`]; `None` before.
     pub fn recorded(&self) -> Option<usize> {
         self.recording.as_ref().map(|r| r.calibration.len())
     }
 
-    /// Fits a model to the frames that were kept: for 500 of them a second or less on one thread. The session
-    /// goes on as it was, and goes on recording; [`Session::set_predictor`] puts the model into it.
+    /// Fits a model to the recorded frames; 500 of them take a second or less on one thread. The session is
+    /// unchanged and keeps recording; [`Session::set_predictor`] installs the model.
     ///
-    /// # Errors
     /// [`crate::ErrorKind::NotReady`] before [`Session::record`] and for fewer than
     /// [`crate::calibrate::FEWEST_FRAMES`].
     pub fn calibrate(&self, executor: Executor<'_>) -> Result<Calibrated> {
@@ -143,13 +143,13 @@ impl Session {
         recording.calibration.fit([renderer, clock], executor)
     }
 
-    /// Steers by another predictor from now on. What was observed is forgotten, pending plans too; volume,
-    /// transfer function, limits and recorded frames stay, and so does VolumeNet's output, which a predictor
-    /// with another encoder needs anew ([`Session::set_volume`]).
+    /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
+    /// limits and recorded frames stay. VolumeNet's output stays too; a predictor with another encoder needs
+    /// a new one ([`Session::set_volume`]).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] while frames are recorded for a model with another probe than
-    /// this predictor's.
+    /// [`crate::ErrorKind::InvalidArgument`] while frames are recorded for a model whose probe is not this
+    /// predictor's.
     pub fn set_predictor(
         &mut self,
         predictor: Box<dyn Predictor + Send>,
@@ -185,7 +185,7 @@ impl Session {
         Ok(())
     }
 
-    /// Notes a plan for the recording, if there is one.
+    /// Adds a plan to the recording, if there is one.
     pub(super) fn record_plan(&mut self, id: u64, changes: Changes, setting: Setting) {
         if let Some(recording) = &mut self.recording {
             let (features, lobes) = (&self.features, &self.lobes);
@@ -223,7 +223,7 @@ mod tests {
         Frame::new(Camera::from_arcball(pose).unwrap(), 64 + i * 37 % 400, 64 + i * 53 % 300).unwrap()
     }
 
-    /// Seconds of a machine whose unit costs are far from those that a session starts from.
+    /// Simulated seconds of a machine whose unit costs are far from the session's initial ones.
     fn drawn(session: &Session, frame: &Frame, step: f32) -> f32 {
         let mut costs = UnitCosts::SOFTWARE;
         (costs.0[1], costs.0[4], costs.0[5]) = (8.0 * costs.0[1], 3.0 * costs.0[4], 0.3 * costs.0[5]);
@@ -232,7 +232,7 @@ mod tests {
         2.0 * costs.0.iter().zip(work).map(|(c, w)| c * w).sum::<f64>() as f32
     }
 
-    /// Plans and draws frames; the relative error of every plan's seconds.
+    /// Plans and draws frames; returns the relative error of every plan's seconds.
     fn play(session: &mut Session, frames: core::ops::Range<u32>) -> Vec<f32> {
         frames
             .map(|i| {
@@ -260,7 +260,7 @@ mod tests {
                 play(&mut session, 0..30);
             }
         }
-        // The first frame of each volume does not count.
+        // The first frame of each volume is not recorded.
         assert_eq!(session.recorded(), Some(180 - 3));
         session.set_timing_source("a test", "cpu").unwrap();
         let made = session.calibrate(Executor::Serial).unwrap();
@@ -268,7 +268,7 @@ mod tests {
         assert!(made.median_error < 0.05, "{}", made.median_error);
         let model = made.file.to_model().unwrap();
         session.set_predictor(load(&model).unwrap(), HybridOptions::default()).unwrap();
-        // From the first frame on, of a volume that was never shown.
+        // Accurate from the first frame on, for a volume that was never shown.
         session.set_volume(summary(48), None);
         session.set_transfer(&table(0.4), None).unwrap();
         let mut errors = play(&mut session, 100..120);
@@ -283,7 +283,7 @@ mod tests {
         session.set_transfer(&table(0.3), None).unwrap();
         session.record(None, 100).unwrap();
         let flags = |unusual, cancelled| ObserveFlags { unusual, cancelled };
-        // The first of all, then an ordinary one, a stall, one that was abandoned, and one never heard of.
+        // The very first frame, an ordinary one, a stall, a cancelled one, and one that is never observed.
         for (i, flags) in [flags(false, false), flags(false, false), flags(true, false), flags(false, true)]
             .into_iter()
             .enumerate()
@@ -293,7 +293,7 @@ mod tests {
         }
         session.plan(&frame(9), 1.0).unwrap();
         assert_eq!(session.recorded(), Some(1));
-        // A plan from before the recording began is not of it.
+        // A plan from before the recording began does not count.
         let plan = session.plan(&frame(10), 1.0).unwrap();
         session.record(None, 100).unwrap();
         session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();

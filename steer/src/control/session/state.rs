@@ -1,4 +1,4 @@
-//! What a session learned, as bytes: bound to the model, the renderer and the clock.
+//! Saves a session's learned state as bytes, bound to the model, the renderer and the clock.
 
 use super::Session;
 use crate::adapt::state::{Reader, Writer, seal, unseal};
@@ -8,20 +8,20 @@ use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
 
-/// What saved states begin with: kind and version.
+/// Tag of saved states: kind and version.
 const TAG: [u8; 4] = *b"ENS2";
 
-/// Longest name of a renderer or clock, bytes.
+/// Longest name of a renderer or clock, in bytes.
 const MAX_NAME: usize = 256;
 
 impl Session {
-    /// Names the renderer whose frames are observed and the clock that times them. What was learned of one
-    /// does not hold for another: saved states carry both names, and [`Session::load_state`] refuses those of
-    /// others. Sessions start with empty names.
+    /// Names the renderer whose frames are observed and the clock of their times. Learned state is valid for
+    /// one renderer and clock only: saved states carry both names, and [`Session::load_state`] refuses states
+    /// with other names. Both are empty initially.
     ///
-    /// A clock named `cpu`, `wall` or `device` is compared with the one that the model predicts
-    /// ([`Session::model_clock`]). Where they differ, the session keeps what the model says of scenes against
-    /// each other and learns the factor from the first frames; what was learned before is forgotten.
+    /// A clock named `cpu`, `wall` or `device` is compared with the model's ([`Session::model_clock`]). Where
+    /// they differ, the session keeps the model's ratios between scenes and learns the common factor from the
+    /// first frames; state learned before is forgotten.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a name of more than 256 bytes.
@@ -43,21 +43,21 @@ impl Session {
         Ok(())
     }
 
-    /// The clock that times the observed frames; `None` where [`Session::set_timing_source`] named none of
-    /// `cpu`, `wall` and `device`.
+    /// The clock of observed frames; `None` unless [`Session::set_timing_source`] named `cpu`, `wall` or
+    /// `device`.
     #[must_use]
     pub fn clock(&self) -> Option<Clock> {
         Clock::named(&self.timing[1])
     }
 
-    /// The clock whose seconds the model predicts; `None` where its file states none.
+    /// The clock whose seconds the model predicts; `None` where its file does not state it.
     #[must_use]
     pub fn model_clock(&self) -> Option<Clock> {
         self.predictor.clock()
     }
 
-    /// Tells the controller whether both clocks are known and differ; returns whether that is new, so that the
-    /// caller resets the session.
+    /// Tells the controller whether both clocks are known and differ; returns true where this has changed, in
+    /// which case the caller resets the session.
     pub(super) fn reconcile_clocks(&mut self) -> bool {
         let converted =
             matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
@@ -69,8 +69,8 @@ impl Session {
         new
     }
 
-    /// What was learned, as bytes for [`Session::load_state`]: little-endian numbers behind a tag and
-    /// version, bound to the model and the timing source, with a checksum at the end.
+    /// The learned state as bytes for [`Session::load_state`]: little-endian numbers after a tag and version,
+    /// bound to the model and the timing source, with a checksum at the end.
     #[must_use]
     pub fn save_state(&self) -> Vec<u8> {
         let mut out = Vec::new();
@@ -83,14 +83,14 @@ impl Session {
         out
     }
 
-    /// Takes up what an earlier session with the same model, timing source and kind of controller learned; on
-    /// an error nothing changes.
+    /// Restores the learned state of an earlier session with the same model, timing source and kind of
+    /// controller; on an error nothing changes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or another version's or
-    /// controller's; [`crate::ErrorKind::Unsupported`] for a whole state of another model or timing source.
+    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or of another version or
+    /// controller; [`crate::ErrorKind::Unsupported`] for an intact state of another model or timing source.
     pub fn load_state(&mut self, bytes: &[u8]) -> Result<()> {
-        // The tag first: bytes of another kind are not called damaged.
+        // The tag is checked before the checksum, so that bytes of another kind are not reported as damaged.
         Reader(bytes).tag(TAG)?;
         let mut r = Reader(unseal(bytes)?);
         r.tag(TAG)?;

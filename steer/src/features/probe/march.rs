@@ -1,4 +1,4 @@
-//! One ray after another through the grid of cells, and what packets of rays share with it.
+//! Marches single rays through the grid of cells; state shared with packets of rays.
 
 use super::{BINS, Chords, SHADOW_DIRECTION, SHADOW_OPACITY};
 use crate::features::{TransferSummary, VolumeSummary};
@@ -7,47 +7,50 @@ use entire_core::scene::Shape;
 use entire_core::scene::{Frame, Shading};
 use glam::Vec3;
 
-/// Numbers that are kept of each ray, each in an array of its own: where it goes through the image, …
+/// Fields of a ray, each stored in an array of its own. U, V: image coordinates.
 pub(super) const U: usize = 0;
 pub(super) const V: usize = 1;
-/// … the number in [0, 1) that picks the visible point from which a shadow ray starts, …
+/// Random number in [0, 1) that selects the visible point from which the shadow ray starts.
 pub(super) const DRAW: usize = 2;
-/// … and what it met, lengths in reference steps: in the box, …
+/// Results; lengths are in reference steps. Length inside the box.
 pub(super) const CHORD: usize = 3;
-/// … in occupied and in empty blocks and among visible samples up to termination, …
+/// Lengths in occupied blocks, in empty blocks, and of visible samples, all up to termination.
 pub(super) const OCCUPIED: usize = 4;
 pub(super) const EMPTY: usize = 5;
 pub(super) const VISIBLE: usize = 6;
-/// … runs of samples, …
+/// Number of runs of samples.
 pub(super) const RUNS: usize = 7;
-/// … ∫ depth over the length in occupied blocks, …
+/// Integral of the depth over the length in occupied blocks.
 pub(super) const DEPTH: usize = 8;
-/// … 1 where it ended early, …
+/// 1 where the ray ended early, otherwise 0.
 pub(super) const TERMINATED: usize = 9;
-/// … and its shadow ray's length in occupied blocks, empty blocks, and length, each times the visible length.
+/// The shadow ray: length in occupied blocks, number of empty blocks, and whole length, each times the
+/// visible length.
 pub(super) const SHADOW: usize = 10;
 pub(super) const SHADOW_SKIPS: usize = 11;
 pub(super) const SHADOW_ALL: usize = 12;
-/// Looks at the skip map for the samples of the ray, and of its shadow ray, times the visible length.
+/// Lookups in the skip map by the ray, and by its shadow ray times the visible length.
 pub(super) const SEGMENTS: usize = 13;
 pub(super) const SHADOW_SEGMENTS: usize = 14;
-/// Length in which any of 2^[`LANES_LOG2`] rays beside each other meets a visible sample; with a shadow ray only.
+/// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; only with shadow
+/// rays.
 pub(super) const BUSY: usize = 15;
-/// How many numbers.
+/// Number of fields.
 pub(super) const FIELDS: usize = 16;
 
-/// Rays that a renderer on the CPU marches side by side: log2 of their number.
+/// Rays that a renderer on the CPU marches in lockstep: log2 of their number.
 pub(super) const LANES_LOG2: usize = 3;
 
-/// Direction components nearer to zero than this are taken as this.
+/// Smallest magnitude of a direction component; smaller ones are replaced by it.
 pub(super) const TINY: f32 = 1.0e-9;
 
-/// Chords that are counted at a time.
+/// Number of chords that are binned at a time.
 pub(super) const KEPT: usize = 256;
 
 const FIRST_BIN_EXPONENT: u32 = 127 - 4;
 
-/// Chords through empty space by length, counted in whole numbers so that no order of rays changes a sum.
+/// Histogram of chords through empty space by length, in integers, so that sums do not depend on the order of
+/// the rays.
 #[derive(Clone, Copy)]
 pub(super) struct ChordCounts {
     count: [u64; BINS],
@@ -57,10 +60,10 @@ pub(super) struct ChordCounts {
 impl ChordCounts {
     const NOTHING: Self = Self { count: [0; BINS], length: [0; BINS] };
 
-    /// Of a chord, and of a reference step.
+    /// Integer units per chord, and per reference step of length.
     pub(super) const UNIT: f32 = 1048576.0;
 
-    /// Longer chords are taken as this long, in reference steps.
+    /// Length to which longer chords are clamped, in reference steps.
     pub(super) const LONGEST: f32 = 2040.0;
 
     #[inline(always)]
@@ -69,7 +72,7 @@ impl ChordCounts {
         half_octave.saturating_sub(FIRST_BIN_EXPONENT << 1).min(BINS as u32 - 1)
     }
 
-    /// A length in [`Self::UNIT`]s.
+    /// Converts a length to units of [`Self::UNIT`].
     #[inline(always)]
     fn units(length: f32) -> u32 {
         let length = if length < Self::LONGEST { length } else { Self::LONGEST };
@@ -84,13 +87,13 @@ impl ChordCounts {
         self.length[bin] += u64::from(Self::units(length));
     }
 
-    /// Adds the first `count` chords, their lengths in [`Self::UNIT`]s beside them.
+    /// Adds the first `count` chords; `units` holds their lengths in units of [`Self::UNIT`].
     #[inline(always)]
     pub(super) fn add_all(&mut self, lengths: &[f32; KEPT], units: &[u32; KEPT], count: usize) {
-        /// Where the number of chords stands above their length.
+        /// One chord in a packed sum: the count is above bit 40, the length below.
         const ONE: u64 = 1 << 40;
         let bins = lengths.map(Self::bin);
-        // Four tables in turn: in one, equal neighbors would wait for each other.
+        // Four tables in turn: in a single table, equal neighboring bins would serialize the additions.
         let mut sums = [[0u64; 32]; 4];
         let [a, b, c, d] = &mut sums;
         let one = |sums: &mut [u64; 32], bin: u32, units: u32| {
@@ -113,7 +116,7 @@ impl ChordCounts {
         }
     }
 
-    /// Adds as many chords of `length` as make `together`.
+    /// Adds chords of length `length` with the total length `together`.
     #[inline(always)]
     pub(super) fn add_many(&mut self, length: f32, together: f32) {
         let bin = Self::bin(length) as usize;
@@ -121,28 +124,28 @@ impl ChordCounts {
         self.length[bin] += (together.min(16_777_216.0) * Self::UNIT) as u64;
     }
 
-    /// The mean over rays, given one over their number.
+    /// Mean over rays; `inv` is the reciprocal of their number.
     pub(super) fn mean(&self, inv: f32) -> Chords {
         let scale = |v: u64| v as f32 * (inv / Self::UNIT);
         Chords { count: self.count.map(scale), length: self.length.map(scale) }
     }
 }
 
-/// What every ray of a frame needs.
+/// Data shared by all rays of a frame.
 pub(super) struct March<'a> {
     pub(super) volume: &'a VolumeSummary,
     pub(super) transfer: &'a mut TransferSummary,
     pub(super) grid: [i32; 3],
-    /// As [`entire_core::scene::Camera::ray_basis`] gives them.
+    /// Ray basis, see [`entire_core::scene::Camera::ray_basis`].
     pub(super) origin: [Vec3; 3],
     pub(super) direction: [Vec3; 3],
     pub(super) half_extent: Vec3,
-    /// Cells per scene unit along each axis.
+    /// Number of cells per scene unit along each axis.
     pub(super) scale: Vec3,
-    /// Cells begin at voxel centers: half a voxel in cells.
+    /// Half a voxel in cells, since cells begin at voxel centers.
     pub(super) shift: Vec3,
     pub(super) scatters: bool,
-    /// Scene length of a reference step, inverted.
+    /// Reference steps per scene unit.
     pub(super) per_step: f32,
     /// Optical depth at which a ray ends.
     pub(super) depth_end: f32,
@@ -154,7 +157,7 @@ pub(super) struct March<'a> {
     pub(super) distance_skips: ChordCounts,
 }
 
-/// What one ray met; names as those of the fields.
+/// Results of one ray; names as those of the fields.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ray {
     pub(super) chord: f32,
@@ -222,13 +225,13 @@ impl<'a> March<'a> {
         }
     }
 
-    /// Whether jumps of the distance map are counted apart.
+    /// True where jumps of the distance map are counted separately.
     pub(super) fn maps_distance(&self) -> bool {
         self.transfer.distance().is_some()
     }
 
-    /// Marches the first `count` rays, side by side where there is a level. Jumps of the distance map are
-    /// followed ray by ray.
+    /// Marches the first `count` rays, in packets where a level is given. With a distance map, rays are
+    /// marched one by one.
     pub(super) fn all(&mut self, level: Option<Level>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         match level {
             Some(level) if !self.maps_distance() => super::packet::march(level, self, rays, count),
@@ -236,7 +239,7 @@ impl<'a> March<'a> {
         }
     }
 
-    /// Computes what cells do to a ray: a bit in `lanes` for each of `cells`.
+    /// Computes the optics of the `cells` whose bit in `lanes` is set.
     #[cold]
     #[inline(never)]
     pub(super) fn compute(&mut self, cells: &[i32; 16], mut lanes: u32) {
@@ -249,7 +252,7 @@ impl<'a> March<'a> {
         }
     }
 
-    /// Marches the first `count` rays, one after another.
+    /// Marches the first `count` rays one by one.
     #[allow(clippy::needless_range_loop, reason = "the ray of every field")]
     pub(super) fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         for i in 0..count {
@@ -271,7 +274,7 @@ impl<'a> March<'a> {
         }
     }
 
-    /// Marches one ray. `draw` in [0, 1) picks the visible point that a shadow ray starts from.
+    /// Marches one ray. `draw` in [0, 1) selects the visible point from which a shadow ray starts.
     pub(super) fn ray(&mut self, origin: Vec3, direction: Vec3, mut draw: f32) -> Ray {
         let safe = Vec3::from_array(direction.to_array().map(|d| {
             let least = if d < 0.0 { -TINY } else { TINY };
@@ -293,14 +296,14 @@ impl<'a> March<'a> {
             let d = direction.abs();
             rate * (b.x * b.y * b.z) / (d.x * b.y * b.z + d.y * b.x * b.z + d.z * b.x * b.y)
         });
-        // Borders of cells that are crossed per reference step.
+        // Cell borders crossed per reference step.
         let crossings = crossings(safe * self.scale) / rate;
         let mut t = t_enter;
         let mut depth = 0.0f32;
-        // Current jump of the distance map: where it began, how far it reaches, its length so far.
+        // Current jump of the distance map: start, reach, length so far.
         let mut jump = Jump::NONE;
         let mut was_occupied = false;
-        // Where on the ray the shadow ray starts; negative for none.
+        // t at which the shadow ray starts; negative for none.
         let mut lit = -1.0f32;
         loop {
             let t_next = walk.leaves().min(t_exit);
@@ -317,7 +320,7 @@ impl<'a> March<'a> {
                 };
                 let inside = used * here.occupied;
                 out.occupied += inside;
-                // A view's rays have unit length along its axis: t is depth.
+                // Ray directions have length 1 along the view axis, so t is the depth.
                 out.depth += inside * (t + t_next);
                 out.segments += used * here.looks * crossings;
                 out.runs += if was_occupied { 0.0 } else { 1.0 };
@@ -325,14 +328,15 @@ impl<'a> March<'a> {
                 let shown = used * here.visible;
                 out.visible += shown;
                 if self.scatters && shown > 0.0 {
-                    // The share in which not all of the lanes miss what is visible, as if each saw a part of
-                    // the cell of its own.
+                    // Probability that at least one of the lanes hits a visible value, if the lanes sample
+                    // the cell independently.
                     let mut miss = 1.0 - here.visible;
                     for _ in 0..LANES_LOG2 {
                         miss *= miss;
                     }
                     out.busy += used * (1.0 - miss);
-                    // Keeps one visible point with the probability of its length, reusing the draw.
+                    // Reservoir sampling: keeps one visible point with probability proportional to length,
+                    // reusing the draw.
                     let keep = shown / out.visible;
                     if draw < keep {
                         draw /= keep;
@@ -394,8 +398,8 @@ impl<'a> March<'a> {
         out
     }
 
-    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, empty blocks
-    /// met, and looks at the skip map for samples.
+    /// Marches a shadow ray from a point in the box. Returns the length in occupied blocks, the whole length,
+    /// the number of empty blocks, and the number of lookups in the skip map.
     fn shadow(&mut self, from: Vec3) -> [f32; 4] {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
@@ -441,28 +445,28 @@ impl<'a> March<'a> {
     }
 }
 
-/// Borders of cells that are crossed per t, along all axes together.
+/// Cell borders crossed per unit of t, summed over the axes.
 fn crossings(pace: Vec3) -> f32 {
     let pace = pace.abs();
     pace.x + pace.y + pace.z
 }
 
-/// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once
-/// are crossed at once.
+/// Steps through the cells along a ray, without branches (Amanatides and Woo). Faces met at the same t are
+/// crossed together.
 struct Walk {
     /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which
-    /// reaches to the box.
+    /// extends to the box.
     next: [f32; 3],
-    /// Growth of t from face to face.
+    /// Increment of t between faces.
     delta: [f32; 3],
-    /// Later faces than this are not crossed.
+    /// t of the last face along each axis; no face is crossed after it.
     last: [f32; 3],
     stride: [i32; 3],
     index: i32,
 }
 
 impl Walk {
-    /// From `start` (in cells) at t = `t_enter` along `direction` (cells per t, no component zero).
+    /// Starts at `start` (in cells) at t = `t_enter`, along `direction` (cells per t, no component zero).
     fn new(start: Vec3, direction: Vec3, t_enter: f32, grid: [i32; 3]) -> Self {
         let mut out = Self { next: [0.0; 3], delta: [0.0; 3], last: [0.0; 3], stride: [0; 3], index: 0 };
         let mut stride = 1;
@@ -491,7 +495,7 @@ impl Walk {
         if xy < z { xy } else { z }
     }
 
-    /// Goes on to the next cell.
+    /// Steps to the next cell.
     #[inline(always)]
     fn advance(&mut self) {
         let t = self.leaves();

@@ -1,4 +1,4 @@
-//! The coarse ray probe: a few rays through the grid of cells, marched once per frame, evaluated for any
+//! The coarse ray probe: a few rays through the grid of cells, marched once per frame and evaluated for any
 //! step.
 
 mod march;
@@ -14,16 +14,16 @@ use super::{Footprint, TransferSummary, VolumeSummary};
 use entire_core::kernels::Level;
 use entire_core::scene::{Frame, Shape, Skipping};
 
-/// The probe has this many rays along each side of the footprint's bounding rectangle, unless told otherwise.
+/// Default number of rays along each side of the footprint's bounding rectangle.
 pub const PROBE_SIDE: usize = 11;
 
-/// The finest probe.
+/// Largest number of rays along each side of the probe.
 pub const MAX_PROBE_SIDE: usize = 24;
 
 /// Direction towards the light of single scattering in scene space, not normalized.
 pub(crate) const SHADOW_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
 
-/// Step of shadow rays in steps of the frame.
+/// Step of shadow rays, as a multiple of the frame's step.
 pub(crate) const SHADOW_STEP: f32 = 2.0;
 
 /// Opacity at which a shadow ray stops.
@@ -31,59 +31,60 @@ pub(crate) const SHADOW_OPACITY: f32 = 0.75;
 
 const MAX_RAYS: usize = MAX_PROBE_SIDE * MAX_PROBE_SIDE;
 
-/// Chord lengths through empty cells are kept in half octaves from 2⁻⁴ to 2¹⁰ reference steps.
+/// Number of bins of chord lengths through empty cells: half octaves from 2⁻⁴ to 2¹⁰ reference steps.
 const BINS: usize = 28;
 
 /// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`]
-/// turns it into counts for a step.
+/// converts it to counts at a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Probe {
     pub(super) footprint: Footprint,
-    /// Share of the probe's rays that met the box (of those in the bounding rectangle).
+    /// Number of the probe's rays that met the box.
     pub(super) rays: u32,
     pub(super) mean_chord: f32,
     pub(super) max_chord: f32,
-    /// Length inside occupied blocks up to termination.
+    /// Length inside occupied blocks, up to termination.
     pub(super) occupied: f32,
-    /// Length inside empty blocks up to termination.
+    /// Length inside empty blocks, up to termination.
     pub(super) empty: f32,
-    /// Length in which samples have opacity.
+    /// Length over which samples have opacity.
     pub(super) visible: f32,
-    /// Length in which any of eight rays beside each other meets a sample with opacity, as if each saw a part
-    /// of a cell of its own; 0 unless the frame scatters.
+    /// Length over which at least one of eight adjacent rays has a sample with opacity, if the rays sample a
+    /// cell independently; 0 unless the frame scatters.
     pub(super) busy: f32,
-    /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an
-    /// occupied one.
+    /// Runs of samples between jumps: number of times a ray enters an occupied block from an empty one or
+    /// from outside.
     pub(super) runs: f32,
-    /// Segments of those runs: how often a renderer looks at a skip map that holds the distance to the nearest
-    /// empty block, so that deep among occupied blocks a look lasts for several.
+    /// Lookups in a skip map during those runs. The map holds the distance to the nearest empty block, so
+    /// that deep among occupied blocks one lookup serves several blocks.
     pub(super) segments: f32,
-    /// Distance of rays that are the image's height apart, reference steps, at the mean depth of the samples.
+    /// Distance between rays that are one image height apart, at the mean depth of the samples, in reference
+    /// steps.
     pub(super) spread: f32,
     /// Share of rays that terminate early.
     pub(super) terminated: f32,
-    /// As `occupied` and `occupied + empty`, the largest of a ray and its neighbors in the probe.
+    /// As `occupied` and as `occupied + empty`, but for each ray the maximum of the ray and its neighbors in
+    /// the probe.
     pub(super) occupied_max: f32,
     pub(super) all_max: f32,
-    /// Image distance between neighboring probe rays in units of the image's height.
+    /// Distance between neighboring probe rays in the image, in units of the image's height.
     pub(super) spacing: f32,
-    /// Visible length times the length in occupied blocks that a shadow ray covers; 0 unless the frame
-    /// scatters.
+    /// Visible length times the length of a shadow ray in occupied blocks; 0 unless the frame scatters.
     pub(super) shadow: f32,
-    /// Visible length times the empty blocks that a shadow ray jumps over.
+    /// Visible length times the number of empty blocks that a shadow ray skips.
     pub(super) shadow_skips: f32,
     /// Visible length times the length of a shadow ray without skipping.
     pub(super) shadow_all: f32,
-    /// Visible length times the segments of a shadow ray.
+    /// Visible length times a shadow ray's lookups in the skip map.
     pub(super) shadow_segments: f32,
-    /// Standard error of the length among samples, as a share of it.
+    /// Relative standard error of the sampled length.
     pub(super) error: f32,
     block_skips: Chords,
     distance_skips: Chords,
 }
 
 impl Probe {
-    /// A probe that met nothing.
+    /// A probe that meets nothing.
     pub(crate) const NOTHING: Self = Self {
         footprint: Footprint::NOTHING,
         rays: 0,
@@ -109,12 +110,13 @@ impl Probe {
         distance_skips: Chords::NOTHING,
     };
 
-    /// Marches the probe's rays through a volume. The image's shape enters, its number of pixels does not.
+    /// Marches the probe's rays through a volume. The image's aspect ratio matters, its number of pixels does
+    /// not.
     ///
-    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that
-    /// `transfer` was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along
-    /// each side of the footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint
-    /// alone is known.
+    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `transfer` must be made from
+    /// `volume`; a summary of another grid gives [`Probe::NOTHING`]. `side` is the number of rays along each
+    /// side of the footprint's bounding rectangle, at most [`MAX_PROBE_SIDE`]; with 0 only the footprint is
+    /// computed.
     #[cfg(test)]
     pub(crate) fn new(
         volume: &VolumeSummary,
@@ -125,8 +127,7 @@ impl Probe {
         Self::on(Level::detect(), volume, transfer, frame, side)
     }
 
-    /// As [`Probe::new`], with the instructions of a level. The numbers are the same on every level, to the
-    /// last bit.
+    /// As [`Probe::new`], with the instructions of a level. Results are bit-identical on every level.
     pub(super) fn on(
         level: Level,
         volume: &VolumeSummary,
@@ -137,7 +138,7 @@ impl Probe {
         Self::measured(Some(level), volume, transfer, frame, side)
     }
 
-    /// With no level, one ray after another.
+    /// As [`Probe::on`]; without a level, rays are marched one by one.
     fn measured(
         level: Option<Level>,
         volume: &VolumeSummary,
@@ -150,8 +151,7 @@ impl Probe {
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
             return Self { footprint, ..Self::NOTHING };
         }
-        // Room for as many rays as there are, so that small probes do not pay for clearing that of large
-        // ones.
+        // Buffers sized to the number of rays, so that small probes do not clear large buffers.
         match side {
             ..=4 => Self::cast::<16>(level, volume, transfer, frame, footprint, side),
             5..=8 => Self::cast::<64>(level, volume, transfer, frame, footprint, side),
@@ -191,7 +191,7 @@ impl Probe {
         march.all(level, &mut rays, count);
         let mut hits = rays[CHORD][..count].iter().filter(|&&c| c > 0.0).count();
         if hits == 0 {
-            // A sliver between the rays: its center stands for all of it.
+            // The footprint is a sliver between the rays: its center represents it.
             [rays[U][0], rays[V][0]] = footprint.center;
             rays[DRAW][0] = 0.5;
             march.all(level, &mut rays, 1);
@@ -205,8 +205,8 @@ impl Probe {
         let inv = 1.0 / hits as f32;
         let total = |field: usize| sum(&rays[field][..count]);
         let occupied = total(OCCUPIED);
-        // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the
-        // volume's center.
+        // Depth along the view axis, weighted by the sampled length; the center's depth where nothing is
+        // sampled.
         let depth = if occupied > 0.0 { total(DEPTH) / occupied } else { frame.camera.to_arcball().dz };
         let aspect = frame.width as f32 / frame.height as f32;
         let mut all = [0.0f32; ROOM];
@@ -245,8 +245,9 @@ impl Probe {
         }
     }
 
-    /// Brings what rays met to another view of the same volume, which must be close to theirs: where the volume
-    /// stands in the image is new, what a ray meets there stays. Gives whether there is anything to bring.
+    /// Adapts the results to another view of the same volume, close to the measured one: recomputes the
+    /// footprint and keeps the results of the rays. Returns false where no ray met the box or the footprint
+    /// is empty.
     pub(super) fn turn(&mut self, shape: Shape, frame: &Frame) -> bool {
         let footprint = Footprint::new(shape.half_extent, &frame.camera, frame.width, frame.height);
         if self.rays == 0 || footprint.share <= 0.0 {
@@ -256,7 +257,7 @@ impl Probe {
         true
     }
 
-    /// As [`Probe::new`], one ray after another.
+    /// As [`Probe::new`], marching rays one by one.
     #[cfg(test)]
     pub(super) fn by_single_rays(
         volume: &VolumeSummary,
@@ -267,12 +268,12 @@ impl Probe {
         Self::measured(None, volume, transfer, frame, side)
     }
 
-    /// Share of the image that the box covers.
+    /// Region of the image covered by the box.
     pub(crate) fn footprint(&self) -> &Footprint {
         &self.footprint
     }
 
-    /// Mean length of the box along rays that meet it, reference steps.
+    /// Mean length inside the box of the rays that meet it, in reference steps.
     #[cfg(test)]
     pub(crate) fn mean_chord(&self) -> f32 {
         self.mean_chord
@@ -284,7 +285,7 @@ impl Probe {
     }
 }
 
-/// Chords through empty space by length: how many a ray meets on average, and how long they are together.
+/// Histogram of chords through empty space by length: mean number per ray, and their total length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Chords {
     count: [f32; BINS],
@@ -294,14 +295,14 @@ struct Chords {
 impl Chords {
     const NOTHING: Self = Self { count: [0.0; BINS], length: [0.0; BINS] };
 
-    /// Expected number of chords that hold a sample position: Σ min(1, length / step).
+    /// Expected number of chords that contain a sample position: Σ min(1, length / step).
     fn visited(&self, step: f32) -> f32 {
         let inv = 1.0 / step;
         self.count.iter().zip(&self.length).map(|(&n, &l)| n.min(l * inv)).sum()
     }
 }
 
-/// The sum, in an order that suits vectors of any width and is the same for all of them.
+/// Sum in an order that suits vectors of any width and is the same for all of them.
 fn sum(values: &[f32]) -> f32 {
     let mut lanes = [0.0f32; 16];
     let (chunks, rest) = values.as_chunks::<16>();
@@ -319,9 +320,8 @@ fn sum(values: &[f32]) -> f32 {
     lanes[0]
 }
 
-/// The sum, over rays, of the largest value of a ray and its four neighbors; no value is negative. `W` must
-/// exceed
-/// `side` by 2.
+/// Sum, over rays, of the maximum of a ray and its four neighbors; values are not negative. `W` must exceed
+/// `side` by at least 2.
 fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
     let larger = |a: f32, b: f32| if b > a { b } else { a };
     let mut padded = [[0.0f32; W]; MAX_PROBE_SIDE + 2];
@@ -339,8 +339,8 @@ fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
     sums[1..=side].iter().sum()
 }
 
-/// Standard error of the mean over the rays that hit, as a share of it, from how much rays beside each other
-/// differ: too large rather than too small, since each ray keeps to a part of the image of its own.
+/// Relative standard error of the mean over the rays that hit, estimated from the differences of neighboring
+/// rays. An overestimate, since the rays are stratified.
 fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f32 {
     let (mut squares, mut pairs) = (0.0f32, 0.0f32);
     for (values, chords) in values.chunks_exact(side).zip(chords.chunks_exact(side)) {
@@ -355,13 +355,14 @@ fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f
     if total > 0.0 && pairs > 0.0 {
         libm::sqrtf(0.5 * squares / pairs * hits as f32) / total
     } else {
-        // Nothing was sampled, or no two rays beside each other met the box: nobody knows.
+        // Nothing was sampled, or no two neighboring rays met the box: the error is unknown.
         f32::INFINITY
     }
 }
 
-/// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square
-/// evenly. Beside it the draw of its shadow ray: that of the golden ratio, which goes with neither.
+/// Offset of each ray in its stratum: the additive recurrence of the plastic number, a low-discrepancy
+/// sequence. The third value is the draw of the shadow ray: the recurrence of the golden ratio, independent
+/// of the first two.
 static OFFSETS: [[f32; 3]; MAX_RAYS] = {
     let mut out = [[0.0; 3]; MAX_RAYS];
     let mut i = 0;

@@ -1,6 +1,6 @@
-//! Rays side by side through the grid of cells: as many as a vector has lanes, each in the arithmetic of
-//! [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of its packet, so that a
-//! packet holds rays that cross about as many cells.
+//! Marches packets of rays through the grid of cells, one ray per vector lane, each bit-identical to
+//! [`March::ray`]. A lane whose ray has ended idles until its packet is done, so rays that cross similar
+//! numbers of cells are packed together.
 
 use super::march::{
     BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, LANES_LOG2, March, OCCUPIED, RUNS, SEGMENTS,
@@ -47,19 +47,20 @@ impl Kernel for Packets<'_, '_, '_> {
     }
 }
 
-/// Rays from which a shadow ray starts; where it does stands in their fields from [`SHADOW`] on.
+/// Rays that start a shadow ray; its origin is stored in their fields [`SHADOW`], [`SHADOW_ALL`] and
+/// [`SHADOW_SKIPS`].
 struct Lit {
     rays: [i32; MAX_RAYS + 16],
     count: usize,
 }
 
-/// Rays in the order in which they are marched: those that cross about as many cells together.
+/// Order in which rays are marched: by similar numbers of cells.
 struct Order {
     rays: [i32; MAX_RAYS + 16],
     len: usize,
-    /// Of the rays to be sorted, the group of each; those of group 0 are left out.
+    /// Group of each ray to be sorted; rays of group 0 are left out.
     groups: [u8; MAX_RAYS + 16],
-    /// Rays in each group, from the second place on.
+    /// Counting sort: number of rays in each group, shifted by one place, then the end of each group.
     ends: [u16; LENGTHS + 1],
 }
 
@@ -67,7 +68,7 @@ impl Order {
     const NONE: Self =
         Self { rays: [0; MAX_RAYS + 16], len: 0, groups: [0; MAX_RAYS + 16], ends: [0; LENGTHS + 1] };
 
-    /// Notes the groups of some rays, the first of which is number `at`.
+    /// Records the groups of consecutive rays from ray `at` on.
     #[inline(always)]
     fn note(&mut self, at: usize, groups: &[i32]) {
         for (i, &group) in groups.iter().enumerate() {
@@ -77,11 +78,11 @@ impl Order {
         }
     }
 
-    /// Puts the first `count` rays in order, by their groups; `ray` names them.
+    /// Sorts the first `count` rays by group; `ray` maps their index to the ray.
     #[inline(always)]
     fn sort(&mut self, count: usize, ray: impl Fn(usize) -> i32) {
         let ends = &mut self.ends;
-        // Of group 0 are those that are left out; the others go after each other from the first place on.
+        // Rays of group 0 are left out; the others are stored from the first place on.
         ends[1] = 0;
         for group in 1..LENGTHS {
             ends[group + 1] += ends[group];
@@ -95,23 +96,23 @@ impl Order {
     }
 }
 
-/// Where the rays of a packet enter and leave the box, and how they run through it.
+/// Entry and exit of a packet's rays in the box, and their directions.
 struct Chords<S: Simd> {
     origin: Three<S>,
     direction: Three<S>,
-    /// `direction`, no component too near to zero.
+    /// `direction`, with components that are too near to zero replaced by [`TINY`].
     safe: Three<S>,
     t_enter: S::F,
     t_exit: S::F,
 }
 
-/// Lengths that rays are sorted by.
+/// Number of groups by which rays are sorted.
 const LENGTHS: usize = 64;
 
 /// Three vectors.
 type Three<S> = [<S as Simd>::F; 3];
 
-/// The cells along each ray, one after another (as [`super::march::Walk`]).
+/// Steps through the cells along each ray (as [`super::march::Walk`]).
 struct Walk<S: Simd> {
     next: Three<S>,
     delta: Three<S>,
@@ -123,7 +124,7 @@ struct Walk<S: Simd> {
 struct Packet<'a, 'm, S> {
     simd: S,
     march: &'a mut March<'m>,
-    /// Lengths of chords through empty cells, to be counted.
+    /// Lengths of chords through empty cells that are not binned yet.
     kept: [f32; KEPT],
     kept_count: usize,
 }
@@ -163,15 +164,16 @@ impl<S: Simd> Packet<'_, '_, S> {
         walk
     }
 
-    /// t at which each ray leaves its cell.
+    /// t at which each ray leaves its present cell.
     #[inline(always)]
     fn leaves(&self, walk: &Walk<S>) -> S::F {
         self.simd.min(self.simd.min(walk.next[0], walk.next[1]), walk.next[2])
     }
 
-    /// Goes on to the next cell. A ray that has left the box goes nowhere in particular, and is not alive.
+    /// Steps to the next cell. For a ray that has left the box, and so is not alive, the result is
+    /// unspecified.
     ///
-    /// That nothing here waits for what a cell does to its ray lets the next cells be fetched meanwhile.
+    /// Nothing here depends on the optics of the present cell, so the next cells can be fetched meanwhile.
     #[inline(always)]
     fn advance(&self, walk: &mut Walk<S>) {
         let simd = self.simd;
@@ -186,8 +188,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// The words of the cells without the present edit's number, and in which of `lanes` a cell is not empty.
-    /// What those cells do to a ray is known then.
+    /// Packed words of the cells, without the edit's number, and the lanes whose cell is not empty. Computes
+    /// the optics that the present edit still lacks.
     #[inline(always)]
     fn look(&mut self, index: S::I, lanes: S::M) -> (S::I, S::M) {
         let simd = self.simd;
@@ -204,7 +206,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         (found, simd.and_m(simd.nonzero(found), lanes))
     }
 
-    /// Extinction, visible share, and one over the cells between looks, of what [`Self::look`] found.
+    /// Extinction, visible share, and lookups per cell from the words that [`Self::look`] returns.
     #[inline(always)]
     fn optics(&self, found: S::I) -> Three<S> {
         let simd = self.simd;
@@ -222,13 +224,13 @@ impl<S: Simd> Packet<'_, '_, S> {
         self.simd.max(v, self.simd.sub(self.simd.splat(0.0), v))
     }
 
-    /// A number of each ray.
+    /// Gathers a field of the rays `own`.
     #[inline(always)]
     fn of_rays(&self, field: &[f32], own: S::I) -> S::F {
         self.simd.as_f(self.simd.gather(bytemuck::cast_slice(field), own))
     }
 
-    /// Borders of cells that rays cross per t, along all axes together.
+    /// Cell borders that rays cross per unit of t, summed over the axes.
     #[inline(always)]
     fn crossings(&self, pace: &Three<S>) -> S::F {
         let simd = self.simd;
@@ -236,7 +238,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         simd.add(simd.add(x, y), z)
     }
 
-    /// Occupied share of the cells.
+    /// Share of each cell's blocks that are occupied.
     #[inline(always)]
     fn share(&self, index: S::I) -> S::F {
         match self.march.transfer.occupied_shares() {
@@ -245,7 +247,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Component `k` of a vector that depends on the place in the image.
+    /// Component `k` of the ray basis at image coordinates (u, v).
     #[inline(always)]
     fn along(&self, [middle, right, up]: &[glam::Vec3; 3], k: usize, u: S::F, v: S::F) -> S::F {
         let simd = self.simd;
@@ -253,7 +255,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         simd.add(along, simd.mul(v, simd.splat(up[k])))
     }
 
-    /// Where rays through these places of the image meet the box.
+    /// Entry and exit in the box of rays through image coordinates (u, v).
     #[inline(always)]
     fn chords(&self, u: S::F, v: S::F) -> Chords<S> {
         let simd = self.simd;
@@ -280,7 +282,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         Chords { origin: origins, direction, safe, t_enter, t_exit }
     }
 
-    /// The group of rays that cross about so many cells; those of `met` alone are in one.
+    /// Groups by the number of crossed cells; rays outside `met` get group 0.
     #[inline(always)]
     fn group(&self, crossed: S::F, met: S::M) -> S::I {
         let simd = self.simd;
@@ -290,7 +292,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         simd.trunc(simd.select(met, group, simd.splat(0.0)))
     }
 
-    /// The rays that meet the box by the number of cells on their way. The others have no chord.
+    /// Sorts the rays that meet the box by the number of crossed cells, and sets every chord to zero.
     #[inline(always)]
     fn sort(&self, rays: &mut [&mut [f32]; FIELDS], count: usize, order: &mut Order) {
         let simd = self.simd;
@@ -313,7 +315,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         order.sort(count, |ray| ray as i32);
     }
 
-    /// The shadow rays by the number of cells up to the end of the box.
+    /// Sorts the shadow rays by the number of cells up to the border of the box.
     #[inline(always)]
     fn sort_shadows(&self, rays: &[&mut [f32]; FIELDS], lit: &Lit, order: &mut Order) {
         let simd = self.simd;
@@ -332,7 +334,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         order.sort(lit.count, |i| lit.rays[i]);
     }
 
-    /// Where the shadow rays of rays start.
+    /// Origins of the rays' shadow rays.
     #[inline(always)]
     fn origins(&self, rays: &[&mut [f32]; FIELDS], order: &[i32]) -> Three<S> {
         let simd = self.simd;
@@ -341,7 +343,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         [self.of_rays(x, own), self.of_rays(y, own), self.of_rays(z, own)]
     }
 
-    /// Counts the chords that were kept.
+    /// Bins the kept chords.
     #[inline(always)]
     fn add_kept(&mut self) {
         let simd = self.simd;
@@ -360,7 +362,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         self.kept_count = 0;
     }
 
-    /// Gives numbers to the rays of a packet that exist.
+    /// Stores values to a field of the first `count` rays of a packet.
     #[inline(always)]
     fn spread(&self, value: S::F, field: &mut [f32], order: &[i32], count: usize) {
         let mut lanes = [0.0f32; 16];
@@ -370,8 +372,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Marches the first `LANES` rays of `order`, `count` of which exist. Their shadow rays are to be marched
-    /// then.
+    /// Marches the first `LANES` rays of `order`, of which `count` exist; collects those that start a shadow
+    /// ray.
     #[inline(always)]
     fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize, lit_rays: &mut Lit) {
         let simd = self.simd;
@@ -401,7 +403,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let split = m.block;
         let mut block_chord = None;
         if let Some(b) = split {
-            // In the order of the products of `March::ray`: |d|·b·c is not |d|·(b·c).
+            // In the order of the products in `March::ray`: |d|·b·c is not |d|·(b·c).
             let [x, y, z] = [self.magnitude(x), self.magnitude(y), self.magnitude(z)];
             let x = simd.mul(simd.mul(x, simd.splat(b.y)), simd.splat(b.z));
             let y = simd.mul(simd.mul(y, simd.splat(b.x)), simd.splat(b.z));
@@ -420,7 +422,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let mut lit = simd.splat(-1.0);
         let mut was_occupied = simd.lt(zero, zero);
         let mut kept_count = self.kept_count;
-        // A ray crosses each face of the grid once.
+        // A ray crosses each face of the grid at most once.
         let mut left = self.march.grid.iter().sum::<i32>() + 3;
         while simd.any(alive) && left > 0 {
             left -= 1;
@@ -539,7 +541,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Marches the shadow rays of the first `LANES` rays of `order`, `count` of which exist.
+    /// Marches the shadow rays of the first `LANES` rays of `order`, of which `count` exist.
     #[inline(always)]
     fn march_shadows(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize) {
         let simd = self.simd;
@@ -555,7 +557,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Where shadow rays from points in the box start in cells, and where they leave it.
+    /// Start of shadow rays from points in the box, in cells, and t at which they leave the box.
     #[inline(always)]
     fn shadow_ends(&self, from: Three<S>) -> (Three<S>, S::F) {
         let simd = self.simd;
@@ -572,8 +574,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         (start, t_exit)
     }
 
-    /// Marches shadow rays from points in the box: length in occupied blocks, length in all, empty blocks met,
-    /// and looks at the skip map for samples.
+    /// Marches shadow rays from points in the box. Returns the length in occupied blocks, the whole length,
+    /// the number of empty blocks, and the number of lookups in the skip map.
     #[inline(always)]
     fn shadow(&mut self, from: Three<S>, lights: S::M) -> [S::F; 4] {
         let simd = self.simd;

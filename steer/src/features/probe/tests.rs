@@ -1,4 +1,4 @@
-//! Packets of rays against single rays, and lazy classification against the whole one.
+//! Compares packets of rays with single rays, and lazy classification with the classification of all cells.
 
 use crate::features::frame::CACHED_VOXELS;
 use crate::features::tests::{noise, summary, table};
@@ -8,7 +8,8 @@ use entire_core::scene::*;
 
 #[test]
 fn packets_of_rays_find_what_single_rays_find_on_every_level() {
-    // Cells of one block and of several, cameras outside, inside and looking past, thin and opaque tables.
+    // Cells of one block and of several; cameras outside, inside and looking past the volume; thin and opaque
+    // tables.
     let data = noise(64 * 48 * 40, 7);
     for (cells, dims) in [(48, [64, 48, 40]), (3, [64, 48, 40]), (48, [1, 48, 40])] {
         let s = summary(&data[..dims[0] * dims[1] * dims[2]], dims, cells);
@@ -78,13 +79,13 @@ fn an_edit_forgets_what_cells_were() {
     }
 }
 
-/// Greatest difference of what a probe of 24² rays finds from a closed form over all rays, as a share of it.
+/// Bound on the relative difference between a probe of 24² rays and the closed form over all rays.
 const CLOSED_FORM_TOLERANCE: f64 = 0.02;
 
 #[test]
 fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
-    // Seen along a direction d, a box casts a shadow of Σ |d_k| · face_k, and all chords together fill its
-    // volume: every ray takes volume / shadow / step samples on average, whatever the direction.
+    // The projection of a box along a direction d has the area Σ |d_k| · face_k, and the chords together fill
+    // its volume: every ray takes volume / area / step samples on average, for any direction.
     let data = std::vec![200u8; 48 * 32 * 40];
     for spacing in [[1.0, 1.0, 1.0], [0.5, 2.0, 1.0]] {
         let options = VolumeOptions { spacing, ..VolumeOptions::default() };
@@ -94,7 +95,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
         let edges = (2.0 * shape.half_extent).to_array().map(f64::from);
         let mut transfer = TransferSummary::new(&s, &table(|_| 1e-4)).unwrap();
         for (rx, ry, dz) in [(0.0, 0.0, 1.5), (0.0, 90.0, 40.0), (90.0, 0.0, 3.0), (30.0, 40.0, 1e4)] {
-            // The whole box is seen, from whatever distance before it.
+            // The whole box is visible, at any distance in front of it.
             let scale = 1.1f32;
             let camera = Camera::from_arcball(Arcball { rx, ry, dz }).unwrap();
             let camera = camera.with_parallel_scale(scale).unwrap();
@@ -119,7 +120,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
                 assert!((work.ray_spacing / apart - 1.0).abs() < 1e-5, "{what}: {}", work.ray_spacing);
             }
         }
-        // The plane that the rays leave cuts the box in halves: half of each chord is left.
+        // The plane from which the rays start cuts the box in half: half of each chord is left.
         let through = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 1e-3 }).unwrap();
         let through = through.with_parallel_scale(1.1).unwrap();
         let frame = Frame { termination: 1.0, ..Frame::new(through, 300, 240).unwrap() };
@@ -129,7 +130,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
         let setting = Setting::from(&frame);
         let chord = features.quantity(SceneQuantity::MeanChord, &setting, &features.work(&setting));
         assert!((chord / half - 1.0).abs() < 3e-3, "{chord}, not {half}");
-        // And one behind the box shows nothing.
+        // With the plane behind the box, nothing is visible.
         let behind = glam::Mat4::from_translation(glam::Vec3::new(0.0, 0.0, 2.0));
         let behind = Camera::from_world_view(behind, glam::Vec3::ZERO, 1.0).unwrap();
         let frame = Frame::new(behind.with_parallel_scale(1.1).unwrap(), 300, 240).unwrap();
@@ -138,16 +139,16 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
     }
 }
 
-/// Greatest difference of a quantity of parallel rays from that of a lens 1000 radii away, as a share.
+/// Bound on the relative difference between parallel rays and a perspective camera 1000 radii away.
 const LIMIT_TOLERANCE: f64 = 0.01;
 
-/// … of a quantity that counts samples along shadow rays. Which visible point of a ray its shadow ray starts
-/// from is drawn by comparing a number with shares of lengths: where a share is next to that number, another
-/// point is kept, from which the shadow ray is far longer or shorter. Here that happens to some of the 121
-/// rays, and they make up nearly all of the difference: 3.2 % at most.
+/// As above, for quantities that count samples along shadow rays. A ray's shadow ray starts at a point
+/// selected by comparing a random number with shares of lengths: where a share is close to that number,
+/// another point may be selected, with a far longer or shorter shadow ray. This happens to some of the 121
+/// rays and makes up nearly all of the difference, 3.2 % at most.
 const SHADOW_LIMIT_TOLERANCE: f64 = 0.04;
 
-/// … of looks at the skip map: shadow rays of other points take even more or fewer of those than of samples.
+/// As above, for lookups in the skip map, which differ between shadow rays even more than samples do.
 const SEGMENTS_LIMIT_TOLERANCE: f64 = 0.05;
 
 #[test]
@@ -197,8 +198,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     }
 }
 
-/// Rays far apart wait for each other wherever one of eight shades, rays side by side do not; where all shade,
-/// nobody waits.
+/// Rays far apart wait wherever one of eight shades, adjacent rays do not; where all shade, no ray waits.
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];

@@ -1,4 +1,4 @@
-//! A summary made slab by slab.
+//! Construction of a summary slab by slab.
 
 use super::entries::{Map, Voxel};
 use super::scan::{Bounds, Found, Grid, nothing};
@@ -9,11 +9,10 @@ use entire_core::kernels::Executor;
 use entire_core::memory::{filled, reserve};
 use entire_core::scene::{Scalars, VolumeView};
 
-/// Makes a [`VolumeSummary`] of a volume that is never there as a whole, or of one so large that its caller
-/// wants to show progress or stop: slab by slab along z, in order, none of them kept.
+/// Makes a [`VolumeSummary`] slab by slab along z, in order, without keeping any slab: for a volume that is
+/// never in memory as a whole, or whose caller wants to show progress or to stop.
 ///
-/// The summary is the one that [`VolumeSummary::new`] makes of the whole volume, to the last bit, however
-/// many slabs and threads it was made with.
+/// The summary is bit-identical to that of [`VolumeSummary::new`] for any number of slabs and threads.
 ///
 /// ```
 /// use entire_steer::features::{SummaryBuilder, SummaryOptions, VolumeSummary};
@@ -40,7 +39,7 @@ pub struct SummaryBuilder {
     grid: Grid,
     map: Map,
     found: Kind,
-    /// Planes that were scanned.
+    /// Number of planes scanned so far.
     planes: usize,
 }
 
@@ -53,8 +52,8 @@ enum Kind {
 }
 
 impl SummaryBuilder {
-    /// For a volume of `planes` planes along z; sizes along x and y, spacing, range and type are those of
-    /// `like`, of which no voxel is read.
+    /// A builder for a volume of `planes` planes along z; sizes along x and y, spacing, range and type are
+    /// those of `like`, of which no voxel is read.
     ///
     /// # Errors
     /// As [`VolumeSummary::new`], and [`crate::ErrorKind::InvalidArgument`] for no planes.
@@ -69,7 +68,7 @@ impl SummaryBuilder {
         Ok(Self { summary, grid, map: Map::new(like), found, planes: 0 })
     }
 
-    /// The summary of a volume of which nothing was read, and its grid.
+    /// The empty summary of a volume, and its grid.
     pub(super) fn layout(
         like: &VolumeView<'_>,
         planes: usize,
@@ -87,21 +86,20 @@ impl SummaryBuilder {
         Ok((summary, grid))
     }
 
-    /// The planes of the smallest slab that may be added next; `None` when all are there. A slab may hold any
-    /// multiple of as many planes, and ends with the volume at the latest.
+    /// Planes of the smallest slab that may be added next; `None` after the last one. A slab may hold any
+    /// multiple of this number of planes; the last one ends with the volume.
     pub fn next_planes(&self) -> Option<core::ops::Range<usize>> {
         let [_, _, planes] = self.grid.dims;
         let end = (self.planes + self.grid.edge[2]).min(planes);
         (self.planes < planes).then_some(self.planes..end)
     }
 
-    /// Adds the slab that follows those before. Allocates working memory of a few rows of cells for each
-    /// thread.
+    /// Adds the next slab. Allocates working memory of a few rows of cells for each thread.
     ///
     /// # Errors
     /// [`crate::ErrorKind::SizeMismatch`] for a slab of other sizes than announced, or of a number of planes
     /// that [`SummaryBuilder::next_planes`] does not allow; [`crate::ErrorKind::InvalidArgument`] for another
-    /// type or range. Nothing is scanned then.
+    /// type or range. Nothing is scanned in these cases.
     pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
         let ([x, y, planes], [width, height, all]) = (slab.dims(), self.grid.dims);
         let (edge, left) = (self.grid.edge[2], all - self.planes);
@@ -142,7 +140,7 @@ impl SummaryBuilder {
         Ok(())
     }
 
-    /// The summary, once every plane was added.
+    /// The summary, after every plane was added.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before.
@@ -167,7 +165,7 @@ impl SummaryBuilder {
     }
 }
 
-/// What follows from all voxels: bounds of cells, the histogram, and whether values are remapped.
+/// Sets the parts of a summary that depend on all voxels: bounds of cells, histogram, `remapped`.
 fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: Found<T>) -> Result<()> {
     lay_out(summary, grid)?;
     let places = Places::new(grid);
@@ -179,7 +177,7 @@ fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: 
     Ok(())
 }
 
-/// Shares of the voxels from how many have each entry, and how many are NaN or infinite.
+/// Sets the histogram and the share of NaN and infinite voxels from counts of voxels.
 pub(super) fn set_totals(summary: &mut VolumeSummary, map: &Map, counts: &[u64; 256], non_finite: u64) {
     let mut mapped = [0u64; 256];
     for (&entry, &n) in map.near.iter().zip(counts) {
@@ -192,7 +190,7 @@ pub(super) fn set_totals(summary: &mut VolumeSummary, map: &Map, counts: &[u64; 
     summary.non_finite_share = (non_finite as f64 / voxels) as f32;
 }
 
-/// Whether values are remapped, from bounds that hold all of them.
+/// Sets `remapped` from bounds that together hold all values.
 pub(super) fn set_remapped<'a, T: Voxel>(
     summary: &mut VolumeSummary,
     bounds: impl Iterator<Item = &'a Bounds<T>>,
@@ -206,9 +204,9 @@ pub(super) fn set_remapped<'a, T: Voxel>(
     summary.remapped = smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
 }
 
-/// Where the blocks of cells are.
+/// Maps cells to their blocks.
 pub(super) struct Places {
-    /// Blocks of the volume, of a cell, and cells of the volume, along x, y, z.
+    /// Numbers along x, y, z of blocks of the volume, blocks of a cell, and cells of the volume.
     blocks: [usize; 3],
     per_cell: [usize; 3],
     cells: [usize; 3],
@@ -220,7 +218,7 @@ impl Places {
         Self { blocks: grid.blocks(), per_cell, cells: grid.cells }
     }
 
-    /// Blocks of a cell along each axis, from the volume's beginning.
+    /// Range of a cell's blocks along each axis, counted from the volume's beginning.
     #[inline(always)]
     fn of(&self, cell: [usize; 3]) -> [core::ops::Range<usize>; 3] {
         core::array::from_fn(|a| {
@@ -230,12 +228,12 @@ impl Places {
     }
 }
 
-/// Each cell of a grid, x fastest.
+/// Coordinates of every cell of a grid, x fastest.
 pub(super) fn each_cell([nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
     (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
 }
 
-/// Makes room for the bounds of the blocks in each cell, where a cell holds several.
+/// Allocates the bounds of the blocks in each cell, where a cell holds several.
 pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
     if grid.block == grid.edge {
         return Ok(());
@@ -253,7 +251,7 @@ pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
     Ok(())
 }
 
-/// Bounds of a cell from those of its blocks, which are kept where a cell holds several.
+/// Computes a cell's bounds from its blocks', and stores the blocks' where a cell holds several.
 #[inline(always)]
 pub(super) fn gather<T: Voxel>(
     summary: &mut VolumeSummary,

@@ -1,4 +1,4 @@
-//! Which cells of a volume changed since they were looked at last, and what they hold now.
+//! Finds the cells of a volume that changed since the last time step, and summarizes them again.
 
 use super::QUANTILES;
 use super::entries::{Map, Voxel};
@@ -9,36 +9,36 @@ use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
 use entire_core::memory::{copied, filled, mixed, reserve, room};
 
-/// A bit for each cell of a row along x: there are at most 128.
+/// One bit per cell of a row along x, of which there are at most 128.
 pub(super) type Mask = u128;
 
-/// Two sums over a cell's voxels, 64 bits each: cells whose sums are the same hold the same voxels, but for a
-/// chance of about 2⁻¹²⁸.
+/// Checksum of a cell's voxels, two sums of 64 bits each; different voxels have the same checksum with a
+/// probability of about 2⁻¹²⁸.
 type Sums = [u64; 2];
 
-/// Bounds of a block's voxels and of those in its first plane alone, which the blocks before it along z reach
-/// into; the first voxels of the blocks after it along x and y are included.
+/// Bounds of a block's voxels, and of its first plane alone, which counts for the preceding blocks along z;
+/// both include the first voxels of the next blocks along x and y.
 pub(super) type Halves<T> = [Bounds<T>; 2];
 
-/// What is kept of the cells of layers, whatever the voxels' type; of as many layers as it says.
+/// State kept for the cells between time steps, independent of the voxels' type.
 #[derive(Clone, Debug)]
 pub(super) struct Cells {
     sums: Vec<Sums>,
-    /// How many voxels of a cell have which entry: of each row of cells the cells one after another, see
-    /// [`write_tally`]. Empty for a row that was never looked at.
+    /// Per row of cells: the tallies of its cells in order, see [`write_tally`]. Empty for a row that was
+    /// never scanned.
     tallies: Vec<Vec<u8>>,
-    /// Cells that are to be looked at, by rows.
+    /// Cells that must be scanned, by rows.
     pub(super) changed: Vec<Mask>,
-    /// Cells that were looked at, and whose bounds are not gathered yet.
+    /// Cells that were scanned and whose bounds are not gathered yet.
     pub(super) fresh: Vec<Mask>,
-    /// How many voxels have each entry (of bytes: each stored value).
+    /// Number of voxels with each entry (for bytes: with each stored value).
     pub(super) counts: [u64; 256],
-    /// Voxels that are NaN or infinite.
+    /// Number of voxels that are NaN or infinite.
     pub(super) non_finite: u64,
 }
 
 impl Cells {
-    /// Of which nothing is known.
+    /// The state before the first scan: every cell is marked as changed.
     pub(super) fn new(grid: &Grid) -> Result<Self> {
         let [nx, ny, nz] = grid.cells;
         let mut tallies = room(ny * nz)?;
@@ -54,17 +54,17 @@ impl Cells {
     }
 }
 
-/// The bits of `count` cells.
+/// Mask of the first `count` cells.
 pub(super) fn full(count: usize) -> Mask {
     if count < Mask::BITS as usize { (1 << count) - 1 } else { Mask::MAX }
 }
 
-/// The bits of some cells.
+/// Mask of a range of cells.
 pub(super) fn mask(cells: Range<usize>) -> Mask {
     full(cells.end) & !full(cells.start)
 }
 
-/// Runs of set bits.
+/// Ranges of consecutive set bits.
 #[inline(always)]
 fn runs(bits: Mask) -> impl Iterator<Item = Range<usize>> {
     let mut left = bits;
@@ -79,12 +79,11 @@ fn runs(bits: Mask) -> impl Iterator<Item = Range<usize>> {
     })
 }
 
-/// Looks at layers of cells that follow each other from cell layer `first` on: at cells that are marked as
-/// changed, and where `search` says so at the others too, for changes. `quantiles` and `blocks` are those of
-/// the whole volume.
+/// Scans consecutive layers of cells: the cells marked as changed and, with `search`, all cells for changes.
+/// `quantiles` and `blocks` are those of the whole volume.
 ///
 /// # Errors
-/// [`crate::ErrorKind::OutOfMemory`]; cells that were not looked at are still marked.
+/// [`crate::ErrorKind::OutOfMemory`]; cells that were not scanned stay marked.
 pub(super) fn look<T: Voxel>(
     grid: &Grid,
     map: &Map,
@@ -145,7 +144,7 @@ pub(super) fn look<T: Voxel>(
     outcome
 }
 
-/// The first `count` elements, or all if there are fewer; the rest stays.
+/// Splits off the first `count` elements, or all if there are fewer; `from` keeps the rest.
 fn take<'a, T>(from: &mut &'a mut [T], count: usize) -> &'a mut [T] {
     let all = core::mem::take(from);
     let (first, rest) = all.split_at_mut(count.min(all.len()));
@@ -153,36 +152,36 @@ fn take<'a, T>(from: &mut &'a mut [T], count: usize) -> &'a mut [T] {
     first
 }
 
-/// Words that hold so many bytes.
+/// Number of words that hold `bytes` bytes.
 fn words(bytes: usize) -> usize {
     bytes.div_ceil(size_of::<u64>())
 }
 
-/// Layers of cells that one thread looks at.
+/// Layers of cells that one thread scans.
 struct Part<'a, T> {
     grid: &'a Grid,
     map: &'a Map,
     source: Source<'a, T>,
     layers: Range<usize>,
     search: bool,
-    /// Of the cells, rows of cells and blocks of these layers.
+    /// State of the cells, rows of cells and blocks of these layers.
     sums: &'a mut [Sums],
     tallies: &'a mut [Vec<u8>],
     changed: &'a mut [Mask],
     fresh: &'a mut [Mask],
     quantiles: &'a mut [[u8; QUANTILES + 1]],
     blocks: &'a mut [Halves<T>],
-    /// How many voxels have each entry now that had not before, and the other way around.
+    /// Numbers of voxels added to and removed from each entry.
     more: [u64; 256],
     less: [u64; 256],
-    /// The same of voxels that are NaN or infinite.
+    /// Numbers of NaN or infinite voxels added and removed.
     non_finite: [u64; 2],
     scratch: Scratch<T>,
-    /// The first and the second sum of each word of a row.
+    /// The first and the second partial checksum of each word of a row.
     words: [Vec<u64>; 2],
-    /// Voxels of each cell of a row that are NaN or infinite.
+    /// Number of NaN or infinite voxels of each cell of a row.
     infinite: Vec<u64>,
-    /// The tallies of a row of cells.
+    /// Tallies of a row of cells.
     row: Vec<u8>,
     outcome: Result<()>,
 }
@@ -205,7 +204,7 @@ impl<T: Voxel> Part<'_, T> {
             if !self.search && self.changed[first..first + ny].iter().all(|&row| row == 0) {
                 continue;
             }
-            // Blocks reach into the next row of cells, whose changes are known first therefore.
+            // Blocks overlap the next row of cells, so that row's changes are found first.
             self.compare(simd, cz, 0);
             for cy in 0..ny {
                 if cy + 1 < ny {
@@ -221,7 +220,7 @@ impl<T: Voxel> Part<'_, T> {
         Ok(())
     }
 
-    /// Sums of the cells of a row that are to be looked at; those with other sums than before changed.
+    /// Computes the checksums of the cells of a row that must be scanned, and marks those that changed.
     #[inline(always)]
     fn compare<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let (grid, source) = (*self.grid, self.source);
@@ -257,7 +256,7 @@ impl<T: Voxel> Part<'_, T> {
         }
     }
 
-    /// Bounds of the blocks that reach into cells which changed.
+    /// Computes the bounds of the blocks that overlap changed cells.
     #[inline(always)]
     fn bound(&mut self, cz: usize, cy: usize) {
         let (grid, source, scratch) = (*self.grid, self.source, &mut self.scratch);
@@ -272,7 +271,7 @@ impl<T: Voxel> Part<'_, T> {
             for by in bys.clone() {
                 let changed = self.changed[row] | if by + 1 == bys.end { next } else { 0 };
                 for run in runs(changed) {
-                    // The block before the run reaches into it.
+                    // The block before the run overlaps it.
                     let bxs = (run.start * per_cell).saturating_sub(1)..(run.end * per_cell).min(across);
                     let xs = bxs.start * block[0]..(bxs.end * block[0] + 1).min(grid.dims[0]);
                     own.clear(xs.len());
@@ -297,7 +296,7 @@ impl<T: Voxel> Part<'_, T> {
         }
     }
 
-    /// Quantiles and tallies of the cells of a row that changed.
+    /// Computes quantiles and tallies of the changed cells of a row.
     #[inline(always)]
     fn count<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) -> Result<()> {
         let (grid, source, scratch) = (*self.grid, self.source, &mut self.scratch);
@@ -356,7 +355,7 @@ impl<T: Voxel> Part<'_, T> {
             });
             write_tally(&mut self.row, bounds, &own, infinite)?;
         }
-        // Nothing fails from here on but for want of room, before anything is taken up.
+        // Only an allocation can fail from here on, and it precedes every change of state.
         let kept = &mut self.tallies[row];
         if kept.capacity() < self.row.len() {
             *kept = copied(&self.row)?;
@@ -371,7 +370,8 @@ impl<T: Voxel> Part<'_, T> {
     }
 }
 
-/// Adds words to sums: of each word the product of its halves, under keys, so that a word's place counts.
+/// Adds words to partial checksums: for each word the product of its two halves, keyed by the row, so that
+/// the position matters.
 #[inline(always)]
 fn absorb(bytes: &[u8], keys: Sums, first: &mut [u64], second: &mut [u64]) {
     let (whole, rest) = bytes.as_chunks::<8>();
@@ -391,15 +391,16 @@ fn absorb(bytes: &[u8], keys: Sums, first: &mut [u64], second: &mut [u64]) {
     }
 }
 
-/// Bytes that say how long a tally is.
+/// Length of a tally's length field, in bytes.
 const LENGTH: usize = 2;
 
-/// Stands before a count that no smaller byte holds.
+/// Marker before a count that does not fit in one byte.
 const LARGE: u8 = u8::MAX;
 
-/// Appends a cell's tally: its length in bytes, the voxels that are not finite, the bounds of its entries,
-/// and how many voxels have each of them: a byte each, or nine where they are more than 254. Cells with one
-/// entry take six bytes, and smooth ones of 8³ voxels one more for each entry between their bounds.
+/// Appends a cell's tally: its length in bytes, the bounds of its entries, the number of voxels that are not
+/// finite, and the number of voxels with each entry between the bounds. A number takes one byte, or nine from
+/// 255 on. Cells with one entry take six bytes, smooth cells of 8³ voxels one more per entry between the
+/// bounds.
 fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_finite: u64) -> Result<()> {
     let counts = &counts[usize::from(low)..=usize::from(high)];
     let at = to.len();
@@ -420,7 +421,7 @@ fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_
     Ok(())
 }
 
-/// The first of some tallies; the others stay. Empty where there are none.
+/// Splits off the first tally; `tallies` keeps the rest. Empty where there is none.
 fn split_tally<'a>(tallies: &mut &'a [u8]) -> &'a [u8] {
     let Some(&len) = tallies.first_chunk::<LENGTH>() else { return &[] };
     let (first, rest) = tallies.split_at(usize::from(u16::from_le_bytes(len)).min(tallies.len()));
@@ -428,7 +429,8 @@ fn split_tally<'a>(tallies: &mut &'a [u8]) -> &'a [u8] {
     first
 }
 
-/// Reads a tally: how many voxels are not finite, and how many have each entry.
+/// Reads a tally: calls `each` with the number of voxels of each entry; returns the number that are not
+/// finite.
 fn read_tally(tally: &[u8], mut each: impl FnMut(u8, u64)) -> u64 {
     let Some((&[_, _, low, high], mut rest)) = tally.split_first_chunk::<{ LENGTH + 2 }>() else { return 0 };
     let mut next = || {
@@ -492,7 +494,7 @@ mod tests {
         }
     }
 
-    /// Every word and every place of it counts, on every level alike.
+    /// Every word and every position changes the sums, equally on every level.
     #[test]
     fn sums_tell_words_and_places_apart() {
         struct Absorb<'a>(&'a [u8], &'a mut [u64], &'a mut [u64]);

@@ -1,17 +1,17 @@
-//! Stored values and the table entries that stand for them.
+//! Conversion of stored values to table entries.
 
 use entire_core::scene::{Scalars, VolumeView};
 
-/// From stored values to entries of a 256-entry table.
+/// Mapping from stored values to entries of a 256-entry table.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Map {
     range: (f32, f32),
-    /// Entries per stored unit; `None` where that is no ordinary number.
+    /// Entries per stored unit; `None` where this is not a normal number.
     scale: Option<f32>,
-    /// The entry that stands for each byte that was counted: of bytes the nearest to the stored value, of
-    /// other types the byte itself.
+    /// Table entry of each counted byte: for bytes the entry nearest to the stored value, for other types the
+    /// byte itself.
     pub(super) near: [u8; 256],
-    /// [`Map::below`] and [`Map::above`] of each byte, of bytes alone.
+    /// [`Map::below`] and [`Map::above`] of each byte; used for bytes only.
     ends: [[u8; 2]; 256],
 }
 
@@ -35,7 +35,7 @@ impl Map {
         self.range
     }
 
-    /// Place of a stored value in the table, 0…255, as [`VolumeView::normalize`] puts it.
+    /// Position of a stored value in the table, 0…255, as by [`VolumeView::normalize`].
     #[inline(always)]
     fn position(&self, value: f32) -> f32 {
         match self.scale {
@@ -58,7 +58,7 @@ impl Map {
 #[inline(always)]
 fn scaled(value: f32, low: f32, scale: f32) -> f32 {
     let t = (value - low) * scale;
-    // In this order NaN becomes 0.
+    // In this order of comparisons NaN becomes 0.
     let t = if t > 0.0 { t } else { 0.0 };
     if t < 255.0 { t } else { 255.0 }
 }
@@ -66,7 +66,7 @@ fn scaled(value: f32, low: f32, scale: f32) -> f32 {
 /// The entry nearest to a position in 0…255, in arithmetic that compilers vectorize.
 #[inline(always)]
 fn near(position: f32) -> u8 {
-    /// 2²³: adding it rounds to an integer, which then stands in the low bits.
+    /// 2²³: adding it rounds to an integer, held in the low bits.
     const SHIFT: f32 = 8_388_608.0;
     let v = position + 0.5;
     let rounded = (v + SHIFT) - SHIFT;
@@ -74,46 +74,46 @@ fn near(position: f32) -> u8 {
     (floor + SHIFT).to_bits() as u8
 }
 
-/// A type of stored values.
+/// Types of stored values.
 pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
-    /// No value is below.
+    /// The smallest value of the type.
     const LOWEST: Self;
-    /// No value is above.
+    /// The largest value of the type.
     const HIGHEST: Self;
-    /// Whether stored values are counted as they stand.
+    /// True where stored values are counted directly, without conversion to entries.
     const IS_ENTRY: bool;
-    /// Whether values may be NaN or infinite.
+    /// True where values may be NaN or infinite.
     const IS_FLOAT: bool = false;
 
     fn number(self) -> f32;
     fn lesser(self, other: Self) -> Self;
     fn greater(self, other: Self) -> Self;
-    /// The value, or the lowest in place of NaN.
+    /// The value; the lowest value in place of NaN.
     #[inline(always)]
     fn known(self) -> Self {
         self
     }
-    /// Whether it is NaN or infinite.
+    /// True where the value is NaN or infinite.
     #[inline(always)]
     fn is_non_finite(self) -> bool {
         false
     }
-    /// What is counted where [`Voxel::IS_ENTRY`]: the values themselves.
+    /// The stored bytes where [`Voxel::IS_ENTRY`], otherwise an empty slice.
     #[inline(always)]
     fn bytes(_: &[Self]) -> &[u8] {
         &[]
     }
-    /// The highest entry at or below a value, and the lowest at or above another.
+    /// The highest entry at or below `low`, and the lowest entry at or above `high`.
     #[inline(always)]
     fn ends([low, high]: [Self; 2], map: &Map) -> [u8; 2] {
         [map.below(low.number()), map.above(high.number())]
     }
-    /// What is counted of a value.
+    /// The byte counted for a value.
     #[inline(always)]
     fn entry_of(value: Self, map: &Map) -> u8 {
         near(map.position(value.number()))
     }
-    /// What is counted of each value of a row; gives how many are not finite.
+    /// Writes the bytes counted for a row; returns the number of values that are not finite.
     #[inline(always)]
     fn entries(row: &[Self], map: &Map, out: &mut [u8]) -> u32 {
         let low = map.range.0;

@@ -1,4 +1,4 @@
-//! What is kept of a volume: a grid of cells with value bounds and quantiles.
+//! Summary of a volume: a grid of cells with value bounds and quantiles.
 
 mod builder;
 mod changed;
@@ -20,26 +20,26 @@ use entire_core::scene::{ScalarType, Shape, VolumeView, check_edges, check_spaci
 use entire_core::{Error, ErrorKind, Result};
 use glam::Vec3;
 
-/// Edge of the blocks that renderers skip by, in voxels.
+/// Edge of the blocks that renderers skip, in voxels.
 pub(crate) const BLOCK_EDGE: usize = 8;
 
-/// Most cells along an axis unless [`SummaryOptions`] says otherwise.
+/// Default limit on the number of cells along an axis.
 pub(crate) const DEFAULT_CELLS_PER_AXIS: usize = 48;
 
-/// Quantile intervals kept per cell; the `QUANTILES + 1` bounds split its voxels into shares of equal size.
+/// Number of quantile intervals per cell; the `QUANTILES + 1` bounds split its voxels into equal shares.
 pub(crate) const QUANTILES: usize = 8;
 
-/// Largest stored integer that indexes a table of 15 bits as it stands.
+/// Largest stored integer that can index a table of 15 bits directly.
 pub(crate) const LARGEST_INDEX: i16 = i16::MAX;
 
-/// Most blocks kept inside one cell along an axis; beyond that a kept block is a run of blocks.
+/// Largest number of blocks kept along an axis of a cell; beyond it, several blocks are merged into one.
 const BLOCKS_PER_CELL_AXIS: usize = 8;
 
-/// How a [`VolumeSummary`] is made.
+/// Options of a [`VolumeSummary`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SummaryOptions {
-    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this
-    /// holds.
+    /// Largest number of cells along each axis, 1…128. The edge of a cell is that of a block, doubled along
+    /// an axis until this limit holds.
     pub cells_per_axis: usize,
 }
 
@@ -49,35 +49,35 @@ impl Default for SummaryOptions {
     }
 }
 
-/// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
+/// Summary of a volume: about 12 bytes per cell of 8³ voxels, without the voxels.
 ///
-/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each
-/// axis; so one voxel beyond its far side enters its bounds. The edge is 8 voxels along each
-/// axis, coarser by powers of two where the volume is larger than the options allow; then the value bounds of
-/// the blocks inside each cell are kept too, so that emptiness is still judged by the blocks that a renderer
-/// skips.
+/// Cell (i, j, k) with edge e covers the samples between the centers of voxels e·i and e·(i + 1) along each
+/// axis; so its bounds include one voxel beyond its far side. The edge is 8 voxels along each axis, or larger
+/// by powers of two where the volume exceeds the options' limit; then the value bounds of the blocks inside
+/// each cell are kept too, so that emptiness is still decided by the blocks that a renderer skips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
     scalar_type: ScalarType,
     shape: Shape,
-    /// Cells along each axis.
+    /// Number of cells along each axis.
     cells: [usize; 3],
-    /// Voxels along each axis of a cell.
+    /// Edges of a cell, in voxels.
     edge: [usize; 3],
-    /// Voxels along each axis of a block.
+    /// Edges of a block, in voxels.
     block: [usize; 3],
-    /// Lowest entry of a 256-entry table that a sample in each cell can touch (interpolation with the voxels
-    /// beyond its far side included), and the highest.
+    /// Lowest and highest entry of a 256-entry table that a sample in each cell can reach, including
+    /// interpolation with the voxels beyond the cell's far side.
     low: Vec<u8>,
     high: Vec<u8>,
     /// Ascending quantile bounds of each cell's own voxels, as table entries.
     quantiles: Vec<[u8; QUANTILES + 1]>,
-    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty
-    /// where every cell is one block.
+    /// Bounds of the blocks, ordered by cell; cell c has the blocks `first_block[c]..first_block[c + 1]`.
+    /// Empty where every cell is one block.
     block_low: Vec<u8>,
     block_high: Vec<u8>,
     first_block: Vec<u32>,
-    /// How many blocks a cell has that the volume's end does not cut, and whether that is every cell.
+    /// Number of blocks of a cell that the volume's border does not cut; `uniform` is true where every cell
+    /// has as many.
     most_blocks: usize,
     uniform: bool,
     histogram: [f32; 256],
@@ -86,34 +86,35 @@ pub struct VolumeSummary {
 }
 
 impl VolumeSummary {
-    /// Scans a volume once, on the calling thread. For threads, for progress, for stopping and for volumes that are
-    /// never there as a whole there is [`SummaryBuilder`].
+    /// Scans a volume once, on the calling thread. [`SummaryBuilder`] uses several threads, shows progress,
+    /// can be stopped, and takes volumes that are never in memory as a whole.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
-    /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for what is kept.
+    /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for the summary.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
         builder.add(volume, Executor::Serial)?;
         builder.finish()
     }
 
-    /// A number that the same volume has again, and hardly another.
+    /// Hash of the summary's sizes and histogram; different volumes are very unlikely to collide.
     pub(crate) fn fingerprint(&self) -> u64 {
         let sizes = self.shape.dims.iter().map(|&n| n as u64);
         let shares = self.histogram.iter().map(|h| u64::from(h.to_bits()));
         sizes.chain(shares).fold(0, mixed)
     }
 
-    /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
-    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs
-    /// included. Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
+    /// Makes a summary from bounds that the renderer already has: one (low, high) pair of normalized scalars
+    /// per brick of `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, including the border
+    /// voxels used by interpolation. Values inside a brick are assumed to be uniformly distributed between
+    /// its bounds. NaN bounds count as 0.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with`]
-    /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`entire_core::scene::MAX_VOLUME_EDGE`] or when the
-    /// number of bricks is not the one that sizes and edge give, [`ErrorKind::OutOfMemory`] where there is no
-    /// room for what is kept.
+    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with`] refuses,
+    /// [`ErrorKind::SizeMismatch`] for a size over [`entire_core::scene::MAX_VOLUME_EDGE`] or a number of
+    /// bricks that does not agree with sizes and edge, [`ErrorKind::OutOfMemory`] where there is no room for
+    /// the summary.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],
@@ -158,10 +159,10 @@ impl VolumeSummary {
         Ok(summary)
     }
 
-    /// A copy, as `clone` makes it.
+    /// Clones the summary; fails where memory is short.
     ///
     /// # Errors
-    /// [`ErrorKind::OutOfMemory`] where there is no room for it.
+    /// [`ErrorKind::OutOfMemory`] where there is no room for the copy.
     pub fn try_clone(&self) -> Result<Self> {
         Ok(Self {
             low: copied(&self.low)?,
@@ -174,7 +175,7 @@ impl VolumeSummary {
         })
     }
 
-    /// Sizes of the volume and lengths of its box.
+    /// Sizes of the volume and the lengths derived from them.
     pub fn shape(&self) -> Shape {
         self.shape
     }
@@ -189,20 +190,20 @@ impl VolumeSummary {
         self.cells
     }
 
-    /// Voxels along each axis of a cell (the last cell of an axis may reach beyond the volume).
+    /// Edges of a cell in voxels (the last cell of an axis may extend beyond the volume).
     pub(crate) fn cell_edge(&self) -> [usize; 3] {
         self.edge
     }
 
-    /// Voxels along each axis of the blocks by which emptiness is judged.
+    /// Edges in voxels of the blocks by which emptiness is decided.
     pub(crate) fn block_edge(&self) -> [usize; 3] {
         self.block
     }
 
-    /// Lowest and highest table entry that samples in a cell can touch.
+    /// Lowest and highest table entry that samples in a cell can reach.
     ///
     /// # Panics
-    /// When the cell lies outside the grid.
+    /// Where the cell lies outside the grid.
     #[cfg(test)]
     pub(crate) fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
         assert!(
@@ -223,9 +224,9 @@ impl VolumeSummary {
         self.non_finite_share
     }
 
-    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where
-    /// they are integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of
-    /// bricks the bounds tell: 0 among those of integers is taken as a stored 0.
+    /// True where a renderer that looks stored values up in a table must shift or scale them: unless they are
+    /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. For a volume made of
+    /// bricks the bounds decide: 0 among the bounds of integers is taken as a stored 0.
     pub(crate) fn remapped(&self) -> bool {
         self.remapped
     }
@@ -240,7 +241,7 @@ impl VolumeSummary {
         self.low.len()
     }
 
-    /// Lowest and highest table entries that samples in each cell can touch.
+    /// Lowest and highest table entries that samples in each cell can reach.
     pub(super) fn cell_ranges(&self) -> (&[u8], &[u8]) {
         (&self.low, &self.high)
     }
@@ -250,7 +251,7 @@ impl VolumeSummary {
         &self.quantiles[cell]
     }
 
-    /// The blocks of each cell, where cells hold several; `None` where each cell is one block.
+    /// Blocks of the cells, where cells hold several; `None` where each cell is one block.
     #[inline(always)]
     pub(super) fn blocks(&self) -> Option<Blocks<'_>> {
         (!self.first_block.is_empty()).then_some(Blocks {

@@ -9,12 +9,12 @@ use entire_core::kernels::{Executor, Kernel, Level, Simd};
 use entire_core::memory::{filled, room};
 use entire_core::scene::VolumeView;
 
-/// Cells and blocks of a volume, each along x, y, z.
+/// Sizes of a volume, its cells and its blocks, each along x, y, z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grid {
-    /// Voxels.
+    /// Voxels of the volume.
     pub(super) dims: [usize; 3],
-    /// Cells.
+    /// Cells of the volume.
     pub(super) cells: [usize; 3],
     /// Voxels of a cell.
     pub(super) edge: [usize; 3],
@@ -28,13 +28,13 @@ impl Grid {
         core::array::from_fn(|a| self.dims[a].div_ceil(self.block[a]))
     }
 
-    /// Bytes from one cell's entries to the next one's: no power of two, by which cells would share few lines of
-    /// the cache.
+    /// Distance in bytes between the entries of neighboring cells. Not a power of two, with which cells would
+    /// map to few cache sets.
     pub(super) fn room(&self) -> usize {
         self.edge.iter().product::<usize>() + 64
     }
 
-    /// Voxels of a cell (or block of that `size`) along an axis, from the volume's beginning.
+    /// Range of voxels of cell `i` (or of block `i`, by `size`) along an axis.
     pub(super) fn span(&self, i: usize, size: usize, axis: usize) -> Range<usize> {
         i * size..((i + 1) * size).min(self.dims[axis])
     }
@@ -43,19 +43,19 @@ impl Grid {
 /// Bounds of the values in a block.
 pub(super) type Bounds<T> = [T; 2];
 
-/// Bounds of nothing.
+/// Bounds of an empty set.
 pub(super) fn nothing<T: Voxel>() -> Bounds<T> {
     [T::HIGHEST, T::LOWEST]
 }
 
-/// What a scan has found so far.
+/// Intermediate results of a scan.
 #[derive(Clone, Debug)]
 pub(super) struct Found<T> {
-    /// Bounds of each block of the volume, the first voxels of the blocks after it included.
+    /// Bounds of each block of the volume, including the first voxels of the next blocks.
     pub(super) bounds: Vec<Bounds<T>>,
-    /// How many voxels have each entry (of bytes: each stored value).
+    /// Number of voxels with each entry (for bytes: with each stored value).
     pub(super) counts: [u64; 256],
-    /// Voxels that are NaN or infinite.
+    /// Number of voxels that are NaN or infinite.
     pub(super) non_finite: u64,
 }
 
@@ -68,9 +68,8 @@ impl<T: Voxel> Found<T> {
         })
     }
 
-    /// Scans layers of cells that follow each other from cell layer `first` on. `slab` holds exactly their
-    /// planes,
-    /// `quantiles` has one place for each of their cells.
+    /// Scans consecutive layers of cells from cell layer `first` on. `slab` holds exactly their planes,
+    /// `quantiles` one element for each of their cells.
     pub(super) fn scan(
         &mut self,
         grid: &Grid,
@@ -109,7 +108,7 @@ impl<T: Voxel> Found<T> {
         }
         let level = Level::detect();
         all(&mut tasks, level, executor);
-        // A layer's first plane belongs to the bounds of the blocks before it as well.
+        // A layer's first plane belongs to the bounds of the preceding blocks as well.
         let mut previous = last(before, plane);
         for task in tasks {
             if let Some(blocks) = previous {
@@ -125,7 +124,7 @@ impl<T: Voxel> Found<T> {
     }
 }
 
-/// The last `count` elements, if there are so many.
+/// The last `count` elements; `None` where there are fewer.
 fn last<T>(of: &mut [T], count: usize) -> Option<&mut [T]> {
     let at = of.len().checked_sub(count)?;
     Some(&mut of[at..])
@@ -146,17 +145,17 @@ where
     }
 }
 
-/// Where voxels are.
+/// Location of the voxels.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a, T> {
     pub(super) slab: &'a VolumeView<'a>,
     pub(super) voxels: &'a [T],
-    /// The slab's first plane.
+    /// Number of the slab's first plane in the volume.
     pub(super) first: usize,
 }
 
 impl<T: Voxel> Source<'_, T> {
-    /// The voxels `xs` of a row side by side, copied to `scratch` where they do not lie so.
+    /// The voxels `xs` of a row as a slice, copied to `scratch` where they are not contiguous.
     #[inline(always)]
     pub(super) fn row<'s>(&'s self, scratch: &'s mut [T], xs: &Range<usize>, y: usize, z: usize) -> &'s [T] {
         let (at, stride) = (self.slab.index(xs.start, y, z - self.first), self.slab.strides()[0]);
@@ -170,8 +169,8 @@ impl<T: Voxel> Source<'_, T> {
         scratch
     }
 
-    /// Asks for the voxels `xs` of a row, where they lie side by side: rows of the next plane, or of the next
-    /// row of cells, are no neighbors in memory, so that nobody else asks for them.
+    /// Prefetches the voxels `xs` of a row where they are contiguous. The row in the next plane or in the
+    /// next row of cells is not adjacent in memory, so the hardware does not prefetch it.
     #[inline(always)]
     pub(super) fn fetch<S: Simd>(&self, simd: S, xs: &Range<usize>, y: usize, z: usize) {
         let ([_, height, planes], z) = (self.slab.dims(), z - self.first);
@@ -191,11 +190,11 @@ struct Layers<'a, T> {
     map: &'a Map,
     source: Source<'a, T>,
     layers: Range<usize>,
-    /// Of the cells of these layers.
+    /// Quantiles of the cells of these layers.
     quantiles: &'a mut [[u8; QUANTILES + 1]],
-    /// Of the blocks of these layers.
+    /// Bounds of the blocks of these layers.
     bounds: &'a mut [Bounds<T>],
-    /// What the first plane gives to the bounds of the blocks before.
+    /// Bounds of the first plane's voxels, which belong to the preceding blocks.
     back: Vec<Bounds<T>>,
     counts: [u64; 256],
     non_finite: u64,
@@ -218,18 +217,19 @@ impl<T: Voxel> Kernel for &mut Layers<'_, T> {
 
 /// Working memory of one thread.
 pub(super) struct Scratch<T> {
-    /// Own rows of one row of blocks, and those that the blocks before it along y, z and both see of it.
+    /// Rows of one row of blocks: its own, and those that also belong to the preceding blocks along y, along
+    /// z, and along both.
     pub(super) joined: [Joined<T>; 4],
-    /// A row whose voxels do not lie side by side.
+    /// Copy of a row whose voxels are not contiguous.
     pub(super) row: Vec<T>,
-    /// Entries of a row.
+    /// Table entries of a row.
     pub(super) line: Vec<u8>,
-    /// Entries of one row of cells, those of a cell side by side.
+    /// Table entries of one row of cells, contiguous per cell.
     pub(super) cells: Vec<u8>,
     pub(super) counts: Counts,
 }
 
-/// Tables in which entries are counted in turn; cleared again after each cell.
+/// Four tables of counts, used in turn; cleared after each cell.
 pub(super) type Counts = [[u32; 256]; 4];
 
 impl<T: Voxel> Scratch<T> {
@@ -247,11 +247,11 @@ impl<T: Voxel> Scratch<T> {
 }
 
 impl<T: Voxel> Layers<'_, T> {
-    /// Bounds of the blocks in a row of cells, and the entries of its voxels.
+    /// Computes the bounds of the blocks in a row of cells, and the table entries of its voxels.
     ///
-    /// A row of voxels enters the bounds of the blocks that it lies in and, where it is a block's first along
-    /// y or z, those of the blocks before. Rows are joined voxel by voxel and reduced along x once per row of
-    /// blocks.
+    /// A row of voxels belongs to the blocks that contain it and, where it is the first of a block along y or
+    /// z, to the preceding blocks as well. Rows are combined voxel by voxel and reduced along x once per row
+    /// of blocks.
     #[inline(always)]
     fn bound<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let grid = *self.grid;
@@ -306,7 +306,7 @@ impl<T: Voxel> Layers<'_, T> {
         self.non_finite += non_finite;
     }
 
-    /// Quantiles of a row of cells.
+    /// Computes the quantiles of a row of cells.
     #[inline(always)]
     fn count<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let grid = *self.grid;
@@ -329,7 +329,7 @@ impl<T: Voxel> Layers<'_, T> {
     }
 }
 
-/// Counts a cell's entries, all of which lie within bounds.
+/// Counts a cell's entries, all of which lie within `bounds`.
 pub(super) struct Tally<'a, S> {
     pub(super) simd: S,
     pub(super) map: &'a Map,
@@ -337,8 +337,8 @@ pub(super) struct Tally<'a, S> {
 }
 
 impl<S: Simd> Tally<'_, S> {
-    /// The quantiles of a cell's entries. `each` hears how often each occurs, in ascending order, those that
-    /// do not left out. `counts` must be zero, and is so again.
+    /// Computes the quantiles of a cell's entries. Calls `each` with every entry that occurs and its count,
+    /// in ascending order. `counts` must be zero, and is zero again afterwards.
     #[inline(always)]
     pub(super) fn count(
         &self,
@@ -372,22 +372,22 @@ impl<S: Simd> Tally<'_, S> {
             }
         }
         out[QUANTILES] = self.map.near[usize::from(last)];
-        // Entries were looked for beyond the bounds, and not found.
+        // `count_eight` also counts entries beyond the bounds; all of those counts are zero.
         for table in [a, b, c, d] {
             table[range.clone()].fill(0);
         }
         out
     }
 
-    /// Where few entries can occur, eight at a time are looked for in all bytes; where many can, bytes are
-    /// counted in four tables in turn: in one, equal neighbors would wait for each other.
+    /// Where few distinct entries can occur, counts eight of them at a time over all bytes; otherwise counts
+    /// bytes in four tables in turn: in a single table, equal neighbors would serialize the additions.
     #[inline(always)]
     fn batch(&self, bytes: &[u8], counts: &mut Counts) {
         let [low, high] = self.bounds;
         let [a, b, c, d] = counts;
         if usize::from(high - low) < S::COUNTED {
             for first in (low..=high).step_by(8) {
-                // The last eight may have been counted in part: the same counts again.
+                // The last group of eight may overlap the one before: the same counts are stored again.
                 let first = usize::from(first.min(u8::MAX - 7));
                 a[first..first + 8].copy_from_slice(&self.simd.count_eight(bytes, first as u8));
             }
@@ -412,7 +412,7 @@ impl<S: Simd> Tally<'_, S> {
     }
 }
 
-/// Bounds of a cell from those of its blocks, the layers of blocks from `first` on.
+/// Bounds of a cell from those of its blocks; `bounds` begins at block layer `first`.
 #[inline(always)]
 pub(super) fn bounds_of<T: Voxel, B>(
     grid: &Grid,
@@ -434,7 +434,7 @@ pub(super) fn bounds_of<T: Voxel, B>(
     out
 }
 
-/// Several rows, joined voxel by voxel.
+/// Several rows, combined voxel by voxel into minima and maxima.
 pub(super) struct Joined<T> {
     low: Vec<T>,
     high: Vec<T>,
@@ -451,7 +451,7 @@ impl<T: Voxel> Joined<T> {
         })
     }
 
-    /// Rows of `len` voxels from here on, no more than there is room for.
+    /// Starts a new set of rows of `len` voxels, at most the capacity.
     #[inline(always)]
     pub(super) fn clear(&mut self, len: usize) {
         self.low.clear();
@@ -469,14 +469,14 @@ impl<T: Voxel> Joined<T> {
         }
     }
 
-    /// Widens the bounds of a row of blocks, once for all rows: a block's values are its own and the first
-    /// one of the next block. `block` is a power of two.
+    /// Widens the bounds of a row of blocks, once for all rows: a block's values include the first one of the
+    /// next block. `block` is a power of two.
     #[inline(always)]
     pub(super) fn reduce<'a>(&mut self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
     where
         T: 'a,
     {
-        // Every place then holds the bounds of as many values from there on as a block has.
+        // After the loop, every element holds the bounds of the block's length of values from there on.
         let mut reach = 1;
         while reach < block.min(self.low.len()) {
             slide(&mut self.low, &mut self.other, reach, T::lesser);
@@ -484,7 +484,7 @@ impl<T: Voxel> Joined<T> {
             reach *= 2;
         }
         for (bx, bound) in bounds.enumerate() {
-            // The second of them reaches one further.
+            // The second range extends one value further.
             for place in [bx * block, (bx * block + 1).min(self.low.len() - 1)] {
                 *bound = [bound[0].lesser(self.low[place]), bound[1].greater(self.high[place])];
             }
@@ -492,7 +492,7 @@ impl<T: Voxel> Joined<T> {
     }
 }
 
-/// Joins each value with the one `reach` further on, where there is one.
+/// Combines each value with the one `reach` further on, where it exists.
 #[inline(always)]
 fn slide<T: Voxel>(values: &mut [T], other: &mut [T], reach: usize, join: impl Fn(T, T) -> T) {
     let len = values.len();
@@ -504,8 +504,8 @@ fn slide<T: Voxel>(values: &mut [T], other: &mut [T], reach: usize, join: impl F
     values.copy_from_slice(to);
 }
 
-/// Gives each cell its part of a row's entries: `edge` of them, of which the row is number `place`. There is room
-/// for `per_cell` entries of each cell.
+/// Copies a row's entries to its cells: `edge` entries each, as row number `place` of the cell. Each cell has
+/// room for `per_cell` entries.
 #[inline(always)]
 pub(super) fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, cells: &mut [u8]) {
     #[inline(always)]
@@ -519,7 +519,7 @@ pub(super) fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, c
             last[rest.len() * place..][..rest.len()].copy_from_slice(rest);
         }
     }
-    // Most cells have one of few edges, for which no function is called.
+    // Common edges are compiled as constants, so that no function is called for them.
     match edge {
         4 => fixed::<4>(entries, place, per_cell, cells),
         8 => fixed::<8>(entries, place, per_cell, cells),
@@ -538,7 +538,7 @@ mod tests {
     use super::*;
     use alloc::vec;
 
-    /// Eight counts of bytes.
+    /// Kernel: eight counts of bytes.
     struct CountEight<'a>(&'a [u8], u8);
 
     impl Kernel for CountEight<'_> {

@@ -1,4 +1,4 @@
-//! The summaries of a volume that changes from one time step to the next.
+//! Summaries of a volume that changes from one time step to the next.
 
 use super::builder::{Places, gather, lay_out, set_remapped, set_totals};
 use super::changed::{Cells, Halves, full, look, mask};
@@ -13,22 +13,21 @@ use entire_core::kernels::Executor;
 use entire_core::memory::filled;
 use entire_core::scene::{Scalars, VolumeView};
 
-/// Keeps the [`VolumeSummary`] of a volume that changes: of each time step only what changed is summarized
-/// again.
+/// Keeps the [`VolumeSummary`] of a volume that changes: at each time step only the changed cells are
+/// summarized again.
 ///
-/// Where the caller knows the box of voxels that changed, only cells that it touches are read. Else all
-/// voxels are read, much faster than a summary is made, to find the cells that changed. Either way the
-/// summary is the one that [`VolumeSummary::new`] makes of the time step, to the last bit.
+/// Where the caller gives the box of voxels that changed, only the cells that it touches are read. Otherwise
+/// all voxels are read to find the cells that changed, which is much faster than making a summary. Either way
+/// the summary is bit-identical to that of [`VolumeSummary::new`].
 ///
-/// Beside the summary are kept for each cell: 16 bytes of checksum, by which an unnoticed change has a chance
-/// of about 2⁻¹²⁸ (of voxels that nobody picks to that end); how often each entry of a 256-entry table
-/// occurs, 6 bytes and mostly one more for each entry between a cell's lowest and highest; and for each block
-/// four stored values. With bytes in cells of one block, these are about 26 bytes per cell and one per entry,
-/// beside the 11 of the summary.
+/// In addition to the summary, each cell has a checksum of 16 bytes, which misses a change with a probability
+/// of about 2⁻¹²⁸ (unless voxels are chosen to collide); the number of voxels with each entry of a 256-entry
+/// table, 6 bytes and mostly one more for each entry between the cell's lowest and highest; and four stored
+/// values per block. For bytes in cells of one block, these are about 26 bytes per cell and one per entry, in
+/// addition to the 11 of the summary.
 ///
-/// A time step may be taken in slab by slab, as with [`SummaryBuilder`]: to show progress, to stop, or where
-/// the volume is never there as a whole. One that was stopped does no harm: the next one looks at what is
-/// left too.
+/// A time step may be added slab by slab, as with [`SummaryBuilder`]: to show progress, to stop, or where the
+/// volume is never in memory as a whole. After a stop the next time step also scans the cells that were left.
 ///
 /// ```
 /// use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
@@ -53,9 +52,9 @@ pub struct SummarySeries {
     map: Map,
     cells: Cells,
     blocks: Kind,
-    /// Whether cells that are not marked may have changed.
+    /// True where unmarked cells may have changed too.
     search: bool,
-    /// The first layer of cells that was not looked at in this time step.
+    /// First layer of cells that was not scanned in this time step.
     layer: usize,
 }
 
@@ -68,9 +67,9 @@ enum Kind {
 }
 
 impl SummarySeries {
-    /// For a volume of `planes` planes along z; sizes along x and y, spacing, range and type of every time
-    /// step are those of `like`, of which no voxel is read. Give the range that all time steps share. The
-    /// first time step has begun, of which everything is to be read.
+    /// A series of volumes of `planes` planes along z; sizes along x and y, spacing, range and type of every
+    /// time step are those of `like`, of which no voxel is read. All time steps share the range. The first
+    /// time step has begun; all of it must be read.
     ///
     /// # Errors
     /// As [`SummaryBuilder::new`].
@@ -95,13 +94,13 @@ impl SummarySeries {
         })
     }
 
-    /// Begins the next time step, of which the voxels in a box changed at most: those along x, y and z from
-    /// each range's start to before its end. Without a box any voxel may have changed. Where the time step
-    /// before was not read to its end, its changes are looked for too.
+    /// Begins the next time step, in which only voxels in a box changed: along x, y and z from each range's
+    /// start up to, but not including, its end. Without a box any voxel may have changed. Where the preceding
+    /// time step was not read to its end, its changes are searched as well.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a box that reaches beyond the volume; nothing has begun
-    /// then.
+    /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume; no time step has begun
+    /// in this case.
     pub fn begin(&mut self, changed: Option<[Range<usize>; 3]>) -> Result<()> {
         let Some(changed) = changed else {
             (self.search, self.layer) = (true, 0);
@@ -121,7 +120,7 @@ impl SummarySeries {
                 dims[2]
             );
         }
-        // What was not looked at before is looked for as it was meant to be.
+        // Cells left from the preceding time step are still searched.
         self.search &= self.next_planes().is_some();
         self.layer = 0;
         if changed.iter().any(Range::is_empty) {
@@ -135,9 +134,9 @@ impl SummarySeries {
         Ok(())
     }
 
-    /// The planes of the smallest slab that is to be added next, which need not follow on the one before:
-    /// planes without changes are left out. `None` when the time step is complete. A slab may hold any
-    /// multiple of as many planes, and ends with the volume at the latest.
+    /// Planes of the smallest slab that must be added next, which need not follow the one before: planes
+    /// without changes are skipped. `None` when the time step is complete. A slab may hold any multiple of
+    /// this number of planes; the last one ends with the volume.
     pub fn next_planes(&self) -> Option<Range<usize>> {
         let ([_, ny, nz], edge) = (self.grid.cells, self.grid.edge[2]);
         let waits =
@@ -147,10 +146,10 @@ impl SummarySeries {
     }
 
     /// Adds the slab that [`SummarySeries::next_planes`] names. Allocates working memory of a few rows of
-    /// cells for each thread, and what is kept of cells that hold more entries than before.
+    /// cells for each thread, and memory for cells with more entries than before.
     ///
     /// # Errors
-    /// As [`SummaryBuilder::add`]; [`crate::ErrorKind::OutOfMemory`], after which a time step is to be begun
+    /// As [`SummaryBuilder::add`]; [`crate::ErrorKind::OutOfMemory`], after which a time step must be begun
     /// again.
     pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
         let Some(next) = self.next_planes() else {
@@ -171,12 +170,12 @@ impl SummarySeries {
         self.look(slab, next.start, first..first + planes.div_ceil(edge), executor)
     }
 
-    /// Takes in a whole time step, of which the voxels in a box changed at most ([`SummarySeries::begin`]);
-    /// of the first one everything is read whatever the box. Gives its summary.
+    /// Adds a whole time step, in which only voxels in a box changed ([`SummarySeries::begin`]); the first
+    /// one is always read completely. Returns its summary.
     ///
     /// # Errors
-    /// As [`SummarySeries::begin`] and [`SummarySeries::add`]; a volume that is refused has begun no time
-    /// step.
+    /// As [`SummarySeries::begin`] and [`SummarySeries::add`]; where the volume is refused, no time step has
+    /// begun.
     pub fn update(
         &mut self,
         volume: &VolumeView<'_>,
@@ -236,7 +235,7 @@ impl SummarySeries {
         Ok(())
     }
 
-    /// Looks at layers of cells; planes of the slab count from the volume's `plane` on.
+    /// Scans layers of cells; plane 0 of the slab is the volume's plane `plane`.
     fn look(
         &mut self,
         slab: &VolumeView<'_>,
@@ -259,7 +258,7 @@ impl SummarySeries {
             (Kind::U16(blocks), Scalars::U16(voxels)) => look!(voxels, blocks),
             (Kind::I16(blocks), Scalars::I16(voxels)) => look!(voxels, blocks),
             (Kind::F32(blocks), Scalars::F32(voxels)) => look!(voxels, blocks),
-            // Checked above.
+            // Excluded by the check above.
             _ => {}
         }
         self.layer = end;
@@ -277,8 +276,8 @@ impl SummarySeries {
     }
 }
 
-/// What follows from all voxels: bounds of the cells that changed and of those that reach into them, the
-/// histogram, and whether values are remapped.
+/// Updates the parts of the summary that depend on all voxels: bounds of the cells that changed or overlap
+/// changed ones, histogram, `remapped`.
 fn finish<T: Voxel>(
     summary: &mut VolumeSummary,
     grid: &Grid,

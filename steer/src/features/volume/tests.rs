@@ -1,4 +1,4 @@
-//! Slabs and threads against the whole volume at once.
+//! Compares summaries made by slabs and threads with those of the whole volume.
 
 use super::*;
 use entire_core::ErrorKind;
@@ -9,7 +9,7 @@ use std::vec::Vec;
 
 const DIMS: [usize; 3] = [37, 21, 43];
 
-/// The planes of a volume, every type with values at both ends of its range.
+/// The planes of a volume; every type has values at both ends of its range.
 struct Volume {
     bytes: Vec<u8>,
     words: Vec<u16>,
@@ -17,7 +17,7 @@ struct Volume {
     floats: Vec<f32>,
 }
 
-/// Numbers that look random.
+/// Pseudo-random numbers.
 struct Random(u32);
 
 impl Random {
@@ -127,7 +127,7 @@ fn slabs_that_do_not_fit_are_refused_and_leave_no_trace() {
     let mut builder = SummaryBuilder::new(&bytes, DIMS[2], options).unwrap();
     let executor = Executor::Serial;
     assert_eq!(builder.next_planes(), Some(0..8));
-    // Not a whole number of layers, too many planes, another type, another range.
+    // A partial layer, too many planes, another type, another range.
     let [part, ..] = volume.slabs(0..12);
     let [eight, eight_words, ..] = volume.slabs(0..8);
     assert_eq!(builder.add(&part, executor).unwrap_err().kind(), ErrorKind::SizeMismatch);
@@ -146,7 +146,7 @@ fn slabs_that_do_not_fit_are_refused_and_leave_no_trace() {
     assert!(SummaryBuilder::new(&bytes, 0, options).is_err());
 }
 
-/// A box of voxels, and other values for those in it: for all, for some, or for none.
+/// A random box of voxels, and new values for all, some or none of its voxels.
 fn change(bytes: &mut [u8], random: &mut Random) -> [core::ops::Range<usize>; 3] {
     let most = [3, 12, 64][random.below(3)];
     let within = core::array::from_fn(|a| {
@@ -212,7 +212,7 @@ fn a_series_gives_the_summary_of_every_time_step() {
 fn a_series_takes_other_strides_and_large_blocks() {
     let (dims, options) = ([130usize, 9, 20], SummaryOptions { cells_per_axis: 1 });
     let mut voxels: Vec<u16> = (0..dims.iter().product()).map(|i: usize| (i * 7919 % 1000) as u16).collect();
-    // z runs fastest in memory.
+    // z is the fastest axis in memory.
     let strides = Some([dims[1] * dims[2], dims[2], 1]);
     let known = VolumeOptions { strides, range: Some((5.0, 700.0)), ..VolumeOptions::default() };
     fn of(voxels: &[u16], dims: [usize; 3], known: VolumeOptions) -> VolumeView<'_> {
@@ -246,7 +246,7 @@ fn a_series_reads_only_what_was_announced() {
         series.add(&volume.slabs(0..8)[0], Executor::Serial).unwrap_err().kind(),
         ErrorKind::SizeMismatch
     );
-    // What changed outside the box goes unseen, until it is looked for.
+    // Changes outside the box are missed until they are searched.
     volume.bytes[0] ^= 255;
     let [whole, words, ..] = volume.slabs(0..DIMS[2]);
     assert_eq!(*series.update(&whole, Some([30..37, 0..21, 9..10]), Executor::Serial).unwrap(), first);
