@@ -159,7 +159,7 @@ pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     Ok(Some((path, file)))
 }
 
-/// All models in `models/` that were selected for a shading mode, those of other makes of machine after the
+/// All models in `models/` that were selected for a shading mode, those of other types of machine after the
 /// first (`unshaded-xeon-selected.safetensors`); none if the working folder is not the project's.
 ///
 /// # Errors

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 _FOLDER = Path(__file__).parent / "models"
 _REASONS = {
     "fits": "the finest step whose upper bound fits the target",
-    "damped": "on the way to the best step, slowly, since nothing has changed abruptly",
-    "held": "the step before still fits and is close to the best",
-    "finest allowed": "nothing finer is allowed, and it fits",
-    "target unreachable": "nothing coarser is allowed, and even that is not expected to fit",
-    "history": "the prediction is not trusted here; recent frames decide",
-    "no information": "neither a prediction nor a timing is there yet",
+    "damped": "approaches the best step gradually, since nothing changed abruptly",
+    "held": "the last step still fits and is close to the best",
+    "finest allowed": "the finest allowed step fits",
+    "target unreachable": "even the coarsest allowed step is not expected to fit",
+    "history": "the prediction is not trusted here; recent frames are used instead",
+    "no information": "there is neither a prediction nor a measured frame yet",
     "off": "steering is switched off",
     "reactive": "a rule that reacts to past frames",
 }
