@@ -30,7 +30,7 @@ fn set_writable(folder: &Path, writable: bool) {
     std::fs::set_permissions(folder, permissions).unwrap();
 }
 
-/// The first way that works here.
+/// First method that makes a folder read-only for this user; None if none works.
 fn how() -> Option<How> {
     let folder = tempfile::tempdir().unwrap();
     let probe = folder.path().join("probe");

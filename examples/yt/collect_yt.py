@@ -5,9 +5,9 @@
     venv/bin/python collect_yt.py --out yt.csv --max-size 128 VOLUME.nrrd...
     entire train --data yt.csv --clock cpu --out yt.safetensors
 
-The Gaussian lobes go into yt's ColorTransferFunction as they are (same formula). yt takes a whole number of samples in
-every cell that a ray crosses: the steps drawn from are 1 / that number, and the table holds the mean distance between samples
-that it comes to, which depends on the direction of view and on the spacing. yt neither skips empty space nor stops opaque
+yt's ColorTransferFunction uses the same formula for Gaussian lobes. yt takes a whole number of samples in every cell
+that a ray crosses: the random steps are 1 / that number, and the table contains the resulting mean distance between
+samples, which depends on the view direction and the spacing. yt neither skips empty space nor stops opaque
 rays. It runs on one thread, since waiting threads would count as processor time; OMP_NUM_THREADS overrides that.
 """
 import math

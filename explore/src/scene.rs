@@ -109,7 +109,7 @@ enum Voxels {
 }
 
 impl Part {
-    /// Copies the voxels of a part; the range stays the whole's.
+    /// Copies the voxels of a part; the value range stays that of the whole volume.
     ///
     /// # Errors
     /// For a part beyond the volume, or voxels of an unknown type.

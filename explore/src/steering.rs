@@ -282,10 +282,10 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
     let why = match record.reason {
         Reason::Fits => format!("the finest that is expected to fit {target}"),
         Reason::Damped => {
-            format!("on the way to what fits {target}, slowly, because nothing changed abruptly")
+            format!("approaches the step that fits {target} gradually, because nothing changed abruptly")
         }
         Reason::Held => {
-            format!("kept from the frame before: it still fits {target} and is close to the best")
+            format!("kept from the last frame: it still fits {target} and is close to the best")
         }
         Reason::FinestAllowed => format!("full quality fits {target}"),
         Reason::TargetUnreachable => {

@@ -2,8 +2,8 @@
 
     python3 explore/tests/picture.py ENTIRE VOLUME PICTURE.png
 
-ENTIRE is the command, built with the feature `explore`. Needs Xvfb and xdotool; run it from the project's root, whose
-models steer.
+ENTIRE is the command, built with the feature `explore`. Needs Xvfb and xdotool; run it from the project's root, since
+it uses the models there.
 """
 
 import json

@@ -3,8 +3,8 @@
     python3 explore/tests/window.py ENTIRE [TEST…]
     python3 explore/tests/window.py --can
 
-ENTIRE is the command, built with the feature `explore`. Says what it skips and why; fails when a test does.
-With --can only the exit status says whether the tests can run here.
+ENTIRE is the command, built with the feature `explore`. Prints skipped tests with the reason; fails if a test fails.
+With --can it runs nothing: the exit status is 0 if the tests can run here.
 """
 
 import csv

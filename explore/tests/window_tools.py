@@ -1,4 +1,4 @@
-"""Tools of the window's tests and bars: a display of its own, its pixels, PNG files, volumes, the frame log.
+"""Tools of the window's tests and bars: a virtual display, its pixels, PNG files, volumes, the frame log.
 
 Only the standard library: the tests run wherever Xvfb, xdotool and a Vulkan driver are.
 """

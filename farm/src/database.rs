@@ -3,7 +3,7 @@
 use super::cinema::{self, Row};
 use super::job::Job;
 use super::journal::Journal;
-use super::learn::{Shape, TOLD, UNKNOWN};
+use super::learn::{CONSTANT_SD_WITH_MODEL, CONSTANT_SD_WITHOUT_MODEL, Shape};
 use super::load::Loads;
 use super::options::Options;
 use super::planner::{Planner, Setting};
@@ -293,7 +293,11 @@ fn tells_loads(job: &Job) -> bool {
 /// The plan of a job for an engine with this many slots.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
-    let told = job.predict.model.is_some() || job.predict.list.is_some();
-    let shape = Shape::of_job(job, base).with_constant(if told { TOLD } else { UNKNOWN });
+    let has_model = job.predict.model.is_some() || job.predict.list.is_some();
+    let shape = Shape::of_job(job, base).with_constant(if has_model {
+        CONSTANT_SD_WITH_MODEL
+    } else {
+        CONSTANT_SD_WITHOUT_MODEL
+    });
     Planner::new(shape, Loads::new(bytes, tells_loads(job)), setting)
 }

@@ -174,7 +174,7 @@ impl Drive<'_, '_> {
         let (clock, begin) = (Instant::now(), unix_now());
         let mut said = Vec::new();
         let (mut eta_at, mut table_at) = (None::<Instant>, Instant::now());
-        let (mut eta, mut told) = ([f64::NAN; 3], -1.0);
+        let (mut eta, mut printed) = ([f64::NAN; 3], -1.0);
         let (mut restarts, mut done_then) = (0, 0);
         while !self.planner.is_over() {
             if interrupt::requested(&stop) || self.full.is_some() {
@@ -213,8 +213,8 @@ impl Drive<'_, '_> {
                 eta = self.planner.eta(now).map(|s| now - begin + s);
                 let (done, all) = self.planner.progress();
                 let share = done as f64 / all.max(1) as f64;
-                if share >= told + 0.01 {
-                    told = share;
+                if share >= printed + 0.01 {
+                    printed = share;
                     said.push((now - begin, share, eta));
                     let ends = eta.map(|e| begin + e);
                     self.database.journal.add(&Entry::Eta { at: now, share, ends })?;
@@ -373,7 +373,7 @@ impl Drive<'_, '_> {
         let volume = self.planner.learner().shape().volume(task as usize);
         if answer.load_s > 0.0 {
             let warm = !self.loaded.insert((node, volume));
-            self.planner.loads_mut().observe(volume, warm, answer.load_s);
+            self.planner.observe_load(volume, warm, answer.load_s);
         }
         self.busy += answer.seconds + answer.load_s;
         self.planner.done(bundle, task, node, answer.seconds, answer.load_s);

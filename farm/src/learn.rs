@@ -22,28 +22,28 @@ use rayon::prelude::*;
 /// distance, shares of the view direction along x and y and their squares.
 const FIXED: usize = 9;
 /// Prior standard deviations of these features' coefficients.
-const PRIOR: [f64; FIXED] = [UNKNOWN, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
+const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
 /// That of the constant, without a model or list of base times.
-pub const UNKNOWN: f64 = 4.0;
+pub const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
 /// That of the constant, with a model or list, perhaps of another machine.
-pub const TOLD: f64 = 0.5;
+pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
 /// That of each transfer function.
 const PRIOR_TRANSFER: f64 = 0.3;
 /// Number of transfer functions with their own coefficient.
 const MAX_TRANSFERS: usize = 64;
 /// Prior standard deviations of the residual, volumes and nodes, and their weight in observations.
-const BEFORE: (f64, f64) = (0.15, 4.0);
+const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
 /// That of volumes, with a model or list: the largest of shipped models on frames of held-out volumes
 /// (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside, none-earlier and
 /// none-steps-members of `data/timings` gave 0.03 to 0.07).
-const BEFORE_TOLD: f64 = 0.07;
+const VOLUME_SD_WITH_MODEL: f64 = 0.07;
 /// With a model or list, the prior standard deviation of the coefficient of ln base: twice the largest slope
 /// of ln(measured / base) over ln base on the same tables.
-const SLOPE_TOLD: f64 = 0.04;
+const SLOPE_SD_WITH_MODEL: f64 = 0.04;
 /// With a model or list, long tasks scatter less than short ones: decrease of ln of a residual's standard
 /// deviation per unit of ln base (the same tables: 0.14 to 0.26), and the distance from the mean up to which
 /// it applies.
-const CALMER_TOLD: (f64, f64) = (0.2, 4.0);
+const SCATTER_SLOPE_WITH_MODEL: (f64, f64) = (0.2, 4.0);
 /// Residuals are clipped at this many standard deviations: one hung task must not affect the others.
 const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
@@ -71,8 +71,8 @@ impl Shape {
     }
 
     /// True if the base seconds come from a model or list, not from pixels over step.
-    pub fn is_told(&self) -> bool {
-        self.constant < UNKNOWN
+    pub fn has_model(&self) -> bool {
+        self.constant < CONSTANT_SD_WITHOUT_MODEL
     }
 
     /// The tasks of a job.
@@ -146,7 +146,7 @@ impl Shape {
         transfers: usize,
     ) -> Self {
         let transfers = if (2..=MAX_TRANSFERS).contains(&transfers) { transfers } else { 0 };
-        Self { base, volume, row, transfer, terms, volumes, transfers, constant: UNKNOWN }
+        Self { base, volume, row, transfer, terms, volumes, transfers, constant: CONSTANT_SD_WITHOUT_MODEL }
     }
 
     /// Number of tasks.
@@ -218,7 +218,7 @@ impl Learner {
         let d = FIXED + shape.transfers;
         let mean_base = shape.base.iter().map(|b| f64::from(*b)).sum::<f64>() / shape.len().max(1) as f64;
         let volumes = shape.volumes;
-        let before = if shape.is_told() { BEFORE_TOLD } else { BEFORE.0 };
+        let before = if shape.has_model() { VOLUME_SD_WITH_MODEL } else { PRIOR_SDS.0 };
         let mut new = Self {
             shape,
             mean_base,
@@ -231,7 +231,7 @@ impl Learner {
             effects: vec![0.0; volumes],
             precisions: Vec::new(),
             sums: Vec::new(),
-            sigma2: BEFORE.0.powi(2),
+            sigma2: PRIOR_SDS.0.powi(2),
             tau2: before.powi(2),
             drift: 0.0,
             nodes: Vec::new(),
@@ -264,10 +264,10 @@ impl Learner {
     /// Factor by which a task's own error is below the average: its standard deviation is the model's over
     /// this.
     fn calm(&self, task: usize) -> f64 {
-        if !self.shape.is_told() {
+        if !self.shape.has_model() {
             return 1.0;
         }
-        let (slope, most) = CALMER_TOLD;
+        let (slope, most) = SCATTER_SLOPE_WITH_MODEL;
         (slope * (f64::from(self.shape.base[task]) - self.mean_base).clamp(-most, most)).exp()
     }
 
@@ -381,10 +381,10 @@ impl Learner {
         let d = self.beta.len();
         let n = self.seen.len() as f64;
         let constant = self.shape.constant;
-        let told = self.shape.is_told();
+        let has_model = self.shape.has_model();
         let sd = |k: usize| match k {
             0 => constant,
-            1 if told => SLOPE_TOLD,
+            1 if has_model => SLOPE_SD_WITH_MODEL,
             _ => PRIOR.get(k).copied().unwrap_or(PRIOR_TRANSFER),
         };
         let prior = |k: usize| sd(k).powi(2).recip();
@@ -434,10 +434,10 @@ impl Learner {
                     square += u * (counts[v] * u - 2.0 * (sums_y[v] - dot(&sums[v])));
                     fit += u * u;
                 }
-                let (before, worth) = BEFORE;
+                let (before, worth) = PRIOR_SDS;
                 let free = (n - used - used_volumes - self.used_nodes).max(0.0);
                 self.sigma2 = ((square.max(0.0) + worth * before * before) / (free + worth)).max(1e-8);
-                let before = if told { BEFORE_TOLD } else { before };
+                let before = if has_model { VOLUME_SD_WITH_MODEL } else { before };
                 self.tau2 = ((fit + worth * before * before) / (used_volumes + worth)).max(1e-8);
             }
             self.precisions = precisions;

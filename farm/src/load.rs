@@ -17,9 +17,9 @@ pub struct Loads {
 impl Loads {
     /// For volumes of these sizes. A renderer that does not report loading times loads within its tasks: its
     /// loads are zero.
-    pub fn new(bytes: Vec<f64>, told: bool) -> Self {
+    pub fn new(bytes: Vec<f64>, has_model: bool) -> Self {
         let seen = vec![[(0.0, 0); 2]; bytes.len()];
-        let laws = if told { BEFORE.map(|rate| (0.0, 1.0 / rate)) } else { [(0.0, 0.0); 2] };
+        let laws = if has_model { BEFORE.map(|rate| (0.0, 1.0 / rate)) } else { [(0.0, 0.0); 2] };
         Self { bytes, seen, laws, fixed: None }
     }
 

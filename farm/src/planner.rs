@@ -199,9 +199,9 @@ impl Planner {
         &self.loads
     }
 
-    /// The model of loading times, to add one that another node measured.
-    pub fn loads_mut(&mut self) -> &mut Loads {
-        &mut self.loads
+    /// Adds a measured loading time to the model of loading times.
+    pub fn observe_load(&mut self, volume: usize, warm: bool, seconds: f64) {
+        self.loads.observe(volume, warm, seconds);
     }
 
     /// Number of finished tasks, and of all in this run.
@@ -265,7 +265,7 @@ impl Planner {
             overhead: self.overhead,
             slots: slots.len(),
             limit: self.setting.limit.unwrap_or(f64::INFINITY) / 2.0,
-            blind: self.setting.learn && learner.observed() < 8 && !learner.shape().is_told(),
+            blind: self.setting.learn && learner.observed() < 8 && !learner.shape().has_model(),
         };
         let tasks = self.dispatcher.next(&ask)?;
         let volume = learner.shape().volume(tasks[0] as usize);

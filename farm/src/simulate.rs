@@ -125,7 +125,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                 if load > 0.0 {
                     let volume = world.volume[task as usize];
                     let warm = !loaded.insert((slot, volume));
-                    planner.loads_mut().observe(volume, warm, load);
+                    planner.observe_load(volume, warm, load);
                 }
                 worked += world.seconds[task as usize];
                 out.ran.push(Ran { task, slot, start, end: now });

@@ -116,7 +116,7 @@ fn known_loads_are_waited_for_and_counted() {
 /// The predicted end after a tenth of the work against the real one, with base times that err by 0.05 per
 /// volume and 0.15 per task.
 fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
-    use crate::learn::{TOLD, normal};
+    use crate::learn::{CONSTANT_SD_WITH_MODEL, normal};
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let base: Vec<f64> = (0..384).map(|_| 0.05 * (0.8 * normal(&mut rng)).exp()).collect();
     let volume: Vec<usize> = (0..384).map(|i| i % 13).collect();
@@ -126,7 +126,7 @@ fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
     let mut w = world(truth.collect(), slots);
     let setting =
         Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true };
-    let shape = Shape::of_volumes(&base, &volume).with_constant(TOLD);
+    let shape = Shape::of_volumes(&base, &volume).with_constant(CONSTANT_SD_WITH_MODEL);
     let mut p = Planner::new(shape, Loads::known(vec![0.0; 13]), setting);
     p.add_stage((0..384).collect());
     w.volume = volume;

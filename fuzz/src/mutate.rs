@@ -54,7 +54,7 @@ impl Random {
         ((u128::from(self.bits()) * n as u128) >> 64) as usize
     }
 
-    /// A number near another, at an edge, or any.
+    /// A mutated number: near the old one, a limit, or random.
     pub fn number(&mut self, own: f64) -> f64 {
         let unit = self.bits() as f64 / u64::MAX as f64;
         let edges = [

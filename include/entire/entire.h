@@ -7,7 +7,7 @@
  *
  * CONVENTIONS
  *
- * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or why it failed, with explicit
+ * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or an error code, with explicit
  * numbers that never change. entire_last_error() gives the text for the calling thread,
  * entire_<noun>_last_error() that of a handle: what is wrong, what was found, what is accepted and what to
  * do. The few functions that return something else return NULL or a neutral value on failure and leave the
@@ -21,7 +21,7 @@
  * Handles. entire_model, entire_volume, entire_transfer_function and entire_session are opaque. The call that
  * makes one writes it into its last argument; the caller frees it, once, with entire_<noun>_free, which takes
  * NULL too. Strings that the library returns belong to the library: they are valid as long as their
- * documentation says and are never freed. What a handle is made from may be freed as soon as it is made,
+ * documentation says and are never freed. The inputs of a call that makes a handle may be freed after the call,
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
  * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const`
@@ -29,41 +29,41 @@
  * for themselves. In other words: share models, volumes and transfer functions once they are made; give every
  * render loop a session of its own.
  *
- * Names. Functions are entire_<noun>_<what they do>. A function that only reads is called after what it
- * gives, without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
- * entire_<noun>_describe fills the struct entire_<noun>_info with all that is known of a handle. A function
- * that makes a handle is entire_<noun>_new, or says from what: entire_model_open, entire_volume_from_bricks.
- * Setters are entire_<noun>_set_<what>.
+ * Names. Functions are entire_<noun>_<what they do>. A function that only reads is named after its result,
+ * without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
+ * entire_<noun>_describe fills the struct entire_<noun>_info with all properties of a handle. A function that
+ * makes a handle is entire_<noun>_new, or is named after its source: entire_model_open,
+ * entire_volume_from_bricks. Setters are entire_<noun>_set_<what>.
  *
  * Structs by value. Each starts with `size_t struct_size`, set to its sizeof (the entire_<struct>_init
- * functions do it, and set defaults). Later versions only add fields at the end: older programs go on working
- * with newer libraries, and a newer program works with an older library as long as it leaves the fields that
- * are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
- * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and
- * never change.
+ * functions do it, and set defaults). Later versions only add fields at the end: older programs continue to
+ * work with newer libraries, and a newer program works with an older library as long as it leaves the fields
+ * that are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
+ * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
+ * change.
  *
  * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
  * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
  * Images in pixels. Strings are UTF-8. Axis order is x, y, z; x runs fastest.
  *
  * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says
- * so; it is never zero. Zero, negative, infinite and NaN inputs have a documented answer.
+ * so; it is never zero. The result for zero, negative, infinite and NaN inputs is documented.
  *
- * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything
- * is allocated or read; a larger one gives ENTIRE_SIZE_MISMATCH. Memory for what the caller declares (copies,
- * features, batches) and for what a file holds is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
- * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB where the system refuses them; when
- * half of it is held, calls that make or set something give ENTIRE_OUT_OF_MEMORY. Hot calls ask for no memory.
+ * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything is
+ * allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory whose size the caller or a file
+ * determines (copies, features, batches) is requested in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
+ * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB if the system refuses them; while half
+ * of it is in use, calls that make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
- * whose `absent` says so. A model whose answer is anything else gives ENTIRE_INVALID_MODEL.
+ * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
  *
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
- * not allocate, lock or call the system when they succeed and nobody listens to the log; entire_model_predict
+ * not allocate, lock or call the system when they succeed and no log callback is set; entire_model_predict
  * as long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time, further ones
  * allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same bits.
  *
- * Bugs. No exception and no panic crosses this boundary. A bug in the library comes back as ENTIRE_PANIC,
+ * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
  * with its place in the error text; the handle then refuses every call but free.
  */
 
@@ -87,78 +87,78 @@
 
 
 /**
- * Most voxels along one axis of a volume.
+ * Maximum number of voxels along one axis of a volume.
  */
 #define ENTIRE_MAX_SIDE 1048576
 
 /**
- * Most voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
+ * Maximum number of voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
  */
 #define ENTIRE_MAX_REPEATED_VOXELS 134217728
 
 /**
- * Most bricks of a volume.
+ * Maximum number of bricks of a volume.
  */
 #define ENTIRE_MAX_BRICKS 134217728
 
 /**
- * Most ready features of a volume.
+ * Maximum number of ready features of a volume.
  */
 #define ENTIRE_MAX_FEATURES 1048576
 
 /**
- * Most Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
+ * Maximum number of Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
  */
 #define ENTIRE_MAX_TRANSFER_POINTS 1048576
 
 /**
- * Most bytes of a model file.
+ * Maximum number of bytes of a model file.
  */
 #define ENTIRE_MAX_MODEL_BYTES 2147483647
 
 /**
- * Most bytes of a saved state.
+ * Maximum number of bytes of a saved state.
  */
 #define ENTIRE_MAX_STATE_BYTES 16777216
 
 /**
- * Most tasks that entire_schedule takes.
+ * Maximum number of tasks in entire_schedule.
  */
 #define ENTIRE_MAX_TASKS 16777216
 
 /**
- * Most nodes that entire_schedule takes.
+ * Maximum number of nodes in entire_schedule.
  */
 #define ENTIRE_MAX_NODES 1048576
 
 /**
- * Most tasks times nodes that entire_schedule takes: each task is compared on every node.
+ * Maximum of tasks times nodes in entire_schedule: each task is compared on every node.
  */
 #define ENTIRE_MAX_TASKS_TIMES_NODES 4294967296
 
 /**
- * How many calls of entire_model_predict may run on one model at the same time without allocating; each
- * further one allocates working memory of its own.
+ * Calls of entire_model_predict that may run on one model at the same time without allocating; each further
+ * one allocates its own working memory.
  */
 #define ENTIRE_CONCURRENT_PREDICTIONS 16
 
 /**
- * Entries of the table that every transfer function becomes.
+ * Number of entries of the table of every transfer function.
  */
 #define ENTIRE_TABLE_ENTRIES 256
 
 /**
- * Observation flag: the time holds work that is not the frame's (a compile, an upload, a stall).
+ * Observation flag: the time includes work that is not the frame's (a compile, an upload, a stall).
  */
 #define ENTIRE_OBSERVE_UNUSUAL 1
 
 /**
- * Observation flag: the frame was abandoned; its time says only that it takes at least that long.
+ * Observation flag: the frame was abandoned; its time is only a lower bound.
  */
 #define ENTIRE_OBSERVE_CANCELLED 2
 
 /**
- * In `absent`: nothing is known of the seconds; they are NaN.
+ * In `absent`: the seconds are unknown; they are NaN.
  */
 #define ENTIRE_ABSENT_SECONDS 1
 
@@ -168,17 +168,17 @@
 #define ENTIRE_ABSENT_UPPER 2
 
 /**
- * In `absent`: no training range is known; out_of_range is NaN.
+ * In `absent`: the training range is unknown; out_of_range is NaN.
  */
 #define ENTIRE_ABSENT_OUT_OF_RANGE 4
 
 /**
- * How many settings entire_session_choose takes at most.
+ * Maximum number of settings of entire_session_choose.
  */
 #define ENTIRE_MAX_SETTINGS 64
 
 /**
- * Change flag: a pipeline was built, or the device is another.
+ * Change flag: a pipeline was built, or the device changed.
  */
 #define ENTIRE_CHANGE_FIRST 1
 
@@ -208,7 +208,7 @@
 #define ENTIRE_CHANGE_CAMERA 32
 
 /**
- * What a call came to. The numbers never change; a retired one stays reserved.
+ * Result of a call. The numbers never change; a retired one stays reserved.
  */
 enum entire_result
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -228,7 +228,7 @@ enum entire_result
      */
     ENTIRE_SIZE_MISMATCH = 2,
     /**
-     * The bytes are not a model file that this version reads, or what the model answers is no frame time.
+     * The bytes are not a model file that this version reads, or the model's result is not a frame time.
      */
     ENTIRE_INVALID_MODEL = 3,
     /**
@@ -244,11 +244,11 @@ enum entire_result
      */
     ENTIRE_NOT_READY = 6,
     /**
-     * An observation was refused (unknown plan, non-positive time, duplicate); nothing was learned from it.
+     * An observation was refused (unknown plan, non-positive time, duplicate); it changed nothing.
      */
     ENTIRE_REJECTED_OBSERVATION = 7,
     /**
-     * Something that this build or this model does not have.
+     * A feature that this build or this model does not have.
      */
     ENTIRE_UNSUPPORTED = 8,
     /**
@@ -256,8 +256,8 @@ enum entire_result
      */
     ENTIRE_NULL_ARGUMENT = 100,
     /**
-     * `struct_size` is not set, too small, or the caller's newer struct asks for what this library does not
-     * know.
+     * `struct_size` is not set, too small, or the caller's newer struct sets fields that this library does
+     * not know.
      */
     ENTIRE_STRUCT_SIZE = 101,
     /**
@@ -265,12 +265,11 @@ enum entire_result
      */
     ENTIRE_IO = 102,
     /**
-     * The library met a bug of its own. The handle refuses all further calls with this code and can only be
-     * freed.
+     * A bug in the library. The handle refuses all further calls with this code and can only be freed.
      */
     ENTIRE_PANIC = 103,
     /**
-     * There is no memory for what was asked for.
+     * There is not enough memory for the call.
      */
     ENTIRE_OUT_OF_MEMORY = 104,
 };
@@ -288,46 +287,46 @@ typedef uint32_t entire_result;
 typedef struct entire_model entire_model;
 
 /**
- * Predicts and steers one render loop. For one thread at a time; give every loop its own.
+ * Predicts and steers one render loop. For one thread at a time; make one session for every loop.
  */
 typedef struct entire_session entire_session;
 
 /**
- * Colors and opacities over normalized scalar values. Immutable but for its unit distance; a session copies
- * what it needs.
+ * Colors and opacities over normalized scalar values. Immutable except for its unit distance. Sessions copy
+ * the data that they need.
  */
 typedef struct entire_transfer_function entire_transfer_function;
 
 /**
- * Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by
- * any number of sessions.
+ * Voxels, or bounds of bricks. Immutable except for its precomputed features and its time steps; may be used
+ * by any number of sessions.
  */
 typedef struct entire_volume entire_volume;
 
 /**
- * How much a log message matters: one of the `ENTIRE_LOG_*` numbers.
+ * Severity of a log message: one of the `ENTIRE_LOG_*` numbers.
  */
 typedef uint32_t entire_log_level;
 
 /**
- * Receives log messages. `message` is UTF-8 and valid during the call only. Called by whichever thread made
- * the call that logs, by several at once. Must return normally (no exception, no longjmp) and call nothing
- * of this library.
+ * Receives log messages. `message` is UTF-8 and valid only during the call. Runs on the thread whose call
+ * logs, so it may run on several threads at the same time. Must return normally (no exception, no longjmp)
+ * and must not call this library.
  */
 typedef void (*entire_log_callback)(void *user_data, entire_log_level level, const char *message);
 
 /**
- * What is computed at each sample: one of the `ENTIRE_SHADING_*` numbers.
+ * Shading of each sample: one of the `ENTIRE_SHADING_*` numbers.
  */
 typedef uint32_t entire_shading;
 
 /**
- * What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
+ * Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
  */
 typedef uint32_t entire_target;
 
 /**
- * What a model is. Set struct_size before the call.
+ * Description of a model. Set struct_size before the call.
  */
 typedef struct entire_model_info {
     /**
@@ -335,19 +334,19 @@ typedef struct entire_model_info {
      */
     size_t struct_size;
     /**
-     * How many numbers entire_model_predict takes; 0 where the file has no prediction network.
+     * Number of inputs of entire_model_predict; 0 where the file has no prediction network.
      */
     size_t input_count;
     /**
-     * How many groups these numbers come in (entire_model_input_group).
+     * Number of groups of these inputs (entire_model_input_group).
      */
     size_t group_count;
     /**
-     * How many scene features the model names (entire_model_scene_feature).
+     * Number of scene features that the model names (entire_model_scene_feature).
      */
     size_t scene_feature_count;
     /**
-     * How many features entire_model_encode writes; 0 where the file has no volume encoder.
+     * Number of features that entire_model_encode writes; 0 if the file has no volume encoder.
      */
     size_t feature_count;
     /**
@@ -381,18 +380,18 @@ typedef struct entire_input_group {
      */
     size_t offset;
     /**
-     * How many numbers.
+     * Number of values in the group.
      */
     size_t size;
 } entire_input_group;
 
 /**
- * What a voxel is: one of the `ENTIRE_SCALAR_*` numbers.
+ * Type of a voxel: one of the `ENTIRE_SCALAR_*` numbers.
  */
 typedef uint32_t entire_scalar_type;
 
 /**
- * Whose the voxels are: one of the two `ENTIRE_VOXELS_*` numbers.
+ * Ownership of the voxels: one of the two `ENTIRE_VOXELS_*` numbers.
  */
 typedef uint32_t entire_voxels_ownership;
 
@@ -409,7 +408,7 @@ typedef struct entire_volume_desc {
      */
     const void *voxels;
     /**
-     * How many elements of the scalar type `voxels` points at. No default.
+     * Number of elements of the scalar type at `voxels`. No default.
      */
     size_t voxel_count;
     /**
@@ -421,8 +420,8 @@ typedef struct entire_volume_desc {
      */
     entire_voxels_ownership ownership;
     /**
-     * Voxels along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default. Where strides of zero or overlapping
-     * strides make their product larger than `voxel_count`, it is at most ENTIRE_MAX_REPEATED_VOXELS.
+     * Voxels along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default. If zero or overlapping strides make their
+     * product larger than `voxel_count`, the product is at most ENTIRE_MAX_REPEATED_VOXELS.
      */
     size_t dims[3];
     /**
@@ -436,8 +435,8 @@ typedef struct entire_volume_desc {
     float spacing[3];
     /**
      * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-     * maximum of the voxels without a fill value: one that is the least or the greatest of all, in one voxel
-     * of a thousand or more, and far from all others.
+     * maximum of the voxels without a fill value. A fill value is the least or the greatest value of all,
+     * occurs in at least one voxel of a thousand, and is far from all others.
      */
     float range[2];
     /**
@@ -447,7 +446,7 @@ typedef struct entire_volume_desc {
 } entire_volume_desc;
 
 /**
- * A volume of which only the bounds of its bricks are known, as renderers keep them for empty-space
+ * A volume that is described only by the value bounds of its bricks, which renderers keep for empty-space
  * skipping. Fill with entire_brick_desc_init, then set what differs.
  */
 typedef struct entire_brick_desc {
@@ -473,7 +472,7 @@ typedef struct entire_brick_desc {
     size_t brick_edge[3];
     /**
      * Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
-     * the voxels that interpolation reaches into included: two floats per brick. No default.
+     * including neighboring voxels that interpolation reads: two floats per brick. No default.
      */
     const float *bounds;
     /**
@@ -483,7 +482,7 @@ typedef struct entire_brick_desc {
 } entire_brick_desc;
 
 /**
- * What the library knows of a volume. Set struct_size before the call.
+ * The library's description of a volume. Set struct_size before the call.
  */
 typedef struct entire_volume_info {
     /**
@@ -555,11 +554,11 @@ typedef struct entire_opacity_node {
      */
     double opacity;
     /**
-     * Where between this node and the next the value is half way, in [0, 1]; 0.5 is the middle.
+     * Position of the half-way value between this node and the next, in [0, 1]; 0.5 is the middle.
      */
     double midpoint;
     /**
-     * How abrupt the change is, in [0, 1]: 0 linear, 1 nearly a step.
+     * Sharpness of the change, in [0, 1]: 0 linear, 1 nearly a step.
      */
     double sharpness;
 } entire_opacity_node;
@@ -587,22 +586,22 @@ typedef struct entire_color_node {
 } entire_color_node;
 
 /**
- * What a unit distance is counted in: one of the `ENTIRE_UNIT_*` numbers.
+ * Unit of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
  */
 typedef uint32_t entire_unit;
 
 /**
- * How a frame's camera is given: one of the two `ENTIRE_CAMERA_*` numbers.
+ * Kind of a frame's camera: one of the two `ENTIRE_CAMERA_*` numbers.
  */
 typedef uint32_t entire_camera;
 
 /**
- * How empty space is skipped: one of the `ENTIRE_SKIPPING_*` numbers.
+ * Skipping of empty space: one of the `ENTIRE_SKIPPING_*` numbers.
  */
 typedef uint32_t entire_skipping;
 
 /**
- * How a camera projects: one of the two `ENTIRE_PROJECTION_*` numbers.
+ * Projection of a camera: one of the two `ENTIRE_PROJECTION_*` numbers.
  */
 typedef uint32_t entire_projection;
 
@@ -637,8 +636,8 @@ typedef struct entire_frame {
      */
     float arcball[3];
     /**
-     * World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along
-     * -z. Default identity.
+     * World-to-eye matrix as in OpenGL: column-major, rotation and translation only, the eye looks along -z.
+     * Default identity.
      */
     float view[16];
     /**
@@ -646,13 +645,13 @@ typedef struct entire_frame {
      */
     float volume_center[3];
     /**
-     * World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the session's
-     * volume knows it (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
+     * World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: that of the
+     * session's volume (entire_volume_info.bounding_radius), if world units are those of its spacing.
      */
     float volume_radius;
     /**
-     * Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is,
-     * answered by entire_session_plan when steering is off.
+     * Ray step in multiples of the reference step, from 1/64 to 4096; default 1. entire_session_predict
+     * predicts for it; entire_session_plan ignores it unless steering is off, and then returns it.
      */
     float step;
     /**
@@ -684,7 +683,7 @@ typedef struct entire_frame {
 } entire_frame;
 
 /**
- * How a session steers. Fill with entire_session_options_init, then set what differs.
+ * Options of a session. Fill with entire_session_options_init, then set what differs.
  */
 typedef struct entire_session_options {
     /**
@@ -700,46 +699,49 @@ typedef struct entire_session_options {
      */
     float coarsest_step;
     /**
-     * Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed
-     * the target by more than `tolerance`, since not every bound reaches so far.
+     * Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer frames
+     * exceed the target by more than `tolerance`, since most bounds are below the target.
      */
     float miss_rate;
     /**
-     * How far over the target a frame may be before it counts as missed, as a share of the target, not
-     * negative; default 0.1.
+     * Excess over the target above which a frame counts as missed, as a share of the target, not negative;
+     * default 0.1.
      */
     float tolerance;
     /**
-     * Out-of-range score from which recent frames decide instead of the prediction, positive; default 2.
+     * Out-of-range score above which steps are chosen from recent frames instead of the prediction,
+     * positive; default 2.
      */
     float trust_limit;
     /**
-     * Not 0 where moves are damped in calm phases; default 1.
+     * Not 0 if moves are damped in calm phases; default 1.
      */
     uint32_t damping;
     /**
      * Rays along each side of the probe that measures frames for a linear cost model (no model, or an
-     * analytic one), 1 to 24. Fewer make plans cheaper and what they are made from rougher, with the square
-     * of the side. Default 0: 11. A network keeps the side that its file names, which it was trained with.
+     * analytic one), 1 to 24. The time of a plan is proportional to the square of the side; fewer rays
+     * estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which they
+     * were trained with.
      */
     uint32_t probe_side;
     /**
-     * Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0, plans
-     * begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11), only where
-     * the error that a probe estimates of itself is larger than this and could change the plan; and while the
-     * view has hardly turned since rays were cast, what those met is taken. Default 0: every plan casts all of its
-     * rays. A network keeps its own probe. Leave it 0 in a session that records frames.
+     * Accepted error of the probe, as a share of the frame's time, 0 to 1. Over 0, plans start with a probe
+     * of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
+     * larger than this and could change the plan; and while the view has hardly turned since rays were cast,
+     * their result is used again. Default 0: every plan casts all of its rays. Networks always use their own
+     * probe. Leave it 0 in a session that records frames.
      */
     float probe_tolerance;
 } entire_session_options;
 
 /**
- * What a calibration left out in turn to find what error to expect: one of the `ENTIRE_HELD_OUT_*` numbers.
+ * Part of the frames that a calibration held out in turn to estimate its error: one of the
+ * `ENTIRE_HELD_OUT_*` numbers.
  */
 typedef uint32_t entire_held_out;
 
 /**
- * What is known of a model that entire_session_calibrate made. Set struct_size before the call.
+ * Report on a model that entire_session_calibrate made. Set struct_size before the call.
  */
 typedef struct entire_calibration_report {
     /**
@@ -751,7 +753,7 @@ typedef struct entire_calibration_report {
      */
     size_t frames;
     /**
-     * Median of |predicted / measured - 1| over frames that were left out.
+     * Median of |predicted / measured - 1| over held-out frames.
      */
     double median_error;
     /**
@@ -763,23 +765,23 @@ typedef struct entire_calibration_report {
      */
     double upper_factor;
     /**
-     * What was left out: one of ENTIRE_HELD_OUT_*.
+     * Held-out parts: one of ENTIRE_HELD_OUT_*.
      */
     entire_held_out held_out;
     /**
-     * Scenes of entire_session_record_picture that the model's quality was fitted to; 0 where they were too few,
-     * and the model states nothing of pictures.
+     * Number of scenes of entire_session_record_picture in the fit of the model's quality law; 0 if there
+     * were too few, and then the model has no quality law.
      */
     uint32_t scenes;
 } entire_calibration_report;
 
 /**
- * What became of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
+ * Effect of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
  */
 typedef uint32_t entire_verdict;
 
 /**
- * Where a prediction comes from: one of the `ENTIRE_SOURCE_*` numbers.
+ * Source of a prediction: one of the `ENTIRE_SOURCE_*` numbers.
  */
 typedef uint32_t entire_source;
 
@@ -804,11 +806,11 @@ typedef struct entire_prediction {
      */
     float out_of_range;
     /**
-     * Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
+     * Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
      */
     uint32_t absent;
     /**
-     * Where it comes from: one of ENTIRE_SOURCE_*.
+     * Its source: one of ENTIRE_SOURCE_*.
      */
     entire_source source;
     /**
@@ -818,12 +820,12 @@ typedef struct entire_prediction {
 } entire_prediction;
 
 /**
- * Why a plan has the step that it has: one of the `ENTIRE_REASON_*` numbers.
+ * Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
  */
 typedef uint32_t entire_reason;
 
 /**
- * What to draw, and what to expect of it. Set struct_size before the call.
+ * Settings of a frame to draw, and its expected time. Set struct_size before the call.
  */
 typedef struct entire_plan {
     /**
@@ -831,7 +833,7 @@ typedef struct entire_plan {
      */
     size_t struct_size;
     /**
-     * Names this plan in entire_session_observe; never 0.
+     * Identifies this plan in entire_session_observe; never 0.
      */
     uint64_t id;
     /**
@@ -852,15 +854,16 @@ typedef struct entire_plan {
      */
     float upper;
     /**
-     * 0 where the inputs lie inside the model's training range, 1 at the edge of trust, growing beyond.
+     * 0 if the inputs are inside the model's training range, 1 at the limit up to which the prediction is
+     * trusted, larger beyond.
      */
     float out_of_range;
     /**
-     * Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
+     * Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
      */
     uint32_t absent;
     /**
-     * Why this step: one of ENTIRE_REASON_*.
+     * Reason for this step: one of ENTIRE_REASON_*.
      */
     entire_reason reason;
     /**
@@ -896,7 +899,7 @@ typedef struct entire_setting {
 } entire_setting;
 
 /**
- * Whose seconds: one of the `ENTIRE_CLOCK_*` numbers.
+ * Clock of a time: one of the `ENTIRE_CLOCK_*` numbers.
  */
 typedef uint32_t entire_clock;
 
@@ -911,12 +914,12 @@ typedef uint32_t entire_clock;
 #define ENTIRE_LOG_ERROR 1
 
 /**
- * Something works less well than it could.
+ * A result may be worse than it could be.
  */
 #define ENTIRE_LOG_WARNING 2
 
 /**
- * Rare events worth knowing: a model was loaded, a volume was read.
+ * Rare events: a model was loaded, a volume was read.
  */
 #define ENTIRE_LOG_INFO 3
 
@@ -986,14 +989,14 @@ typedef uint32_t entire_clock;
 #define ENTIRE_SCALAR_I64 10
 
 /**
- * The library copies the voxels; the caller's memory is free again when the call returns.
+ * The library copies the voxels; the caller may free its memory when the call returns.
  */
 #define ENTIRE_VOXELS_COPY 1
 
 /**
- * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or
- * but for the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32,
- * aligned to their size.
+ * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed,
+ * except that the voxels of its next time step may be written there (entire_volume_update). For scalar types
+ * U8, U16, I16 and F32, aligned to their size.
  */
 #define ENTIRE_VOXELS_BORROW 2
 
@@ -1023,12 +1026,13 @@ typedef uint32_t entire_clock;
 #define ENTIRE_PROJECTION_PERSPECTIVE 1
 
 /**
- * By entire_frame.parallel_scale; rays leave the plane through the eye, all along the view (orthographic).
+ * Orthographic, with the height entire_frame.parallel_scale; rays start in the plane through the eye and run
+ * along the view direction.
  */
 #define ENTIRE_PROJECTION_PARALLEL 2
 
 /**
- * Color and opacity of the transfer function alone.
+ * Color and opacity of the transfer function only.
  */
 #define ENTIRE_SHADING_NONE 1
 
@@ -1048,32 +1052,32 @@ typedef uint32_t entire_clock;
 #define ENTIRE_SKIPPING_NONE 1
 
 /**
- * Transparent blocks are jumped over.
+ * Transparent blocks are skipped.
  */
 #define ENTIRE_SKIPPING_BLOCKS 2
 
 /**
- * As blocks, with a distance map so that a run of empty blocks costs one jump.
+ * As blocks, with a distance map, so that a run of empty blocks costs one skip.
  */
 #define ENTIRE_SKIPPING_DISTANCE 3
 
 /**
- * Nothing, there were too few frames: the error is that of frames that the model was fitted to.
+ * Nothing, since there were too few frames: the error is that of the training frames.
  */
 #define ENTIRE_HELD_OUT_NOTHING 0
 
 /**
- * Volumes: the error to expect on other volumes.
+ * Volumes: the error is that on other volumes.
  */
 #define ENTIRE_HELD_OUT_VOLUMES 1
 
 /**
- * Transfer functions: the error to expect on the same volumes under other transfer functions.
+ * Transfer functions: the error is that on the same volumes under other transfer functions.
  */
 #define ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS 2
 
 /**
- * Stretches of time: the error to expect on other views of what was shown.
+ * Stretches of time: the error is that on other views of the same data.
  */
 #define ENTIRE_HELD_OUT_STRETCHES 3
 
@@ -1083,12 +1087,12 @@ typedef uint32_t entire_clock;
 #define ENTIRE_VERDICT_LEARNED 0
 
 /**
- * Far from what was expected: its pull was clipped.
+ * Far from the expected time: its influence was clipped.
  */
 #define ENTIRE_VERDICT_CLIPPED 1
 
 /**
- * Taken note of, not learned from: unusual, or cancelled no later than it was expected to end.
+ * Recorded but not used to correct predictions: unusual, or cancelled no later than its expected end.
  */
 #define ENTIRE_VERDICT_IGNORED 2
 
@@ -1098,12 +1102,12 @@ typedef uint32_t entire_clock;
 #define ENTIRE_REASON_FITS 1
 
 /**
- * As before, but moved there slowly because nothing has changed abruptly.
+ * As before, but the step moved there slowly because nothing changed abruptly.
  */
 #define ENTIRE_REASON_DAMPED 2
 
 /**
- * The step before still fits and is close to the best: kept.
+ * The last step still fits and is close to the best: it is kept.
  */
 #define ENTIRE_REASON_HELD 3
 
@@ -1123,12 +1127,12 @@ typedef uint32_t entire_clock;
 #define ENTIRE_REASON_HISTORY 6
 
 /**
- * Neither a prediction nor a timing is there: the coarsest step allowed.
+ * There is neither a prediction nor a timing: the coarsest allowed step.
  */
 #define ENTIRE_REASON_NO_INFORMATION 7
 
 /**
- * Steering is off: the step asked for.
+ * Steering is off: the frame's own step.
  */
 #define ENTIRE_REASON_OFF 8
 
@@ -1188,14 +1192,15 @@ const char *entire_version(void);
 uint32_t entire_version_number(void);
 
 /**
- * The number that changes when, and only when, programs must be compiled anew: MAJOR * 1000, or MINOR before
- * 1.0. A library that was loaded at run time fits when it equals `ENTIRE_ABI_VERSION` of the header.
+ * The version of the binary interface, MAJOR * 1000, or MINOR before 1.0: programs must be recompiled when
+ * it changes, and only then. A library loaded at run time is compatible if this equals `ENTIRE_ABI_VERSION`
+ * of the header.
  */
 uint32_t entire_abi_version(void);
 
 /**
- * The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for a number that is none.
- * Static, never NULL.
+ * The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. Static,
+ * never NULL.
  */
 const char *entire_result_name(uint32_t result);
 
@@ -1208,8 +1213,8 @@ const char *entire_last_error(void);
 
 /**
  * Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`.
- * When the call returns, the earlier callback runs nowhere any more and its `user_data` may be freed. Not
- * from within a callback.
+ * When the call returns, the earlier callback is no longer running and its `user_data` may be freed. Must
+ * not be called from within a callback.
  */
 entire_result entire_set_log(entire_log_callback callback, void *user_data, entire_log_level level);
 
@@ -1230,7 +1235,7 @@ const char *entire_simd_level(void);
 entire_result entire_model_open(const char *path, struct entire_model **model);
 
 /**
- * Reads the model of this machine for a shading mode, as `entire calibrate` left it in the user's data
+ * Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
  * folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
  * XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
  * entire.clock says whether it predicts cpu, wall or device seconds.
@@ -1250,7 +1255,7 @@ entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, s
 
 /**
  * Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
- * there whole or not at all: it is written beside `path` first.
+ * written under a temporary name and renamed, so that it never exists in part.
  *
  * Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
  * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -1274,14 +1279,14 @@ entire_result entire_model_input_group(const struct entire_model *model,
                                        struct entire_input_group *group);
 
 /**
- * The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the
+ * The name of the model's scene feature `index`, NULL if there is no such feature. Valid as long as the
  * model.
  */
 const char *entire_model_scene_feature(const struct entire_model *model, size_t index);
 
 /**
  * A metadata value of the model file, such as "entire.renderer", "entire.device", "entire.step_reference" or
- * "entire.provenance"; NULL where the file does not have the key. Valid as long as the model.
+ * "entire.provenance"; NULL if the file lacks the key. Valid as long as the model.
  */
 const char *entire_model_metadata(const struct entire_model *model, const char *key);
 
@@ -1301,13 +1306,13 @@ entire_result entire_model_encode(const struct entire_model *model,
                                   size_t *feature_count);
 
 /**
- * Predicts one frame's time from the model's inputs in the file's order: the network alone, without a
- * session's correction. May run on several threads at once; does not allocate as long as no more than
- * ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. An answer below 1e-6 s, as networks
- * give for cheap frames, comes back as 1e-6 s.
+ * Predicts one frame's time from the model's inputs in the file's order. Only the network is evaluated,
+ * without the correction that a session learns. May run on several threads at once; does not allocate as
+ * long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. Results below
+ * 1e-6 s, which networks give for cheap frames, are returned as 1e-6 s.
  *
  * Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
- * (an input that is not finite), ENTIRE_INVALID_MODEL (the model's answer is no frame time),
+ * (an input that is not finite), ENTIRE_INVALID_MODEL (the model's result is not a frame time),
  * ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_predict(const struct entire_model *model,
@@ -1330,9 +1335,9 @@ entire_result entire_model_predict_batch(const struct entire_model *model,
 
 /**
  * Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
- * `capacity` bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the
- * whole text's length without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error
- * is the simpler way where the thread that failed asks itself.
+ * `capacity` bytes with its closing NUL; empty if none failed. `length`, if not NULL, receives the length of
+ * the whole text without the NUL; `buffer` may be NULL with capacity 0 to query it. On the thread whose call
+ * failed, entire_last_error is simpler.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -1342,8 +1347,8 @@ entire_result entire_model_last_error(const struct entire_model *model,
                                       size_t *length);
 
 /**
- * Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a
- * model may be freed before they are.
+ * Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a
+ * model may be freed before the sessions that use it.
  */
 void entire_model_free(struct entire_model *model);
 
@@ -1358,7 +1363,7 @@ entire_result entire_volume_desc_init(struct entire_volume_desc *desc, size_t st
 entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t struct_size);
 
 /**
- * Makes a volume of voxels. NaN voxels count as the low end of the range, infinities as its ends.
+ * Makes a volume of voxels. NaN voxels are treated as the low end of the range, infinities as its ends.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
  * borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
@@ -1369,17 +1374,17 @@ entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t stru
 entire_result entire_volume_new(const struct entire_volume_desc *desc, struct entire_volume **volume);
 
 /**
- * Makes a volume of brick bounds. Without voxels it cannot be encoded: a model with volume features needs
- * entire_volume_set_features beside it.
+ * Makes a volume of brick bounds. It has no voxels to encode: for a model with volume features, call
+ * entire_volume_set_features too.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give,
- * or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+ * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that does not match sizes and
+ * edge, or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
  * ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_from_bricks(const struct entire_brick_desc *desc, struct entire_volume **volume);
 
 /**
- * Hands over ready volume features, from entire_model_encode with the same model, now or in an earlier run;
+ * Sets precomputed volume features, from entire_model_encode with the same model in this or an earlier run;
  * they are used instead of encoding the voxels. A count of 0 removes them.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_SIZE_MISMATCH (over
@@ -1405,34 +1410,34 @@ entire_result entire_volume_last_error(const struct entire_volume *volume,
                                        size_t *length);
 
 /**
- * Frees a volume; NULL is nothing to do. Predictors that were given the volume keep what they need of it.
+ * Frees a volume; NULL does nothing. Sessions that were given the volume keep the data that they need.
  */
 void entire_volume_free(struct entire_volume *volume);
 
 /**
- * Hands over the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes
- * its voxels: others, or those that were borrowed and have been written to since. A range of NaN, NaN is the
- * volume's, any other must be the volume's. Ready features are removed: they were those of the time step
- * before. Sessions learn of it by entire_session_set_time_step; the volume must be in no other call
- * meanwhile.
+ * Sets the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes its
+ * voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps the volume's;
+ * any other range must equal the volume's. Precomputed features are removed, since they belong to the
+ * previous time step. Then call entire_session_set_time_step for each session. No other call may use the
+ * volume during this one.
  *
- * What changed is found in one pass over the voxels, much faster than the scan of a volume, and only that is
- * scanned again. The first time step that is handed over is scanned whole: what later ones are compared with
- * (some 50 bytes for each 8 x 8 x 8 voxels) is not kept of volumes that never change.
+ * Changes are found in one pass over the voxels, much faster than the scan of a new volume, and only changed
+ * cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
+ * bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
  * ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
  * bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
- * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume is then still that of the time step before.
+ * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step.
  */
 entire_result entire_volume_update(struct entire_volume *volume, const struct entire_volume_desc *desc);
 
 /**
- * As entire_volume_update, where the caller knows which voxels changed: none outside of a box that begins
- * with voxel `first` (three numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that
- * the box touches are read.
+ * Like entire_volume_update, for changes inside a known box of voxels, which starts at voxel `first` (three
+ * numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that the box touches are read.
  *
- * Fails as entire_volume_update, and with ENTIRE_INVALID_ARGUMENT for a box that reaches beyond the volume.
+ * Fails like entire_volume_update, and with ENTIRE_INVALID_ARGUMENT for a box that reaches beyond the
+ * volume.
  */
 entire_result entire_volume_update_box(struct entire_volume *volume,
                                        const struct entire_volume_desc *desc,
@@ -1440,8 +1445,9 @@ entire_result entire_volume_update_box(struct entire_volume *volume,
                                        const size_t *size);
 
 /**
- * Makes a transfer function of Gaussian opacity lobes; none is transparent everywhere. Colors come from a
- * built-in ramp, since they do not change what a frame costs. The unit distance is one reference step.
+ * Makes a transfer function of Gaussian opacity lobes; with no lobes it is transparent everywhere. Colors
+ * come from a built-in ramp, since they do not change the time of a frame. The unit distance is one
+ * reference step.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
  * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -1451,12 +1457,12 @@ entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_l
                                                   struct entire_transfer_function **transfer_function);
 
 /**
- * Makes a transfer function of opacity and color nodes as VTK and ParaView have them, with the same values
+ * Makes a transfer function of opacity and color nodes like those of VTK and ParaView, with the same values
  * as vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values
- * that map to 0 and 1: pass the volume's range. Nodes stand in ascending position; two at one position make
- * a step. Without opacity nodes all is transparent; without color nodes the built-in ramp is used.
- * `clamping` not 0: the outermost nodes' values go on beyond them, as is VTK's default. The unit distance is
- * one reference step until entire_transfer_function_set_unit_distance.
+ * that map to 0 and 1: pass the volume's range. Nodes are in ascending order of position; two at the same
+ * position make a step. Without opacity nodes everything is transparent; without color nodes the built-in
+ * ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond them, which is
+ * VTK's default. The unit distance is one reference step until entire_transfer_function_set_unit_distance.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
  * ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -1471,7 +1477,7 @@ entire_result entire_transfer_function_from_nodes(const struct entire_opacity_no
                                                   struct entire_transfer_function **transfer_function);
 
 /**
- * Makes a transfer function of a table: `entries` times red, green, blue, opacity in [0, 1], not
+ * Makes a transfer function from a table: `entries` times red, green, blue, opacity in [0, 1], not
  * premultiplied, the first entry at scalar value 0 and the last at 1, linear in between. The unit distance
  * is one reference step.
  *
@@ -1492,8 +1498,8 @@ entire_result entire_transfer_function_set_unit_distance(struct entire_transfer_
                                                          entire_unit unit);
 
 /**
- * Copies the table that predictions are made from: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over
- * one unit distance. `capacity` counts floats.
+ * Copies the table that predictions use: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over one unit
+ * distance. `capacity` counts floats.
  *
  * Fails with ENTIRE_SIZE_MISMATCH (fewer than 4 * ENTIRE_TABLE_ENTRIES floats), ENTIRE_NULL_ARGUMENT.
  */
@@ -1502,7 +1508,7 @@ entire_result entire_transfer_function_table(const struct entire_transfer_functi
                                              size_t capacity);
 
 /**
- * Copies the text of the transfer function's last failure, as entire_model_last_error does.
+ * Copies the text of the transfer function's last failure, like entire_model_last_error.
  */
 entire_result entire_transfer_function_last_error(const struct entire_transfer_function *transfer_function,
                                                   char *buffer,
@@ -1520,9 +1526,9 @@ void entire_transfer_function_free(struct entire_transfer_function *transfer_fun
 entire_result entire_frame_init(struct entire_frame *frame, size_t struct_size);
 
 /**
- * Makes a session for one render loop. `model` may be NULL: then a linear cost model, which knows no device
- * until the first frames are observed, predicts. `options` may be NULL for the defaults. The session keeps
- * its own share of the model.
+ * Makes a session for one render loop. `model` may be NULL: then a linear cost model predicts, which adapts
+ * to the device with the first observed frames. `options` may be NULL for the defaults. The session holds a
+ * reference to the model.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe), ENTIRE_UNSUPPORTED (a model without a
  * prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
@@ -1534,8 +1540,8 @@ entire_result entire_session_new(const struct entire_model *model,
                                  struct entire_session **session);
 
 /**
- * Copies the text of the session's last call where it failed, as entire_model_last_error does; empty after a
- * call that succeeded.
+ * Copies the error text of the session's last call, like entire_model_last_error; empty if that call
+ * succeeded.
  */
 entire_result entire_session_last_error(const struct entire_session *session,
                                         char *buffer,
@@ -1548,17 +1554,17 @@ entire_result entire_session_last_error(const struct entire_session *session,
 void entire_session_free(struct entire_session *session);
 
 /**
- * From now on keeps frames that are planned and observed, `frame_count` of them (8 to 65536; later ones take
- * the place of earlier ones, so that those kept are a fair sample), for entire_session_calibrate. What was
- * kept before is forgotten. Planning and observing go on without allocating.
+ * Starts to record frames that are planned and observed, for entire_session_calibrate. It keeps a uniform
+ * random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
+ * observing still do not allocate.
  *
  * `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
- * a learned factor with the session's probe, as models/ holds them. NULL starts from the unit
- * costs of a software renderer. Observations that are unusual or cancelled do not count, nor does the first
- * frame of all, nor the first of a volume.
+ * a learned factor with the session's probe, such as those in models/. NULL starts from the unit costs of a
+ * software renderer. Not recorded are unusual and cancelled observations, the first frame of the session,
+ * and the first frame of a volume.
  *
- * A log of frames that were timed earlier is learned from in the same way: with steering off
- * (entire_session_set_enabled), plan every frame as it was drawn, and observe its time.
+ * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
+ * plan every frame as it was drawn, and observe its time.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (another number of frames, a prior with another probe than the
  * session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
@@ -1569,11 +1575,11 @@ entire_result entire_session_record(struct entire_session *session,
                                     size_t frame_count);
 
 /**
- * Fits a model to the frames that were kept since entire_session_record: a model of the renderer and the
- * machine that they were drawn by. It takes a second or less for 500 frames, on the calling thread. `report`
- * may be NULL; else set report->struct_size first. The session goes on as it was, and goes on keeping
- * frames: entire_session_set_model puts the model into it, entire_model_save keeps it for the next run.
- * Names from entire_session_set_timing_source stand in the model's metadata.
+ * Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
+ * It takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
+ * report->struct_size first. The session itself does not change and continues to record: use the model with
+ * entire_session_set_model, and save it for later runs with entire_model_save. The names of
+ * entire_session_set_timing_source are written to the model's metadata.
  *
  * Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
  * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
@@ -1583,13 +1589,14 @@ entire_result entire_session_calibrate(const struct entire_session *session,
                                        struct entire_calibration_report *report);
 
 /**
- * Keeps a picture that was compared with the same view at full quality, for entire_session_calibrate: the model
- * then states what coarser steps and smaller images cost this renderer's pictures, and sessions that steer this
- * renderer by it coarsen what shows less. Draw each of at least 3 scenes (`scene`: the same number for the same view)
- * at the same settings: ray steps of `step` finest ones and rays `image_sample_distance` pixels apart, 1 and 1
- * (full quality, `error` 0) among them, steps alone, images alone and both. `error` is how far the picture lies
- * from that at full quality by any measure that is 0 for equal pictures and grows: the root mean squared difference
- * of colors, or 1 - SSIM. Smaller pictures are compared as they are shown, at full size. The first 65536 are kept.
+ * Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
+ * model then contains this renderer's quality law (picture error as a function of ray step and image size),
+ * and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw each of
+ * at least 3 scenes (`scene`: the same number for the same view) at the same settings: a ray step of `step`
+ * times the finest, and rays `image_sample_distance` pixels apart. Include full quality (1 and 1, `error`
+ * 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for equal
+ * pictures and grows with the difference, such as the root mean squared difference of colors, or 1 - SSIM.
+ * Enlarge smaller pictures to full size before the comparison. The first 65536 are kept.
  *
  * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance below 1,
  * seconds that are not positive, a negative error, numbers that are not finite), ENTIRE_OUT_OF_MEMORY,
@@ -1603,16 +1610,16 @@ entire_result entire_session_record_picture(struct entire_session *session,
                                             double error);
 
 /**
- * How many frames are kept since entire_session_record; 0 before it.
+ * Number of frames kept since entire_session_record; 0 before it.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_recorded_count(const struct entire_session *session, size_t *frame_count);
 
 /**
- * Steers by another model from now on, with the options that the session was made with. What was observed is
- * forgotten; volume, transfer function, limits and recorded frames stay. Where the model takes volume
- * features, set the volume again. The session keeps its own share of the model.
+ * Replaces the session's model, keeping the options that the session was made with. Observations are
+ * forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
+ * set the volume again. The session holds a reference to the model.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), else
  * as entire_session_new for a model.
@@ -1620,7 +1627,7 @@ entire_result entire_session_recorded_count(const struct entire_session *session
 entire_result entire_session_set_model(struct entire_session *session, const struct entire_model *model);
 
 /**
- * Tells how long a planned frame took. Late observations are welcome as long as their plan is among the last
+ * Observes the time of a planned frame. It may come late, while its plan is among the last
  * 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
  *
  * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is
@@ -1646,12 +1653,12 @@ entire_result entire_session_reset(struct entire_session *session);
 entire_result entire_session_options_init(struct entire_session_options *options, size_t struct_size);
 
 /**
- * Predicts a frame's time at the frame's own step, corrected by what was observed; changes nothing that
- * later plans depend on. Set prediction->struct_size first.
+ * Predicts a frame's time at the frame's own step, corrected by the observed frames; does not influence
+ * later plans. Set prediction->struct_size first.
  *
  * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
  * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
- * ENTIRE_INVALID_MODEL (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * ENTIRE_INVALID_MODEL (the model's result is not a frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_predict(struct entire_session *session,
                                      const struct entire_frame *frame,
@@ -1659,7 +1666,7 @@ entire_result entire_session_predict(struct entire_session *session,
 
 /**
  * Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose
- * upper bound fits. Draw with plan->step, then tell entire_session_observe how long it took. Set
+ * upper bound fits. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
  * plan->struct_size first. Does not allocate.
  *
  * Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
@@ -1672,8 +1679,9 @@ entire_result entire_session_plan(struct entire_session *session,
 
 /**
  * Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else
- * the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives which one, `plan` its plan,
- * to be observed like any other. The frame's own step, size and modes do not count. Does not allocate.
+ * the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen
+ * settings, and `plan` their plan, to be observed like any other. The step, size and modes in the frame
+ * itself are ignored. Does not allocate.
  *
  * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
  * range, and with ENTIRE_SIZE_MISMATCH for too many.
@@ -1687,24 +1695,24 @@ entire_result entire_session_choose(struct entire_session *session,
                                     struct entire_plan *plan);
 
 /**
- * Sets the volume. Its first use by any session scans its voxels once; where the model takes volume
- * features, they are the volume's ready ones (entire_volume_set_features), else the voxels are encoded by
- * the model's own encoder, which takes milliseconds to seconds. The transfer function must be set again.
+ * Sets the volume. The first session that uses a volume scans its voxels once. If the model takes volume
+ * features, the precomputed ones are used (entire_volume_set_features), else the model's encoder encodes the
+ * voxels, which takes milliseconds to seconds. The transfer function must be set again.
  *
- * Fails with ENTIRE_SIZE_MISMATCH (ready features of another number than the model takes), ENTIRE_NOT_READY
- * (features are needed, and there are neither ready ones nor voxels), ENTIRE_UNSUPPORTED (features are
- * needed, and the model has no encoder), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_SIZE_MISMATCH (the number of precomputed features is not the model's), ENTIRE_NOT_READY
+ * (the model needs features, and there are neither precomputed ones nor voxels), ENTIRE_UNSUPPORTED (the
+ * model needs features and has no encoder), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_volume(struct entire_session *session, const struct entire_volume *volume);
 
 /**
- * Sets the next time step of the session's volume, after entire_volume_update. The transfer function stays,
- * and what was learned of the scene: no change is announced (entire_session_mark does, where a frame pays
- * for an upload). Where the model takes volume features, those of the time step before stay unless the
- * volume has ready ones.
+ * Sets the next time step of the session's volume, after entire_volume_update. The transfer function and the
+ * correction learned from observed frames stay. It is not announced as a change of the scene; if the next
+ * frame includes an upload, call entire_session_mark. If the model takes volume features, those of the
+ * previous time step stay unless the volume has precomputed ones.
  *
  * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
- * ready features of another number than the model takes), ENTIRE_INVALID_ARGUMENT (a volume of another
+ * a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of another
  * scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_time_step(struct entire_session *session,
@@ -1729,13 +1737,13 @@ entire_result entire_session_set_limits(struct entire_session *session,
                                         float coarsest_step);
 
 /**
- * Allows plans to coarsen the image: neighboring rays stand up to `max_image_sample_distance` pixels apart
+ * Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
  * along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
  * together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
- * entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or about 2
- * where a smaller image is blurred strongly. A `max_image_sample_distance` of 1, where sessions start,
- * leaves the image alone. For linear cost models and networks that take the image size. One plan serves all
- * sizes: this is cheaper, and learns better, than planning for one size after the other.
+ * entire_plan). Up to a step of `step_alone` times the finest, 1 to 64, only the step is coarsened: use 1,
+ * or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1, the default, keeps
+ * the full image size. For linear cost models and networks that take the image size. One plan covers all
+ * sizes, which is cheaper and corrects predictions better than one plan per size.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
  */
@@ -1744,12 +1752,12 @@ entire_result entire_session_set_max_image_sample_distance(struct entire_session
                                                            float step_alone);
 
 /**
- * Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
- * shows less. With a step of s finest ones, and rays d pixels apart along each side, a picture's distance
- * from full quality goes as (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and its time as
- * (ray_share + (1 - ray_share) / s) / d^2: numbers that are fitted to pictures of this renderer. Takes the
- * place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it: the
- * session goes by what its model states then, where it was calibrated with pictures of this renderer.
+ * Sets the quality law of this renderer, so that plans coarsen step or image, whichever adds less error.
+ * With a step of s times the finest, and rays d pixels apart along each side, the picture error is
+ * proportional to (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to (ray_share
+ * + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. Replaces step_alone
+ * (entire_session_set_max_image_sample_distance). An `image_weight` of 0 removes the law: the session then
+ * uses that of its model, if the model was calibrated with pictures of this renderer.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
  * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
@@ -1761,10 +1769,9 @@ entire_result entire_session_set_quality(struct entire_session *session,
                                          float ray_share);
 
 /**
- * What plans coarsen by: the numbers of entire_session_set_quality, else those that the model states of the
- * renderer's pictures (entire_session_record_picture, `entire calibrate`), where the renderer that
- * entire_session_set_timing_source names is the one that it was calibrated with, or none is named. All are 0
- * where nothing is known.
+ * The quality law that plans use: the numbers of entire_session_set_quality, else those of the model
+ * (entire_session_record_picture, `entire calibrate`) if it was calibrated with the renderer that
+ * entire_session_set_timing_source names, or if no renderer is named. All are 0 if there is no law.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -1775,16 +1782,17 @@ entire_result entire_session_quality(const struct entire_session *session,
                                      float *ray_share);
 
 /**
- * Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or
- * on again. Observations are learned from either way.
+ * Switches steering off (0: every plan returns the frame's own step; for screenshots and still renders) or
+ * on again. Observations correct predictions in both cases.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_enabled(struct entire_session *session, uint32_t enabled);
 
 /**
- * Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot see:
- * flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are noticed without it.
+ * Announces that the next frame differs abruptly from the previous one in a way that the session cannot
+ * detect: flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are detected
+ * without it.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
  */
@@ -1792,10 +1800,12 @@ entire_result entire_session_mark(struct entire_session *session, uint32_t chang
 
 /**
  * Names the renderer whose frames are observed and the clock that times them, such as
- * "vtkGPUVolumeRayCastMapper" and "wall". What was learned of one does not hold for another: saved states
- * carry both names, and entire_session_load_state refuses those of others. Sessions start with empty names,
- * which are names like any other. Call it before loading and before saving. A clock named "cpu", "wall" or
- * "device" is compared with the model's (entire_session_clocks); where that changes, what was learned is forgotten.
+ * "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
+ * another: saved states contain both names, and entire_session_load_state refuses states with other names.
+ * Both names are empty in a new session, and states saved then load only into sessions with empty names.
+ * Call it before loading and before saving. A clock named "cpu", "wall" or "device" is compared with the
+ * model's (entire_session_clocks); if the result of the comparison changes, the learned correction is
+ * forgotten.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
  * ENTIRE_NULL_ARGUMENT.
@@ -1805,10 +1815,10 @@ entire_result entire_session_set_timing_source(struct entire_session *session,
                                                const char *clock);
 
 /**
- * By which clock the session's model predicts (`model`: what its file states under entire.clock), and by
- * which the session's frames are timed (`own`: what entire_session_set_timing_source named). Where both are
- * stated and differ, the session keeps what the model says of scenes against each other and learns the factor
- * between the clocks from the first frames: the first one is drawn coarsely.
+ * Reads the clock of the model's predictions (`model`: entire.clock in its file) and the clock that times
+ * the session's frames (`own`: from entire_session_set_timing_source). If both are given and differ, the
+ * session uses the model only for ratios between scenes and learns the factor between the clocks from the
+ * first frames; the first frame is drawn coarsely.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -1817,9 +1827,9 @@ entire_result entire_session_clocks(const struct entire_session *session,
                                     entire_clock *own);
 
 /**
- * Saves what was learned, for entire_session_load_state in a later run: `byte_count` receives how many bytes
- * it is, and `buffer` the bytes where `capacity` suffices. `buffer` may be NULL with capacity 0 to ask for
- * the size.
+ * Saves the learned correction, for entire_session_load_state in a later run: `byte_count` receives its
+ * size, and `buffer` the bytes if `capacity` suffices. `buffer` may be NULL with capacity 0 to query the
+ * size.
  *
  * Fails with ENTIRE_SIZE_MISMATCH (a capacity that is too small and not 0; the size is in the error text),
  * ENTIRE_NULL_ARGUMENT.
@@ -1830,10 +1840,10 @@ entire_result entire_session_save_state(const struct entire_session *session,
                                         size_t *byte_count);
 
 /**
- * Takes up what an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
+ * Loads the state that an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED
- * (a whole state, but of another model, renderer or clock: entire_session_set_timing_source),
+ * (a valid state of another model, renderer or clock: entire_session_set_timing_source),
  * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_load_state(struct entire_session *session,
@@ -1841,13 +1851,13 @@ entire_result entire_session_load_state(struct entire_session *session,
                                         size_t byte_count);
 
 /**
- * Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds
- * each task's time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be
- * NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task, and `makespan`, which
- * may be NULL, the seconds until the last node is done.
+ * Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
+ * `seconds` holds each task's time on a node of speed 1 and `speeds` each node's speed (2: takes half the
+ * time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task,
+ * and `makespan`, which may be NULL, the seconds until the last node is done.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times that add up to more
- * than a double holds), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
+ * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times whose sum
+ * overflows a double), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
  * ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_schedule(const double *seconds,

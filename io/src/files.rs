@@ -13,7 +13,7 @@ use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// Largest model file that is read, in bytes.
+/// Limit of model files, bytes.
 const MAX_MODEL_BYTES: u64 = 4 << 30;
 
 /// Most bytes that a compressed table may decompress to.
@@ -177,7 +177,7 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The bytes of a regular file of at most a table's size.
+/// Reads a regular file that is no larger than the limit for tables.
 ///
 /// # Errors
 /// When it is no regular file, is larger than 4 GiB, or cannot be read.

@@ -136,7 +136,7 @@ pub fn parse_distance(text: &str) -> std::result::Result<f32, String> {
         .parse()
         .ok()
         .filter(|d| (1.0..=20.0).contains(d))
-        .ok_or_else(|| format!("{text:?} is no number of pixels between rays from 1 to 20"))
+        .ok_or_else(|| format!("{text:?} is not a number from 1 to 20 (pixels between rays)"))
 }
 
 /// Frames per volume of a series; 0 for a single volume.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Shared part of the Python peers: a server that reads lines `NAME BATCH SECONDS` and answers each with `@@{json}`.
 
-usage of a peer: NAME_peer.py FOLDER (that of gen.py); PEER_THREADS says with how many threads.
+usage of a peer: NAME_peer.py FOLDER (that of gen.py); PEER_THREADS is the number of threads.
 """
 import gc
 import json

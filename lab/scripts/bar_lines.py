@@ -42,7 +42,7 @@ class Bars:
 
     @contextlib.contextmanager
     def part(self, *names):
-        """Context of a measurement of these bars: where it fails, they are short and the other parts go on."""
+        """Context of a measurement of these bars: if it fails, they are short and the other parts continue."""
         why = "no value was found"
         try:
             yield

@@ -179,7 +179,7 @@ def measure(options, bars):
                        f"{theirs[2]} {theirs[0] / 1e3:.2f} us (median {theirs[1] / 1e3:.2f})")
 
     def several(name, threads, specs, batch, seconds):
-        """Our answers; none if one of them failed, and the bar names the failure."""
+        """Our results; None if one of them failed, and then the bar names the failure."""
         answers = [ask("ours/f32", threads, spec, batch, seconds) for spec in specs]
         if None in answers:
             bars.lacking(why([("ours/f32", threads, spec, batch) for spec in specs]), [name])

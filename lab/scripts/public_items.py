@@ -2,9 +2,8 @@
 """Counts the public items of a crate in its sources.
 
 An item is a `pub` function or method, struct, enum, trait, constant, type, static, module or macro, outside of tests.
-A re-export counts nothing: what it names is counted where it stands. Fields and variants belong to their type. An item
-in a private module counts only where it is reachable: the compiler's lint `unreachable_pub`, which the workspace
-denies, leaves no other `pub` in the sources.
+Re-exports, fields and variants are not counted. Every `pub` item in a private module is reachable, since the workspace
+denies the lint `unreachable_pub`.
 
 Usage: public_items.py CRATE [--limit N] [--list]     CRATE: the crate's folder, such as core
 """

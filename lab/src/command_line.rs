@@ -23,7 +23,7 @@ enum Command {
     Study(commands::study::Options),
     /// Reproduce every table and figure of the paper, beside our results.
     Paper(commands::paper::Options),
-    /// Measure calibration error by number of frames, on another make of machine.
+    /// Measure calibration error by number of frames, on another type of machine.
     Frames(commands::frames::Options),
     /// Record the time of every frame of a path at a grid of ray steps.
     Record(commands::record::Options),

@@ -3,8 +3,8 @@
     python sweep.py                                              # 64^3, F = 2, 4, 8, 16, 32, the volumes in ../../data
     python sweep.py --sizes 64,128 --features 2,8 --data PATH --epochs 60 --val-members A/m04 --test-members A/m05
 
-Every other option goes to train_volumenet.py as it is. What is trained already is kept, and an interrupted training is
-resumed. Writes into --out: the model files, table.md (peak signal-to-noise ratio per dataset), psnr.svg, and
+All other options are passed to train_volumenet.py. Finished trainings are kept, and an interrupted one is resumed.
+Writes into --out: the model files, table.md (peak signal-to-noise ratio per dataset), psnr.svg, and
 features-<size>.svg (the feature vectors of all volumes with F = 2, a path per ensemble member).
 """
 

@@ -1,4 +1,4 @@
-"""Trains VolumeNet together with PredNet, through the loss on frame times (the paper's future work), and writes the encoder.
+"""Trains VolumeNet together with PredNet, with a loss of frame times (the paper's future work), and writes the encoder.
 
     python train_joint.py --frames ../../data/timings/none-train.csv.gz --data PATH --size 64 --features 2
     entire train --data ../../data/timings/none-train.csv.gz --volumenet ../../out/joint-64f2.safetensors \\
@@ -6,8 +6,8 @@
 
 Frames are rows of timing tables of `entire collect`; their volumes' paths are relative to --data. Each step takes some
 volumes (--batch) and some frames of each (--frames-per-volume). The loss is the mean squared error of standardized ln
-seconds plus --reconstruction times the mean squared error of the voxels. Validation members decide when training stops.
-PredNet only serves training here: `entire train` trains the one that ships, with the encoder's features.
+seconds plus --reconstruction times the mean squared error of the voxels. Early stopping uses the validation members.
+PredNet is discarded: `entire train` trains the shipped one, with the encoder's features.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
     python train_volumenet.py --data PATH --size 64 --features 4 --out ../../out/volumenet-64f4.safetensors
 
 Adam with a cosine learning rate 1e-3 -> 1e-5, batch 16, gradient clipping at norm 1, early stopping on the validation
-volumes' reconstruction error, split by ensemble member. Ctrl-C keeps the best so far; `--resume` goes on from the last
-checkpoint.
+volumes' reconstruction error, split by ensemble member. Ctrl-C keeps the best network so far; `--resume` continues from
+the last checkpoint.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """VolumeNet: the convolutional autoencoder whose encoder turns a volume into its feature vector.
 
 The encoder is six blocks of Conv3d (kernel 3, stride 2, padding 1), batch normalization and SELU, then one fully
-connected layer; the decoder mirrors it with transposed convolutions. Volumes go in as float in [-1, 1], layout
+connected layer; the decoder mirrors it with transposed convolutions. Input volumes are floats in [-1, 1], in the layout
 (batch, 1, z, y, x).
 """
 

@@ -6,7 +6,7 @@ pub use pictures::PictureError;
 
 use super::Settings;
 use super::design::Design;
-use super::others::{Mark, Others};
+use super::others::{BackgroundLoad, CpuSnapshot};
 use super::pool::Pool;
 use anyhow::{Context, Result, bail};
 use entire_io::dataset::{Clock, TimedFrame, Timing, noise_floor};
@@ -48,7 +48,7 @@ pub struct Measured {
     /// Number of passes of each frame's repeats, by frame number.
     pub passes: HashMap<u64, usize>,
     /// Load of other programs.
-    pub others: Others,
+    pub others: BackgroundLoad,
     /// Batches.
     pub rounds: usize,
     /// Renderings that were discarded.
@@ -69,7 +69,7 @@ pub struct Measuring<'a> {
     /// Wall seconds on this machine over those that the prior expects for its own.
     scale: f64,
     switch: f64,
-    others: Others,
+    others: BackgroundLoad,
     rounds: usize,
     warm_ups: usize,
 }
@@ -97,7 +97,7 @@ impl<'a> Measuring<'a> {
             visits: BTreeMap::new(),
             scale: 1.0,
             switch: SWITCH,
-            others: Others::default(),
+            others: BackgroundLoad::default(),
             rounds: 0,
             warm_ups: 0,
         }
@@ -194,7 +194,7 @@ impl<'a> Measuring<'a> {
             let begin = Instant::now();
             self.show(volume, factor)?;
             self.switch = 0.7 * self.switch + 0.3 * begin.elapsed().as_secs_f64();
-            let mark = Mark::now();
+            let snapshot = CpuSnapshot::now();
             let mut seen = Vec::new();
             for i in members {
                 if let Some(repeats) = self.visit(i)? {
@@ -202,7 +202,7 @@ impl<'a> Measuring<'a> {
                 }
                 self.bar.set_position(self.start.elapsed().as_secs());
             }
-            let (wall, others) = mark.others();
+            let (wall, others) = snapshot.others();
             self.others.add(wall, others);
             // The counters are read in hundredths of a second.
             let disturbed = wall > 0.1 && others.is_some_and(|o| o > super::others::DISTURBED);

@@ -271,7 +271,7 @@ pub fn calibrate_to_tables(
         &chosen,
         |_| true,
         noise,
-        others::Others::default(),
+        others::BackgroundLoad::default(),
         (0, 0),
         start.elapsed().as_secs_f64(),
     )?

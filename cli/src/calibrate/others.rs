@@ -7,7 +7,7 @@ pub const DISTURBED: f64 = 0.25;
 
 /// A point in time: processor seconds that the machine and this process had used by then.
 #[derive(Clone, Copy, Debug)]
-pub struct Mark {
+pub struct CpuSnapshot {
     at: Instant,
     machine: Option<f64>,
     own: Option<f64>,
@@ -16,7 +16,7 @@ pub struct Mark {
 /// Clock ticks per second of `/proc`: 100 on every Linux.
 const TICKS: f64 = 100.0;
 
-impl Mark {
+impl CpuSnapshot {
     /// Now.
     pub fn now() -> Self {
         Self {
@@ -55,7 +55,7 @@ fn own_seconds(text: &str) -> Option<f64> {
 
 /// Load of other programs over a calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Others {
+pub struct BackgroundLoad {
     /// Wall seconds watched.
     pub seconds: f64,
     /// Of these, seconds in which others used more than [`DISTURBED`] processors.
@@ -64,7 +64,7 @@ pub struct Others {
     pub mean: Option<f64>,
 }
 
-impl Others {
+impl BackgroundLoad {
     /// Adds a stretch.
     pub fn add(&mut self, wall: f64, others: Option<f64>) {
         if let Some(others) = others {
@@ -99,13 +99,13 @@ mod tests {
 
     #[test]
     fn a_fifth_of_the_time_makes_a_machine_busy() {
-        let mut others = Others::default();
+        let mut others = BackgroundLoad::default();
         others.add(8.0, Some(0.05));
         others.add(2.0, Some(0.9));
         assert!(!others.busy() && (others.mean.unwrap() - 0.22).abs() < 1e-12);
         others.add(1.0, Some(1.0));
         assert!(others.busy());
-        let mut blind = Others::default();
+        let mut blind = BackgroundLoad::default();
         blind.add(5.0, None);
         assert!(!blind.busy() && blind.mean.is_none());
     }

@@ -1,7 +1,7 @@
 //! Report of a calibration, printed and stored in the model file.
 
 use super::measuring::PictureError;
-use super::others::Others;
+use super::others::BackgroundLoad;
 use anyhow::{Context, Result};
 use entire_core::model::{Key, ModelFile};
 use entire_core::scene::Shading;
@@ -55,7 +55,7 @@ pub struct Report {
     /// Noise of repeats.
     pub noise: Option<NoiseFloor>,
     /// Load of other programs.
-    pub others: Others,
+    pub others: BackgroundLoad,
     /// Quality law of pictures; `None` where too few were compared.
     pub pictures: Option<Pictures>,
     /// Files of the volumes, by the volumes' names; empty where they are unknown.
@@ -98,7 +98,7 @@ impl Report {
         chosen: &Chosen,
         judged: impl Fn(usize) -> bool,
         noise: Option<NoiseFloor>,
-        others: Others,
+        others: BackgroundLoad,
         (rounds, warm_ups): (usize, usize),
         seconds: f64,
     ) -> Result<Self> {

@@ -1,7 +1,7 @@
 //! `entire explore`: a window on a volume that holds a target frame time.
 
 #[cfg(feature = "explore")]
-mod surroundings;
+mod host;
 
 use crate::steering::contenders::ControllerKind;
 use anyhow::{Context, Result, bail};
@@ -99,7 +99,7 @@ fn open(options: &Options, target: f64) -> Result<()> {
     };
     entire_explore::run(
         window,
-        std::sync::Arc::new(surroundings::Surroundings { model, reading: options.volume_args.reading() }),
+        std::sync::Arc::new(host::ExplorerHost { model, reading: options.volume_args.reading() }),
     )
 }
 

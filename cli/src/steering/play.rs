@@ -578,7 +578,7 @@ mod tests {
             assert_eq!((kept.width, kept.height), (100, 100));
         }
         assert!(gpu.iter().all(|r| r.image_sample_distance == 1.0) && gpu.iter().any(|r| r.step > 1.0));
-        // VTK's first frame: a twenty-fifth of the pixels, and a cheap frame.
+        // VTK's rule draws the first frame with 1/25 of the pixels, so it is short.
         let law = ScriptedRenderer::default();
         let work = |r: &Record| r.seconds - law.fixed;
         let whole = playback.references[0].seconds - law.fixed;

@@ -164,13 +164,14 @@ fn setting(r: &Record) -> String {
 pub fn table_caption() -> String {
     format!(
         "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the \
-         mean of |t - T| / T over all frames; \"at switches\" over the {SWITCH_FRAMES} frames from each \
-         abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in \
-         bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at \
-         the end of what is allowed), mean over the switches; 0 means the switch's own frame was. PSNR \
-         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB. Step: mean \
-         ray step; of rules that act on image resolution, mean pixels of the full image per pixel drawn, at \
-         the reference step. Smaller images are brought back to full size before pictures are compared."
+         mean of |t - T| / T over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames of each \
+         abrupt switch; \"calm\": over all others except the first {SWITCH_FRAMES} of the path. The best \
+         value of each column is bold. Recovery: frames from a switch until two in a row are on target \
+         (within 25 %, or at a limit of the step), mean over the switches; 0 if already the first one is. \
+         PSNR: against the picture at the reference step; equal pictures count as {BEST_PSNR:.0} dB. Step: \
+         mean ray step; for rules that change the image resolution, mean number of pixels of the full image \
+         per drawn pixel, at the reference step. Smaller images are enlarged to full size before the \
+         comparison."
     )
 }
 

@@ -127,7 +127,7 @@ impl Slurm {
         let limit = options.limit.or(limit.filter(|l| *l > 0.0)).map(|l| l - GRACE);
         ensure!(
             limit.is_none_or(|l| l > 0.0),
-            "the longest time request is {} s; {GRACE} s of it go to start and end, give more",
+            "the longest time request is {} s, of which start and end take {GRACE} s; give more",
             limit.unwrap_or(0.0) + GRACE
         );
         let text = places.state.to_string_lossy().into_owned();

@@ -18,7 +18,7 @@ pub fn parse_target(text: &str) -> Result<f64> {
         "s" => value,
         "us" | "µs" => value * 1e-6,
         "fps" | "hz" => 1.0 / value,
-        _ => bail!("target {text:?} has no unit that is known; {accepted}"),
+        _ => bail!("target {text:?} has no known unit; {accepted}"),
     };
     ensure!(
         seconds.is_finite() && seconds > 0.0 && value > 0.0,

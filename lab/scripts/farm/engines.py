@@ -4,12 +4,14 @@ Prints what it measures and one line `bar NAME VALUE LIMIT ok|short` per bar; en
 
     python3 lab/scripts/farm/engines.py --bin target/release --python VENV/bin/python --out out/farm-bars PART…
 
-Parts: hq-frames, hq-sleeping, slurm, kills, full. What an engine lacks is said, and its bars are short.
+Parts: hq-frames, hq-sleeping, slurm, kills, full. Missing programs are reported, and the bars of their engine are
+short.
 
-A run is judged over the least that it can take: the lower bound of its measured work, and of the engine's overhead what cannot
-pass while a slot works. That is one start, as of a job of one task, and on every slot the time from a bundle's end to the next
-one's begin, as in a job of short bundles that keep all slots busy; each is the least of REPEATS. A run that ended before that
-shows that the overhead was measured too high: it is judged over the bound of its work alone, which is stricter."""
+The end of a run is divided by the least possible one: the lower bound of its measured work plus the unavoidable
+overhead of the engine. That is one start (measured with a job of one task) and, on every slot, the time from the end of
+a bundle to the start of the next one (measured with a job of short bundles that keep all slots busy), each the minimum
+of REPEATS. If a run ends earlier, the overhead was measured too high, and the run is compared with the bound of its
+work alone, which is stricter."""
 
 import argparse
 import csv
@@ -42,7 +44,7 @@ RUNS = 20
 
 
 def lower_bound(times, slots):
-    """All work over all slots, or the longest task: no order ends earlier."""
+    """Lower bound of the end for every order: all work divided by the slots, or the longest task."""
     return max(sum(times) / slots, max(times))
 
 

@@ -203,7 +203,7 @@ def fixtures():
 def row(name, mine, theirs):
     """A row of the table: the result of most independent readers, and the reason if ours refuses the file.
 
-    `readers` is `ours` where no other reads the file, and `none` where nobody does.
+    `readers` is `ours` if no other reader accepts the file, and `none` if no reader does.
     """
     read = [(reader, value) for reader, value in theirs.items() if isinstance(value, peers.Reading)]
     votes = [[other for other, theirs in read if not differences(value, theirs)] for _, value in read]

@@ -32,9 +32,9 @@ ASKED = {name: limit for r in RENDERERS for name, limit in ((f"{r}-rmse-over-sd-
 
 
 def cut(table, count, out):
-    """The table of `count` of its frames, with all their repeats. Frames are taken at even distances along the sum of
-    the square roots of their expected costs, cheapest first: long ones more often than short ones, since most of the
-    error is in them. The expectation needs no timing; it comes from the features beside the table. The manifest is
+    """The table of `count` of its frames, with all their repeats. Frames are sorted by expected cost and taken at even
+    distances of the cumulative sum of its square root, so that long ones, which cause most of the error, are chosen
+    more often. The expected cost comes from the features beside the table, not from its times. The manifest is
     copied."""
     with gzip.open(table.removesuffix(".csv.gz") + ".features.csv.gz", "rt", newline="") as file:
         file.readline()

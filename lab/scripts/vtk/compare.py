@@ -143,9 +143,10 @@ def clock_of(name, options):
 
 
 def find_scale(options, image, n, target_cpu, target_wall):
-    """Factor, 1 to 16, on the wall target of AutoAdjust at which its mean frame takes the target. From
-    a second on the mappers take a frame for a still one and leave the steps of interaction, so the most is less than
-    that; it is what is returned where even that spends less."""
+    """Factor, 1 to 16, on the wall target of AutoAdjust with which its mean frame time equals the target. From a second
+    on, the
+    mappers treat a frame as a still one, so the largest factor is below that; it is returned if even that gives shorter
+    frames."""
     most = max(1.0, min(16.0, 0.95 / target_wall))
 
     def spent(scale, frames, repeats):

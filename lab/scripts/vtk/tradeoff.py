@@ -3,8 +3,9 @@
 
     plugins/vtk/run.sh exec /usr/bin/python3 lab/scripts/vtk/tradeoff.py --mapper gpu --table tradeoff-gpu.csv
 
-Draws frames of volumes, cameras and transfer functions that the comparison (compare.py) does not have, each at every pair of
-sample distance and image sample distance, into a table (an existing one is read instead): processor time (the least of the
+Draws frames of volumes, cameras and transfer functions that compare.py does not use, each at every pair of sample
+distance and image sample distance, and writes a table (an existing one is read instead): processor time (the least of
+the
 repeats) and image error (root mean squared difference of 8-bit colors from full quality) of each picture. Fits the numbers
 that vtkEntireSteering takes as its FixedPointQuality or GPUQuality: error^n = a ((s - 1)^p + w (d - 1)^q) with any n, and
 time = (r + (1 - r) / s) / d^2, for a step of s finest ones and rays d pixels apart, by least squares in logarithms of the means

@@ -1,4 +1,4 @@
-//! `entire-lab frames`: calibration error by number of frames of another make of machine.
+//! `entire-lab frames`: calibration error by number of frames of another type of machine.
 
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
@@ -25,12 +25,12 @@ const VOLUMES: usize = 9;
 /// Draws for each number of frames.
 const DRAWS: u64 = 8;
 
-/// Limits of the geometric mean, over makes of machine, of the median errors, by number of frames.
+/// Limits of the geometric mean, over types of machine, of the median errors, by number of frames.
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
-/// Measure calibration error by number of frames, on another make of machine.
+/// Measure calibration error by number of frames, on another type of machine.
 ///
-/// Each table and each prior is of one make of machine; a model is calibrated to frames of a table from the
+/// Each table and each prior is of one type of machine; a model is calibrated to frames of a table from the
 /// priors of the other makes. A draw takes one member of each ensemble, at most nine of their volumes, and
 /// the given number of frames, spread over the volumes; the model is tested on a table of members that no
 /// prior was trained on. Prints the geometric mean and the largest error over the draws, and a goal (bar) for
@@ -41,7 +41,7 @@ Example:
   entire-lab frames --data xeon.csv epyc.csv --judged xeon-members.csv epyc-members.csv \
       --priors xeon.safetensors epyc.safetensors --out out/frames")]
 pub struct Options {
-    /// Timing tables, one for each make of machine.
+    /// Timing tables, one for each type of machine.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
     /// Test tables, in the order of the makes of --data.
@@ -123,7 +123,7 @@ pub fn run(options: &Options) -> Result<()> {
     ensure!(
         tables == models && tables == judged,
         "--data names {tables} tables, --judged {judged} and --priors {models} models; give one of each for \
-         every make of machine"
+         every type of machine"
     );
     ensure!(!options.frames.contains(&0), "--frames must be 1 or more");
     make_folder(&options.out)?;
@@ -208,7 +208,7 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
         Column::number("expected, %"),
     ]);
     let mut chart = Chart::new(
-        "Frames that a calibration needs, from models of other makes of machine",
+        "Frames that a calibration needs, from models of other types of machine",
         Axis::log("frames"),
         Axis::linear("median error on other members, %").from(0.0),
     );

@@ -7,7 +7,7 @@ use crate::bars::Bar;
 use anyhow::{Context, Result};
 use entire_farm::dispatch::Order;
 use entire_farm::job::Job;
-use entire_farm::learn::{Shape, TOLD};
+use entire_farm::learn::{CONSTANT_SD_WITH_MODEL, Shape};
 use entire_farm::list::lower_bound;
 use entire_farm::load::Loads;
 use entire_farm::planner::{Planner, Setting};
@@ -34,7 +34,7 @@ fn measured(tasks: &[Task]) -> Vec<f64> {
 
 /// A plan of tasks whose seconds a model predicted.
 pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
-    let shape = Shape::of_volumes(base, volume).with_constant(TOLD);
+    let shape = Shape::of_volumes(base, volume).with_constant(CONSTANT_SD_WITH_MODEL);
     let mut planner = Planner::new(shape, loads, setting);
     planner.add_stage((0..base.len() as u32).collect());
     planner

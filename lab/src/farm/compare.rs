@@ -155,7 +155,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     let mut chart = Chart::new(
         "Node loads",
         Axis::categories("nodes", shown.iter().map(ToString::to_string).collect()),
-        Axis::linear("load / longest load of longest first, measured"),
+        Axis::linear("node's time / longest node's time with measured times, longest first"),
     )
     .size(900.0, 400.0);
     for (k, (title, _, _, hue)) in COMPARED.iter().enumerate() {

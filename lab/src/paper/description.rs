@@ -342,7 +342,7 @@ fn check(paper: &Paper) -> Result<()> {
     paper.scenes.check()?;
     let mut names = BTreeSet::new();
     for d in &paper.data_sets {
-        ensure!(names.insert(d.name.as_str()), "the data set {:?} stands there twice", d.name);
+        ensure!(names.insert(d.name.as_str()), "the data set {:?} appears twice", d.name);
         if let Some(mode) = d.modes.iter().find(|m| !RAYCASTER_MODES.contains(&m.as_str()) && *m != YT) {
             bail!("{}: mode {mode:?}; none, local, scatter or yt is accepted", d.name);
         }
@@ -356,7 +356,7 @@ fn check(paper: &Paper) -> Result<()> {
     }
     let mut labels = BTreeSet::new();
     for label in &paper.labels {
-        ensure!(labels.insert(label.label.as_str()), "the label {:?} stands there twice", label.label);
+        ensure!(labels.insert(label.label.as_str()), "the label {:?} appears twice", label.label);
         for (name, row) in label.paper.iter().flat_map(|p| p.rows.iter()) {
             let columns = label.paper.as_ref().map_or(0, |p| p.columns.len());
             ensure!(

@@ -136,7 +136,7 @@ impl At<'_> {
             Panel::Depth => self.depth(results),
             Panel::Encoders => self.encoders(results),
             Panel::Final => self.finalists(results),
-            other => bail!("{} is made of other things than frames", other.name()),
+            other => bail!("{} is not trained on frames", other.name()),
         }
     }
 

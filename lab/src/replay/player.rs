@@ -46,7 +46,7 @@ impl Player {
         players
     }
 
-    /// True if it plays on the ray step instead of its own quantity.
+    /// True if it changes the ray step instead of its own quantity.
     pub fn stands_in(&self) -> bool {
         self.acts_on != self.kind.acts_on()
     }

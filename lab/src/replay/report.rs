@@ -250,7 +250,7 @@ impl Results<'_> {
     ) -> Page {
         let frames = self.scores.first().map_or(0, |s| s.frames);
         let mut page = Page::new(
-            "Holding a frame time, beside an oracle",
+            "Frame times on target, compared with an oracle",
             &format!(
                 "{} recorded paths over real volumes, {} trials, {frames} frames per controller. The \
                  predictor was not trained on any of the volumes.",
@@ -261,16 +261,16 @@ impl Results<'_> {
         page.table(
             &self.table(),
             &format!(
-                "T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets \
-                 the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the \
-                 target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every \
-                 frame's cost curve, not its noise. Rules that act on image resolution draw with 1/s of the \
-                 pixels at the reference step; s is their step, and their quality is the least s of their own \
-                 range that meets the target over s. Calm: nothing but the camera has changed, without a cut, \
-                 in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame \
-                 before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper \
-                 bound. SSIM: mean structural similarity to the picture at the reference step, over the \
-                 oracle's. Best of each column in bold."
+                "T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets the \
+                 target. |t-T|/T: mean over the frames whose time equals the target at some allowed step. \
+                 Quality: mean of the oracle's step divided by the chosen step, at most 1; the oracle knows \
+                 the time of every frame at every step, but not its noise. Rules that change the image \
+                 resolution draw 1/s of the pixels at the reference step; their quality is the least s of \
+                 their range that meets the target, divided by the chosen s. Calm: in this frame and the \
+                 {SETTLING} before, only the camera has changed, and not abruptly. Jumps: calm frames whose \
+                 step differs from that of the previous frame by over 20 %. In bound: abrupt changes whose \
+                 first frame stayed below its upper bound. SSIM: mean structural similarity to the picture \
+                 at the reference step, relative to the oracle's. The best value of each column is bold."
             ),
         );
         let mut chart = Chart::new(
@@ -345,11 +345,11 @@ impl Results<'_> {
         );
         page.heading("Where this comes from");
         page.paragraph(
-            "Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; the time \
-             of a controller's step is interpolated on that frame's curve, times the noise of one of its \
-             renderings, which is the same for every controller. For rules that act on image resolution the \
-             curve is that of smaller images at the reference step, enlarged to full size before pictures are \
-             compared. Changes of the transfer function and of volumes are not part of frame times.",
+            "Every frame of a path was drawn several times at nine ray steps. The time of a controller's \
+             step is interpolated between these, times the noise of one of the renderings, which is the same \
+             for every controller. For rules that change the image resolution, smaller images at the \
+             reference step were drawn and enlarged to full size before the comparison. Frame times exclude \
+             changes of the transfer function and of volumes.",
         );
         let mut facts: Vec<(&str, String)> = Vec::new();
         for t in self.traces {

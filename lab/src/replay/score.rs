@@ -10,8 +10,8 @@ pub struct Three {
     pub missed: f64,
     /// Mean |t − target| / target over the reachable frames.
     pub deviation: f64,
-    /// Mean over all frames of the finest possible step (the oracle's, for controllers that act on the ray
-    /// step) over the step, at most 1.
+    /// Mean over all frames of the oracle's step divided by the chosen step, at most 1. For rules that change
+    /// the image resolution, of the best reduction in their range divided by the chosen one.
     pub quality: f64,
 }
 

@@ -165,7 +165,7 @@ pub struct Course<'a> {
 pub struct Cost {
     /// With a fitted predictor.
     pub fitted: Three,
-    /// Share of its frames that were coarser than full quality although that fits.
+    /// Share of its frames that were coarser than full quality although full quality met the target.
     pub fitted_coarse: f64,
     /// Share of the calm frames at which its step jumps.
     pub jumps: f64,

@@ -67,7 +67,7 @@ pub struct Set {
     /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
     pub low_resolution: BTreeMap<String, PathBuf>,
-    /// The split to a hundred frames of which predictors are calibrated.
+    /// Split, a hundred of whose frames serve to calibrate predictors.
     #[serde(default)]
     pub calibration_split: Option<String>,
     /// Group of sets of one shading mode on several machines: the shipped predictor must be the smallest good

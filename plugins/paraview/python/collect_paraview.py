@@ -4,7 +4,8 @@
     xvfb-run -a pvbatch collect_paraview.py --out paraview.csv --max-size 256 VOLUME.nrrd...
     entire train --data paraview.csv --clock cpu --out paraview.safetensors
 
-Timed are whole still renders. ParaView sets the ray step itself, to about half the mean spacing; the table holds that step.
+It times whole still renders. ParaView sets the ray step itself, to about half the mean spacing; the table contains that
+step.
 """
 import os
 import sys

@@ -75,7 +75,7 @@ class Path200:
 
 
 def calibrated(options):
-    """A model of 60 random frames of another volume than the scored one, enlarged to as many voxels."""
+    """A model of 60 random frames of a volume other than the evaluated one, enlarged to the same number of voxels."""
     import entire.vtk
     from timing_table import read_nrrd, resampled
 

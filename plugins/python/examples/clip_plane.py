@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A plane that clips a volume while it is held: drag the plane's arrow, or the scene beside it.
+"""A plane clips a volume that keeps its frame time: drag the plane's arrow, or the scene beside it.
 
 pip install entire[pyvista]
 python clip_plane.py

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Three volumes in one PyVista scene share the time of its frames, so that all are coarsened alike.
+"""Three volumes in one PyVista scene share the frame time and are coarsened equally.
 
 pip install entire[pyvista]
 python several_volumes.py

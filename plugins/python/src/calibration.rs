@@ -117,7 +117,7 @@ impl Calibration {
 
     /// Adds a picture that was compared with the same view at full quality.
     ///
-    /// The model then states a law of the picture error over ray step and image size
+    /// The model then contains a law of the picture error as a function of ray step and image size
     /// (:meth:`Session.set_quality`), if at least 3 scenes were drawn at the same settings: full quality,
     /// steps alone, images alone and both.
     ///

@@ -71,7 +71,7 @@ pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32, scale: Option<f6
     Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, Lens::new(fov, scale, 1.0))
 }
 
-/// True if a renderer that goes from one camera to another jumps: see [`Camera::jumps_from`].
+/// True if the change from one camera to the other is abrupt: see [`Camera::jumps_from`].
 pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
     let (now, then) = (camera.view(), before.view());
     let turned = (now.row(2) - then.row(2)).abs();
@@ -326,8 +326,8 @@ impl Camera {
         from_view(volume, rows, fov as f32, scale)
     }
 
-    /// True if a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
-    /// angle, changes its distance (or its scale) by half, or its projection.
+    /// True if the change from `before` to this camera is abrupt: a turn by more than 30 degrees, a change of
+    /// distance (or scale) by half, or another projection.
     ///
     /// Parameters
     /// ----------
@@ -342,7 +342,8 @@ impl Camera {
     }
 
     /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the
-    /// same eye; of a parallel camera, the pose from which the default field of view sees as much.
+    /// same eye; for a parallel camera, the pose from which a perspective camera with the default field of
+    /// view sees the same part.
     #[getter]
     fn pose(&self) -> (f32, f32, f32) {
         let Arcball { rx, ry, dz } = self.core.to_arcball();
@@ -358,7 +359,7 @@ impl Camera {
         }
     }
 
-    /// float or None : Half of the height that a parallel projection shows, in radii; none with a perspective
+    /// float or None : Half of the visible height of a parallel projection, in radii; none with a perspective
     /// one.
     #[getter]
     fn parallel_scale(&self) -> Option<f32> {

@@ -70,7 +70,7 @@ pub(crate) fn calling<T>(py: Python<'_>, call: impl FnOnce() -> T) -> T {
     call()
 }
 
-/// Called by `atexit`: from here on no other thread asks for the lock again.
+/// Called by `atexit`: afterwards no other thread asks for the lock again.
 #[pyfunction]
 pub(crate) fn end(py: Python<'_>) {
     let _ = ENDING.set(std::thread::current().id());

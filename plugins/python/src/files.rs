@@ -5,7 +5,7 @@ use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// Writes a file, whole or not at all: under an unpredictable name beside it, flushed to the disk, then
+/// Writes a file that is never left in part: under an unpredictable name beside it, flushed to the disk, then
 /// renamed.
 ///
 /// Parameters
@@ -39,7 +39,7 @@ pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResul
 /// ValueError
 ///     For another shading mode.
 /// FileNotFoundError
-///     Where the machine was not calibrated for the mode; says how to.
+///     If the machine was not calibrated for the mode; the text has the command.
 #[pyfunction]
 pub(crate) fn machine_file(shading: &str) -> PyResult<PathBuf> {
     let shading = entire_io::dataset::parse_shading(shading)

@@ -19,9 +19,10 @@ pub(crate) struct Plan {
     seconds: f32,
     /// float : Upper bound of the seconds; NaN where there is none.
     upper: f32,
-    /// float : 0 inside the predictor's range, 1 at the edge of trust, growing beyond; NaN where unknown.
+    /// float : 0 inside the predictor's training range, 1 at the limit up to which it is trusted, larger
+    /// beyond; NaN if unknown.
     out_of_range: f32,
-    /// str : Why this step, in a word or two: "fits", "held", "damped", "finest allowed", ...
+    /// str : Reason of the step, in a word or two: "fits", "held", "damped", "finest allowed", ...
     reason: &'static str,
     /// float : Seconds that the frame may take.
     target: f32,

@@ -110,8 +110,8 @@ impl Session {
     }
 
     /// Sets the volume. Its first use scans its voxels once; a model with volume features encodes them. With
-    /// the next time step of the current volume (:meth:`Volume.next`) the transfer function stays, and so
-    /// does the learned state of the scene.
+    /// the next time step of the current volume (:meth:`Volume.next`) the transfer function and the learned
+    /// state of the scene are kept.
     ///
     /// Parameters
     /// ----------
@@ -125,7 +125,7 @@ impl Session {
         self.take_volume(py, volume)
     }
 
-    /// Sets the transfer function; :meth:`plan` and :meth:`predict` do it by themselves.
+    /// Sets the transfer function; :meth:`plan` and :meth:`predict` do so too.
     ///
     /// Parameters
     /// ----------
@@ -177,9 +177,9 @@ impl Session {
     /// Sets the law of the picture error of this renderer, so that plans coarsen step or image, whichever
     /// adds less error.
     ///
-    /// A picture's distance from full quality goes as ``(s - 1)**step_exponent + image_weight *
-    /// (d - 1)**image_exponent`` and its time as ``(ray_share + (1 - ray_share) / s) / d**2``, for a step of s
-    /// finest ones and rays d pixels apart. Takes the place of `step_alone` in
+    /// The error of a picture is proportional to ``(s - 1)**step_exponent + image_weight * (d -
+    /// 1)**image_exponent`` and its time to ``(ray_share + (1 - ray_share) / s) / d**2``, for a step of s
+    /// times the finest and rays d pixels apart. Replaces `step_alone` in
     /// :meth:`set_max_image_sample_distance`.
     ///
     /// Parameters
@@ -209,8 +209,9 @@ impl Session {
         self.state(py)?.core.set_quality(image_weight.map(known)).map_err(raise)
     }
 
-    /// (float, float, float, float) or None : What plans coarsen by, in the order of :meth:`set_quality`: what was
-    /// set, else what the model states of this renderer's pictures; None where nothing is known.
+    /// (float, float, float, float) or None : The quality law that plans use, in the order of
+    /// :meth:`set_quality`: the law that was set, else that of the model for this renderer; None without a
+    /// law.
     #[getter]
     fn quality(&self, py: Python<'_>) -> PyResult<Option<(f32, f32, f32, f32)>> {
         let known = self.state(py)?.core.quality();
@@ -228,8 +229,8 @@ impl Session {
         Ok(())
     }
 
-    /// Announces that the next frame does not follow smoothly on the one before, in ways that the session
-    /// cannot see.
+    /// Announces that the next frame differs abruptly from the previous one in a way that the session cannot
+    /// detect.
     ///
     /// Parameters
     /// ----------
@@ -296,8 +297,8 @@ impl Session {
         Ok(state.plan(&frame, target)?.0)
     }
 
-    /// For adapters: learns from the last frame and plans the next one of a held volume, in one call. Marks
-    /// the camera's jumps by itself.
+    /// For adapters: observes the last frame and plans the next one of a held volume in one call. Jumps of
+    /// the camera are detected.
     ///
     /// Parameters
     /// ----------
@@ -450,8 +451,8 @@ impl Session {
         Ok(self.state(py)?.observe(plan.id(), seconds as f32, flags)?.into())
     }
 
-    /// Predicts a frame's seconds at its own step, corrected by what was observed; later plans do not depend
-    /// on it.
+    /// Predicts a frame's seconds at its own step, corrected by the observed frames; does not influence later
+    /// plans.
     ///
     /// Parameters
     /// ----------
@@ -480,7 +481,7 @@ impl Session {
         Ok(state.core.predict(&frame).map_err(raise)?.into())
     }
 
-    /// Predicts the seconds of many views; the same numbers, to the bit, as :meth:`predict` one by one.
+    /// Predicts the seconds of many views; bit for bit the same as :meth:`predict` for each view.
     ///
     /// Parameters
     /// ----------
@@ -536,16 +537,16 @@ impl Session {
     }
 
     /// Starts recording planned and observed frames for :meth:`calibrate`. Earlier recorded frames are
-    /// dropped. Unusual or cancelled observations do not count, nor does the first frame of all, nor the
-    /// first of a volume.
+    /// dropped. Not recorded are unusual and cancelled observations, the first frame of the session, and the
+    /// first frame of a volume.
     ///
     /// Parameters
     /// ----------
     /// frames : int, optional
-    ///     How many are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
+    ///     Number of frames to keep, 8 to 65536: a uniform random sample if more are observed. Default 1000.
     /// model : Model, optional
-    ///     The model to start from, fitted on another machine or renderer; a learned factor must have the
-    ///     session's probe. Without one, the unit costs of a software renderer.
+    ///     The model to start from, fitted on another machine or renderer; a model with a learned factor must
+    ///     have the session's probe. Default: the unit costs of a software renderer.
     ///
     /// Raises
     /// ------
@@ -578,8 +579,8 @@ impl Session {
         as_python(py, &bytes, &fitted)
     }
 
-    /// Steers by another model from now on. What was observed is forgotten; volume, transfer function, limits
-    /// and recorded frames stay. Where the model takes volume features, set the volume again.
+    /// Replaces the session's model. Observations are dropped; volume, transfer function, limits and recorded
+    /// frames stay. If the model takes volume features, set the volume again.
     ///
     /// Parameters
     /// ----------
@@ -601,9 +602,9 @@ impl Session {
         Ok(())
     }
 
-    /// Names the renderer of the observed frames and their clock. A learned state of one does not hold for
-    /// another: saved states carry both names, and :meth:`load_state` refuses those of others. Sessions start
-    /// with empty names.
+    /// Names the renderer of the observed frames and their clock. A learned correction is valid only for
+    /// them: saved states contain both names, and :meth:`load_state` refuses states with other names. Both
+    /// names are empty at first.
     ///
     /// A clock named "cpu", "wall" or "device" is compared with the model's (:attr:`model_clock`). If they
     /// differ, the session keeps the model's ratios between scenes and learns the factor between the clocks
@@ -623,14 +624,14 @@ impl Session {
     }
 
     /// str or None : The clock that times the frames, as :meth:`set_timing_source` named it: "cpu", "wall"
-    /// or "device"; None for any other name, and before one was given.
+    /// or "device"; None for other names, and before a name is set.
     #[getter]
     fn clock(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
         Ok(self.state(py)?.core.clock().map(Into::into))
     }
 
-    /// str or None : The clock whose seconds the model predicts: "cpu", "wall" or "device"; None where its
-    /// file states none, and without a model.
+    /// str or None : The clock whose seconds the model predicts: "cpu", "wall" or "device"; None if its file
+    /// has no clock, and without a model.
     #[getter]
     fn model_clock(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
         Ok(self.state(py)?.core.model_clock().map(Into::into))

@@ -102,7 +102,7 @@ impl Data {
 ///     no range is given: the least or the greatest value of all, in one voxel of a thousand or more, far from
 ///     all others. None takes every value as data.
 ///
-/// Masked arrays, and arrays with a fill value above all others, are copied.
+/// Masked arrays, and arrays whose fill value is above all other values, are copied.
 ///
 /// Raises
 /// ------
@@ -420,15 +420,14 @@ impl Volume {
         Self::look_at(py, array, spacing, origin, order, range, &fill).map(|data| Self(Arc::new(data)))
     }
 
-    /// The next time step: another array of the same shape and type, or the same one after it was written to.
-    /// Spacing, origin, axes and range are this volume's. Changes are found in one pass over the voxels, much
-    /// faster than the scan of a volume, and only changed cells are scanned again; the first time step is
-    /// scanned whole. :meth:`Session.set_volume` with it keeps the learned state of the scene.
+    /// The next time step: another array of the same shape and type, or the same one with new values.
+    /// Spacing, origin, axes and range stay the same. Changes are found in one pass over the voxels, much
+    /// faster than the scan of a volume, and only changed cells are scanned again; the first call scans the
+    /// whole volume. :meth:`Session.set_volume` with it keeps the learned state of the scene.
     ///
     /// Parameters ---------- array : array_like, 3-D Voxels of the next time step. changed : ((int, int),
-    /// (int, int), (int, int)), optional Where the caller knows what changed: first index and end along each
-    /// axis of the array. Nothing outside of that box is read. Without effect on any but the series' latest
-    /// time step.
+    /// (int, int), (int, int)), optional The box that changed, if known: first index and end along each axis
+    /// of the array. Nothing outside of it is read. Ignored except for the latest time step of a series.
     ///
     /// Raises
     /// ------
@@ -517,13 +516,13 @@ impl Volume {
         self.0.spacing().min_element()
     }
 
-    /// bool : Whether the array had to be converted; then changes of it no longer show.
+    /// bool : True if the array was converted; later changes of the array then have no effect.
     #[getter]
     fn copied(&self) -> bool {
         self.0.copied
     }
 
-    /// numpy.ndarray : The array that is looked at: the one given, or the converted one.
+    /// numpy.ndarray : The array in use: the given one, or the converted one.
     #[getter]
     fn array(&self, py: Python<'_>) -> Py<PyAny> {
         self.0.owner.clone_ref(py)

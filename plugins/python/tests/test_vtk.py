@@ -273,7 +273,7 @@ def test_only_other_functions_are_new(voxels, kind):
         change()
         view.draw(1)
         assert steering.status == ""
-        # Read once either way.
+        # The transfer function was read only once in both cases.
         assert leaf._tf_key == entire.vtk._scene.transfer_key(prop)
         return leaf._tf is not read
 
@@ -292,7 +292,7 @@ def test_only_other_functions_are_new(voxels, kind):
         lambda: prop.GetRGBTransferFunction(0).AddRGBPoint(100, 0.2, 0.9, 0.2),
         lambda: prop.SetScalarOpacityUnitDistance(3.5),
         lambda: prop.SetScalarOpacity(opacity_function(TRANSPARENT)),
-        # Its functions must be given to the session again.
+        # The transfer function must be set in the session again.
         lambda: volume.GetMapper().SetInputData(image_data(voxels[:30])),
     ):
         assert is_new(other)

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 _FOLDER = Path(__file__).parent / "models"
 _REASONS = {
     "fits": "the finest step whose upper bound fits the target",
-    "damped": "on the way to the best step, slowly, since nothing has changed abruptly",
-    "held": "the step before still fits and is close to the best",
-    "finest allowed": "nothing finer is allowed, and it fits",
-    "target unreachable": "nothing coarser is allowed, and even that is not expected to fit",
-    "history": "the prediction is not trusted here; recent frames decide",
-    "no information": "neither a prediction nor a timing is there yet",
+    "damped": "approaches the best step gradually, since nothing changed abruptly",
+    "held": "the last step still fits and is close to the best",
+    "finest allowed": "the finest allowed step fits",
+    "target unreachable": "even the coarsest allowed step is not expected to fit",
+    "history": "the prediction is not trusted here; recent frames are used instead",
+    "no information": "there is neither a prediction nor a measured frame yet",
     "off": "steering is switched off",
     "reactive": "a rule that reacts to past frames",
 }
@@ -41,7 +41,7 @@ def models() -> list[str]:
     Returns
     -------
     list of str
-        Sorted; each can be given to :class:`Model` and, where it predicts, as ``model=`` elsewhere.
+        Sorted; each is accepted by :class:`Model` and, if it predicts, by the parameter `model` of functions.
     """
     return sorted(path.stem for path in _FOLDER.glob("*.safetensors"))
 
@@ -52,13 +52,12 @@ class Model(_native.Model):
     Parameters
     ----------
     source : str, os.PathLike or bytes
-        The name of a shipped model (see :func:`models`), the path of a file from ``entire train``, or a
-        file's bytes.
+        The name of a shipped model (see :func:`models`), the path of a model file, or the bytes of one.
 
     Raises
     ------
     ModelError
-        For bytes that are no model file, or a damaged one.
+        For bytes that are not a model file, or a damaged one.
     FileNotFoundError
         For a text that is neither a shipped model's name nor a file.
 
@@ -90,7 +89,7 @@ class Model(_native.Model):
         Parameters
         ----------
         shading : {"none", "local", "scatter"}, optional
-            What ``--shade`` was.
+            The shading mode, as in ``--shade``.
 
         Returns
         -------
@@ -101,7 +100,7 @@ class Model(_native.Model):
         ValueError
             For another shading mode.
         FileNotFoundError
-            Where the machine was not calibrated for the mode; says how to.
+            If the machine was not calibrated for the mode; the text has the command.
         """
         return cls(_native.machine_file(shading))
 
@@ -133,16 +132,16 @@ class Calibrated(NamedTuple):
     model: Model
     #: Frames that it was fitted to.
     frames: int
-    #: What was left out in turn to find the errors below: "volumes", "transfer functions", "stretches of time", or
-    #: "nothing" where there were too few frames.
+    #: Groups of the cross-validation that gave the errors below: "volumes", "transfer functions", "stretches
+    #: of time", or "nothing" if there were too few frames.
     held_out: str
     #: Median of |predicted / measured - 1| over frames that were left out.
     median_error: float
     #: Root of their mean squared error over the standard deviation of their times.
     rmse_over_sd: float
-    #: Upper bound over prediction: nineteen of twenty frames take no longer.
+    #: Upper bound divided by the prediction: 95 % of frames take no longer.
     upper_factor: float
-    #: Scenes of :meth:`Calibration.add_picture` behind what the model states of pictures; 0 where it states nothing.
+    #: Number of scenes of :meth:`Calibration.add_picture` in the fit of the quality law; 0 without a law.
     scenes: int = 0
 
 
@@ -155,21 +154,21 @@ class Session(_native.Session):
     Parameters
     ----------
     volume : Volume, optional
-        What is drawn; :meth:`set_volume` exchanges it.
+        The volume to draw; :meth:`set_volume` replaces it.
     model : Model, str, os.PathLike or bytes, optional
-        Predictor of the first frames: as :class:`Model` takes it. Without one a linear cost model learns the
-        renderer from its first frames on.
+        Predictor, or an argument of :class:`Model`. Without one, a linear cost model adapts to the renderer
+        with its first frames.
     tolerance : float, optional
-        How far over the target a frame may be before it counts as missed, as a share of the target. Default
-        0.1.
+        Excess over the target above which a frame counts as missed, as a share of the target. Default 0.1.
     miss_rate : float, optional
         Share of frames that may be missed, over 0 and at most 0.5. Default 0.05.
     trust_limit : float, optional
-        Out-of-range score from which recent frames decide instead of the prediction. Default 2.
+        Out-of-range score above which recent frames are used instead of the prediction. Default 2.
     damping : bool, optional
-        Whether moves are damped in calm phases. Default True.
+        If true, changes of the step are limited in calm phases. Default True.
     probe_side : int, optional
-        Rays along each side of the probe that measures frames, 1 to 24, for linear cost models. Default 11.
+        Rays along each side of the probe that estimates a frame's work, 1 to 24, for linear cost models.
+        Default 11.
 
     Raises
     ------
@@ -214,16 +213,16 @@ class Session(_native.Session):
     def record(self, frames: int = 1000, *, model: ModelLike | None = None) -> None:
         """Starts recording planned and observed frames for :meth:`calibrate`. Earlier recorded frames are dropped.
 
-        Observations that are unusual or cancelled do not count, nor does the first frame of all, nor the first of a
-        volume.
+        Not recorded are unusual and cancelled observations, the first frame of the session, and the first
+        frame of a volume.
 
         Parameters
         ----------
         frames : int, optional
-            How many are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
+            Number of frames to keep, 8 to 65536: a uniform random sample if more are observed. Default 1000.
         model : Model, str, os.PathLike or bytes, optional
-            The model to start from, fitted on another machine or renderer; a learned factor must have the session's probe.
-            Without one, the unit costs of a software renderer.
+            The model to start from, fitted on another machine or renderer; a model with a learned factor must
+            have the session's probe. Default: the unit costs of a software renderer.
 
         Raises
         ------
@@ -245,7 +244,7 @@ class Session(_native.Session):
         Raises
         ------
         NotReadyError
-            Where nothing was recorded, or fewer than 8 frames.
+            If fewer than 8 frames were recorded.
 
         Examples
         --------
@@ -258,7 +257,8 @@ class Session(_native.Session):
         return Calibrated(Model(data), **report)
 
     def set_model(self, model: ModelLike) -> None:
-        """Steers by another model from now on. Observations are dropped; volume, transfer function, limits and recorded
+        """Replaces the session's model. Observations are dropped; volume, transfer function, limits and
+        recorded
         frames stay. If the model takes volume features, set the volume again.
 
         Parameters
@@ -303,7 +303,7 @@ class Session(_native.Session):
         Raises
         ------
         ValueError
-            For a file that is no saved state.
+            For a file that is not a saved state.
         """
         self.load_state(Path(path).read_bytes())
 
@@ -381,27 +381,27 @@ def predict(
     Parameters
     ----------
     volume : Volume or array_like
-        What is drawn; an array as :class:`Volume` takes it.
+        The volume to draw, or an array that :class:`Volume` accepts.
     cameras : sequence of Camera, or array_like of shape (n, 3) or (n, 4, 4)
         Cameras, arcball poses (rx and ry in degrees, dz in radii), or world-to-eye matrices.
     tf : TransferFunction
     size : (int, int)
         Width and height of the image in pixels.
     model : Model, str, os.PathLike or bytes, optional
-        As :class:`Model` takes it. Seconds belong to a machine and a renderer: calibrate to yours. Without a
-        model the seconds are those of a rough software renderer; their ratios still tell expensive views from
-        cheap ones.
+        A model, or an argument of :class:`Model`. It predicts the seconds of one machine and renderer;
+        calibrate for yours. Without a model the seconds are those of a typical software renderer, so only
+        ratios between views are meaningful.
     step : float, optional
         Ray step in reference steps (smallest voxel spacings). Default 1.
     shading, skipping, termination
         As in :meth:`Session.plan`.
     fov : float, optional
-        Vertical field of view in degrees where `cameras` is an array. Default 45.
+        Vertical field of view in degrees if `cameras` is an array. Default 45.
 
     Returns
     -------
     numpy.ndarray
-        float32, shape (n,): the same numbers, to the bit, as one view at a time gives.
+        float32, shape (n,): bit for bit the same as predictions of single views.
 
     Examples
     --------

@@ -49,7 +49,7 @@ def hold(
     layer : napari.layers.Image, optional
         Default: the topmost visible image layer.
     seconds, model, coarsest
-        As :func:`entire.vispy.hold` takes them.
+        As in :func:`entire.vispy.hold`.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def hold(
     Raises
     ------
     CannotSteer
-        Where the viewer shows slices, or the layer is no volume.
+        If the viewer shows slices, or the layer is not a volume.
     """
     if viewer.dims.ndisplay != 3:
         raise CannotSteer(

@@ -45,8 +45,8 @@ def _count(original: Any) -> Any:
 def watch(steering: Steering) -> None:
     """Counts the encoding of pictures for the browser as part of the frames of a steering.
 
-    Later frames leave room for the median of the last five, so that the rate that was asked for is the
-    browser's.
+    The median of the last five is subtracted from the budget of later frames, so that the browser gets the
+    target rate.
 
     Parameters
     ----------

@@ -215,15 +215,16 @@ def hold(
     canvas : vispy.scene.SceneCanvas
     visual : vispy.scene.visuals.Volume
     seconds : float, optional
-        Seconds that a frame of the canvas may take. Default 1 / 30.
+        Target time of a frame of the canvas. Default 1 / 30.
     model : Model, str, os.PathLike or bytes, optional
-        As :class:`entire.Session` takes it. Frames are timed by the wall clock: of a model of another one
-        (``entire.clock`` in its metadata) a warning says that its scale is learned from the first frames.
+        As in :class:`entire.Session`. Frames are timed by the wall clock; if the model's clock
+        (``entire.clock`` in its metadata) differs, a warning says that its scale is learned from the first
+        frames.
     coarsest : float, optional
         Coarsest step in voxels. Default 8.
     moving : callable, optional
-        Says whether a frame is steered; others are drawn at the visual's own step, bit for bit. Default:
-        every frame is.
+        Returns true if a frame is to be steered; other frames are drawn at the visual's own step, bit for
+        bit. Default: all frames are steered.
 
     Returns
     -------

@@ -186,7 +186,7 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     Raises
     ------
     CannotSteer
-        Where the smart mapper was told to draw otherwise.
+        If the smart mapper is set to another mode.
     """
     mode = smart.GetRequestedRenderMode()
     if mode not in (vtkSmartVolumeMapper.DefaultRenderMode, vtkSmartVolumeMapper.GPURenderMode):

@@ -547,22 +547,23 @@ def hold(
 ) -> Steering:
     """Holds volumes of a renderer to a frame time, from the next frame on.
 
-    Before each frame the mapper's sample distance (and, where that is not enough, its image sample distance)
-    is set to what is expected to take the time asked for; after the frame it is put back. Still frames are
-    VTK's, pixel for pixel. No frame is drawn finer than the mapper's own settings, unless `finest` says so.
+    Before each frame the mapper's sample distance (and, if that is not enough, its image sample distance) is
+    set so that the expected time is the target; after the frame it is restored. Still frames are VTK's, pixel
+    for pixel. No frame is drawn finer than with the mapper's own settings, except with `finest`.
 
     Parameters
     ----------
     renderer : vtkRenderer
     volume : vtkVolume or sequence of vtkVolume, optional
-        What is held; several volumes share the time so that all are coarsened alike. Default: every volume of
-        the renderer, those that are added later included. A volume that is held already changes hands.
+        The volumes to hold; several share the frame time and are coarsened equally. Default: all volumes of
+        the renderer, including those that are added later. A volume that another steering holds is taken
+        over.
     seconds : float, optional
-        Seconds that a whole frame of the window may take, everything else that it draws included. Default: 1
+        Target time of a whole frame of the window, including everything else that it draws. Default: 1
         / the window's ``DesiredUpdateRate``.
     model : Model, str, os.PathLike or bytes, optional
-        Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one the first three
-        frames or so settle it. Of a model of another clock (``entire.clock`` in its metadata) a warning says
+        Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one, about three
+        frames are needed. If the model's clock (``entire.clock`` in its metadata) differs, a warning says
         that its scale is learned from the first frames.
     coarsest, finest : float, optional
         Coarsest and finest sample distance along rays, in smallest voxel spacings. Default 8, and the

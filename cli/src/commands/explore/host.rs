@@ -27,7 +27,7 @@ use std::sync::Arc;
 const FIXED_SHARE: f32 = 0.1;
 
 /// The window's host: services of this program.
-pub(super) struct Surroundings {
+pub(super) struct ExplorerHost {
     /// The given model file, with its name.
     pub(super) model: Option<(String, Model)>,
     /// Options of reading volumes.
@@ -129,7 +129,7 @@ fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
     )
 }
 
-impl Host for Surroundings {
+impl Host for ExplorerHost {
     fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>> {
         let volume = Volume::open_as(file, &self.reading, Some(Arc::new(Follower(Arc::clone(progress)))))?;
         Ok(Arc::new(Opened(volume)))
@@ -312,7 +312,7 @@ mod tests {
         let file = folder.path().join("v.nrrd");
         let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 64 64 64\nencoding: raw\n\n";
         std::fs::write(&file, [header.as_bytes(), &[7; 64 * 64 * 64]].concat()).unwrap();
-        let host = Surroundings { model: None, reading: Reading::default() };
+        let host = ExplorerHost { model: None, reading: Reading::default() };
         let progress = Arc::new(Progress::default());
         let volume = host.open(&file, &progress).unwrap();
         assert_eq!((volume.view().shape().dims, progress.share()), ([64; 3], 1.0));
