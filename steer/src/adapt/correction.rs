@@ -145,8 +145,8 @@ const SQUARE_LIMIT: f64 = 6.0;
 const FASTEST_PACE: f64 = 0.25;
 /// Guard: smallest trust in an observation.
 const LEAST_TRUST: f64 = 1.0e-3;
-/// Novelty from which a frame is the first of a scene; by definition, the new scene then has the larger
-/// share.
+/// Smallest novelty of a scene's first frame, on a scale from 0 (same scene) to 1 (unrelated); by definition,
+/// one half.
 pub(crate) const NOVEL: f64 = 0.5;
 /// Clip of errors, in standard deviations: 0.3 % of normal errors lie beyond, so a larger error is other work
 /// or another machine's.
