@@ -148,8 +148,8 @@ const LEAST_TRUST: f64 = 1.0e-3;
 /// Smallest novelty of a scene's first frame, on a scale from 0 (same scene) to 1 (unrelated); by definition,
 /// one half.
 pub(crate) const NOVEL: f64 = 0.5;
-/// Clip of errors, in standard deviations: 0.3 % of normal errors lie beyond, so a larger error is other work
-/// or another machine's.
+/// Clip of errors, in standard deviations: only 0.3 % of normal errors are larger, so a larger one is an
+/// outlier (a stall, a load, or another machine).
 pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {
