@@ -124,8 +124,8 @@ const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// Number of frames after which a scene's own factor is settled: at the default `gain`, a fifth of the first
 /// error is left.
 const SETTLED: u64 = 3;
-/// Number of consecutive frames beyond [`CLIP`] on one side that are a change of pace: normal errors have two
-/// once in a quarter of a million frames, and one slow frame is a stall.
+/// Number of consecutive frames beyond [`CLIP`] on one side that count as a change of pace. Normal errors
+/// exceed it twice in a row only once in a quarter of a million frames; a single slow frame is a stall.
 const SURE: i64 = 2;
 /// Variance per frame added to ln of the unit costs' common factor, and to that of each unit cost: follows a
 /// machine that drifts by a tenth in an hour. At 0, the loss on the training paths is the same.

@@ -221,7 +221,7 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         let ratio = second(Some("cpu"), clock);
         assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
     }
-    // Without two known and different clocks, times are taken as the model's own.
+    // Unless both clocks are known and differ, observed seconds count as the model's.
     for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
         let ratio = second(model, clock);
         assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");
