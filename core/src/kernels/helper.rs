@@ -132,7 +132,7 @@ impl Join for Helper {
         ///
         /// `data` must point to an `Option<B>` that nothing else accesses.
         unsafe fn call<B: FnOnce()>(data: *mut ()) {
-            // SAFETY: the caller vouches for `data`.
+            // SAFETY: the caller guarantees `data`.
             if let Some(b) = unsafe { &mut *data.cast::<Option<B>>() }.take() {
                 b();
             }

@@ -124,8 +124,8 @@ const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// Number of frames after which a scene's own factor is settled: at the default `gain`, a fifth of the first
 /// error is left.
 const SETTLED: u64 = 3;
-/// Number of consecutive frames beyond [`CLIP`] on one side that are a change of pace: normal errors have two
-/// once in a quarter of a million frames, and one slow frame is a stall.
+/// Number of consecutive frames beyond [`CLIP`] on one side that count as a change of pace. Normal errors
+/// exceed it twice in a row only once in a quarter of a million frames; a single slow frame is a stall.
 const SURE: i64 = 2;
 /// Variance per frame added to ln of the unit costs' common factor, and to that of each unit cost: follows a
 /// machine that drifts by a tenth in an hour. At 0, the loss on the training paths is the same.
@@ -145,11 +145,11 @@ const SQUARE_LIMIT: f64 = 6.0;
 const FASTEST_PACE: f64 = 0.25;
 /// Guard: smallest trust in an observation.
 const LEAST_TRUST: f64 = 1.0e-3;
-/// Novelty from which a frame is the first of a scene; by definition, the new scene then has the larger
-/// share.
+/// Smallest novelty of a scene's first frame, on a scale from 0 (same scene) to 1 (unrelated); by definition,
+/// one half.
 pub(crate) const NOVEL: f64 = 0.5;
-/// Clip of errors, in standard deviations: 0.3 % of normal errors lie beyond, so a larger error is other work
-/// or another machine's.
+/// Clip of errors, in standard deviations: only 0.3 % of normal errors are larger, so a larger one is an
+/// outlier (a stall, a load, or another machine).
 pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {

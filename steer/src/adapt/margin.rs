@@ -13,8 +13,8 @@ pub(crate) struct Margin {
     pace: f64,
 }
 
-/// Guards of the multiple: below, the bound would hardly exceed the expectation; above, errors are not a
-/// matter of the margin.
+/// Guards of the multiple: below the lower one, a bound would hardly exceed the expected time; errors beyond
+/// the upper one are outliers that a larger multiple would not cover either.
 const LOW: f64 = 0.5;
 const HIGH: f64 = 8.0;
 

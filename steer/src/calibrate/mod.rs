@@ -296,7 +296,7 @@ impl Calibrated {
         metadata.insert(Key::Renderer.into(), stated(renderer));
         metadata.insert(Key::Device.into(), stated(""));
         metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
-        // Names of clocks that programs compare.
+        // Programs compare these names with the clock of a session; any other name is not stored as a clock.
         if ["cpu", "wall", "device"].contains(&clock) {
             metadata.insert(Key::Clock.into(), clock.into());
         } else {

@@ -24,7 +24,7 @@ fn a_plan_taken_back_leaves_its_id_to_the_next() {
     assert_eq!((again.id, again.step, again.reason), (first.id, first.step, first.reason));
     session.observe(again.id, 0.01, flags).unwrap();
     let next = session.plan(&f, 0.02).unwrap();
-    // Not for an observed plan, an older one, or one that never existed.
+    // Withdrawing an observed plan, an older one, or one that never existed has no effect.
     for id in [again.id, 0, next.id + 1, u64::MAX] {
         session.withdraw(id);
     }
@@ -198,8 +198,8 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         }
         crate::predict::load(&file.to_model().unwrap()).unwrap()
     };
-    // Four processors: every frame takes a quarter of its processor time. Ratio of the second frame's
-    // expected time to its measured time.
+    // On four processors, a frame's wall time is a quarter of its processor time. Returns the second frame's
+    // expected time over its measured one.
     let second = |model: Option<&str>, clock: &str| {
         let mut session = Session::new(stated(model), HybridOptions::default());
         session.set_timing_source("a renderer", clock).unwrap();
@@ -221,7 +221,7 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         let ratio = second(Some("cpu"), clock);
         assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
     }
-    // Without two known and different clocks, times are taken as the model's own.
+    // Unless both clocks are known and differ, observed seconds count as the model's.
     for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
         let ratio = second(model, clock);
         assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");

@@ -27,13 +27,13 @@ const LEVELS: usize = 24;
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
 ///
-/// The controller chooses c = step · distance², where neighboring rays are `distance` pixels apart; a frame's
-/// time is about proportional to 1/c. Without a picture quality law, both grow together along the path, which
-/// at equal time has a smaller picture error than coarsening one alone; a renderer whose smaller images are
-/// strongly blurred coarsens the step alone first. With a law ([`Quality`]), the path follows it. Distances
-/// are powers of [`RATIO`], so that buffers seldom change, and a distance is kept while its step is close to
-/// the best. Where the distance changes, the step changes too, so that c stays as chosen, unless the limits
-/// of the step are closer together than two distances.
+/// The controller chooses c = step · distance², where `distance` is the distance of neighboring rays in
+/// pixels; a frame's time is about proportional to 1/c. Without a picture quality law, step and distance grow
+/// together along the path: at equal time, the picture error is smaller than if one of them grew alone. For a
+/// renderer whose smaller images are strongly blurred, the step grows alone first (`step_alone`). With a law
+/// ([`Quality`]), the path follows it. Distances are powers of [`RATIO`], so that buffers seldom change, and
+/// a distance is kept while its step is close to the best. Where the distance changes, the step changes with
+/// it and c is met, unless the limits of the step are too close together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
     steps: StepLimits,

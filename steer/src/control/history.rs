@@ -6,8 +6,8 @@ use entire_core::Result;
 /// Clip of errors, in ln(time): a guard against a single dominant frame.
 const LARGEST_ERROR: f64 = 2.0;
 
-/// Initial expected error, in ln(time). It only affects bounds, since ten frames are compared before errors
-/// are.
+/// Initial expected error, in ln(time). It affects only upper bounds: recent frames may lead only after
+/// [`COMPARED`] frames.
 const SPREAD: f64 = 0.1;
 
 /// Ratio of the standard deviation of a normal error to its mean absolute value, sqrt(π / 2).
@@ -24,7 +24,7 @@ const LEAD: f64 = 1.5;
 /// Smallest learning rate of both errors: averages over about twelve frames.
 const PACE: f64 = 0.08;
 
-/// Share of a frame's time that does not depend on the step: a guess between all renderers.
+/// Share of a frame's time that does not depend on the step: a guess, as renderers differ.
 const FIXED_SHARE: f64 = 0.1;
 
 /// Ratio of the errors below which the prediction leads again: lower than [`LEAD`], so that the two do not

@@ -25,8 +25,8 @@ const DEFAULT_TOLERANCE: f32 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
     /// Miss rate: share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by
-    /// default. Fewer undisturbed frames exceed the target plus `tolerance`, since many bounds are lower. The
-    /// miss rate of the first frames of new scenes is at least 0.07.
+    /// default. The share of undisturbed frames over the target plus `tolerance` is smaller, since many
+    /// bounds are below it. The miss rate of the first frames of new scenes is at least 0.07.
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed it; 0.1 by default. Full
     /// quality is drawn even beyond it where it is expected to meet the target and the chosen step would be
@@ -111,7 +111,7 @@ pub struct Hybrid {
     /// True where the frame before was announced as changed.
     announced: bool,
     scene: SceneMark,
-    /// Number of standard deviations of undisturbed frames covered by the choice of the step, at most.
+    /// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames.
     worth: f64,
 }
 
@@ -126,9 +126,9 @@ struct Last {
 /// Guard: largest number of evaluations of the cost in a step search, besides those at the limits; four or
 /// five suffice.
 const EVALUATIONS: usize = 12;
-/// Number of standard deviations of undisturbed frames covered by the choice of the step, at most, unless a
-/// lower miss rate requires more: 98 of 100 frames. Slower frames are due to other programs, and a step
-/// coarse enough for them would degrade every frame.
+/// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames,
+/// unless a lower miss rate requires more: it covers 98 of 100 frames. Slower frames are due to other
+/// programs, and a step coarse enough for them would degrade every frame.
 const WORTH: f64 = 2.0;
 /// Learning rate of the margins: averages over about twenty frames. A fixed margin has the same loss on the
 /// training paths, but does not keep a miss rate.

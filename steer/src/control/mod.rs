@@ -175,8 +175,8 @@ pub trait Controller {
     /// Forgets all observations.
     fn reset(&mut self);
 
-    /// Called where it changes whether observed frames are timed by another clock than the predictor's;
-    /// [`Controller::reset`] follows.
+    /// Sets whether observed frames are timed by another clock than the predictor's. The caller calls this on
+    /// a change, and [`Controller::reset`] after it.
     fn convert(&mut self, converted: bool) {
         let _ = converted;
     }

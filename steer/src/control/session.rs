@@ -406,8 +406,8 @@ impl Session {
             recording.observe(id, seconds);
         }
         if flags.cancelled && !over {
-            // The true time is longer than this one, which agrees with the expectation or has none to
-            // contradict.
+            // The frame would have taken longer than this. That is no news where a longer time, or none, was
+            // expected.
             return Ok(Verdict::Ignored);
         }
         let observed = Observed {

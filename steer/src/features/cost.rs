@@ -30,8 +30,8 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::RemappedSamples,
 ];
 
-/// Number of unit costs of every renderer; the last one applies only to renderers that convert each stored
-/// value ([`UnitCosts::CONVERTING`]) and is zero for the others.
+/// Number of unit costs that any renderer may have. The cost after them, of converting each stored value, is
+/// nonzero only for renderers like [`UnitCosts::CONVERTING`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
 /// Unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].

@@ -268,8 +268,8 @@ impl FrameFeatures {
         let per_ray = length * inv + crossing;
         let skips =
             if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
-        // Within a tile, the longest ray exceeds the mean by as much as the probe's longest neighbor, scaled
-        // to the tile's size.
+        // Excess of a tile's longest ray over the mean: that of a probe ray and its neighbors, scaled from
+        // the probe's spacing to the tile's size.
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };

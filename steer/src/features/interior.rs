@@ -1,12 +1,12 @@
-//! Distance of a cell to the nearest empty cell, in classes: the interval, in cells, at which a renderer
-//! looks at its skip map there.
+//! Classes of cells by their distance to the nearest empty cell. A renderer whose skip map holds this
+//! distance looks the map up less often far from empty cells.
 
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::memory::{fit, longer};
 
-/// Smallest distances to the nearest empty cell, in cells, of the classes 1, 2 and 3. Class c means one
-/// lookup in 2^c cells.
+/// Smallest distances to the nearest empty cell, in cells, of the classes 1, 2 and 3. In class c, a renderer
+/// looks its skip map up once in 2^c cells.
 const FROM: [usize; 3] = [2, 3, 5];
 
 /// Number of bit vectors: one per entry of [`FROM`], and two as working memory.

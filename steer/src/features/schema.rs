@@ -20,7 +20,7 @@ macro_rules! quantities {
     ($(
         $variant:ident, $name:literal, $unit:literal, $floor:literal, $step:ident, $probe:ident, $doc:literal;
     )*) => {
-        /// A physical quantity of a scene that the core computes.
+        /// A physical quantity of a scene.
         ///
         /// | name | unit | log floor | depends on the step | needs the probe | meaning |
         /// |---|---|---|---|---|---|

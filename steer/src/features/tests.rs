@@ -575,7 +575,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
         let bricks = VolumeSummary::from_bricks([16, 8, 8], [1.0; 3], kind, [8; 3], &bounds).unwrap();
         assert_eq!(bricks.remapped(), remapped, "bricks of {kind:?} from {low}");
     }
-    // The quantity agrees.
+    // All samples of such a volume count as remapped samples.
     let bytes: Vec<u8> = with(9.0, 250.0).iter().map(|&v| v as u8).collect();
     let f = frame(20.0, 30.0, 2.0, 50);
     let features = measured(&summary(&bytes, dims, 48), &table(|_| 0.5), &f);

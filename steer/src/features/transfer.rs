@@ -45,7 +45,8 @@ pub(super) mod packed {
     pub(crate) const UNIT: f32 = 1.0 / 1023.0;
     /// Bits of the depth class.
     pub(crate) const DEPTH: u32 = 0x0000_0c00;
-    /// Factor from the bits of the class to the difference between the bits of 1.0 and those of 2^−class.
+    /// Factor that shifts the class's bits to the exponent of an f32: subtracted from the bits of 1.0, they
+    /// give 2^−class.
     pub(crate) const HALVING: u32 = 1 << 13;
     /// Bits of the edit's number.
     pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION | DEPTH);

@@ -101,7 +101,7 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
         }
     }
     check_times(times)?;
-    // Then every node's load is finite, for any set of tasks.
+    // This check makes every node's load finite, for any assignment.
     let slowest = speeds.iter().copied().fold(f64::INFINITY, f64::min);
     if !times.iter().map(|t| t / slowest).sum::<f64>().is_finite() {
         bail!(

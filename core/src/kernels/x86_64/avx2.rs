@@ -40,22 +40,22 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
-        // SAFETY: token; the caller vouches for 8 numbers at `p`.
+        // SAFETY: token; the caller guarantees 8 floats at `p`.
         unsafe { _mm256_loadu_ps(p) }
     }
     #[inline(always)]
     unsafe fn store(self, p: *mut f32, v: Self::F) {
-        // SAFETY: token; the caller vouches for room for 8 numbers at `p`.
+        // SAFETY: token; the caller guarantees room for 8 floats at `p`.
         unsafe { _mm256_storeu_ps(p, v) }
     }
     #[inline(always)]
     unsafe fn load_f16(self, p: *const u16) -> Self::F {
-        // SAFETY: token; the caller vouches for 8 numbers at `p`.
+        // SAFETY: token; the caller guarantees 8 values at `p`.
         unsafe { _mm256_cvtph_ps(_mm_loadu_si128(p.cast())) }
     }
     #[inline(always)]
     unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F) {
-        // SAFETY: token; the caller vouches for 8 words at `p`.
+        // SAFETY: token; the caller guarantees 8 words at `p`.
         unsafe {
             let words = _mm256_loadu_si256(p.cast());
             let upper = _mm256_and_si256(words, _mm256_set1_epi32(0xffff_0000_u32 as i32));
@@ -148,7 +148,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
-        // SAFETY: token; the caller vouches for 32 bytes at `p`.
+        // SAFETY: token; the caller guarantees 32 bytes at `p`.
         unsafe { _mm256_loadu_si256(p.cast()) }
     }
     #[inline(always)]
@@ -173,7 +173,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
-        // SAFETY: token; the caller vouches for room for 8 bytes at `p`.
+        // SAFETY: token; the caller guarantees room for 8 bytes at `p`.
         unsafe {
             let v = _mm256_cvtps_epi32(v);
             let v = _mm_packs_epi32(_mm256_castsi256_si128(v), _mm256_extracti128_si256::<1>(v));

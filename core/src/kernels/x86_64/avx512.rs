@@ -45,22 +45,22 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
-        // SAFETY: token; the caller vouches for 16 numbers at `p`.
+        // SAFETY: token; the caller guarantees 16 floats at `p`.
         unsafe { _mm512_loadu_ps(p) }
     }
     #[inline(always)]
     unsafe fn store(self, p: *mut f32, v: Self::F) {
-        // SAFETY: token; the caller vouches for room for 16 numbers at `p`.
+        // SAFETY: token; the caller guarantees room for 16 floats at `p`.
         unsafe { _mm512_storeu_ps(p, v) }
     }
     #[inline(always)]
     unsafe fn load_f16(self, p: *const u16) -> Self::F {
-        // SAFETY: token; the caller vouches for 16 numbers at `p`.
+        // SAFETY: token; the caller guarantees 16 values at `p`.
         unsafe { _mm512_cvtph_ps(_mm256_loadu_si256(p.cast())) }
     }
     #[inline(always)]
     unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F) {
-        // SAFETY: token; the caller vouches for 16 words at `p`.
+        // SAFETY: token; the caller guarantees 16 words at `p`.
         unsafe {
             let words = _mm512_loadu_si512(p.cast());
             let upper = _mm512_and_si512(words, _mm512_set1_epi32(0xffff_0000_u32 as i32));
@@ -155,7 +155,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
-        // SAFETY: token; the caller vouches for 64 bytes at `p`.
+        // SAFETY: token; the caller guarantees 64 bytes at `p`.
         unsafe { _mm512_loadu_si512(p.cast()) }
     }
     #[inline(always)]
@@ -183,7 +183,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
-        // SAFETY: token; the caller vouches for room for 16 bytes at `p`.
+        // SAFETY: token; the caller guarantees room for 16 bytes at `p`.
         unsafe {
             let v = _mm512_max_epi32(_mm512_cvtps_epi32(v), _mm512_setzero_si512());
             _mm_storeu_si128(p.cast(), _mm512_cvtusepi32_epi8(v));

@@ -15,8 +15,8 @@ const SIDES: [usize; 4] = [4, 7, 11, 16];
 const STANDARD_ERRORS: f32 = 2.0;
 
 /// Largest turn of the eye about the volume, and of the view about the eye, before rays are cast again, in
-/// radians per unit of the tolerance. A turn by the tolerance / (d ln(time) / d angle) changes a frame's time
-/// by the tolerance; this slope stays below 1 / `TURN` on the recorded training paths.
+/// radians per unit of the tolerance. On the recorded training paths, a turn by an angle changes ln(time) by
+/// less than angle / `TURN`, so the time changes by less than the tolerance.
 const TURN: f32 = 0.4;
 
 /// As [`TURN`], for the change of ln of the eye's distance.

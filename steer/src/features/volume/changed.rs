@@ -16,8 +16,8 @@ pub(super) type Mask = u128;
 /// probability of about 2⁻¹²⁸.
 type Sums = [u64; 2];
 
-/// Bounds of a block's voxels, and of its first plane alone, which counts for the preceding blocks along z;
-/// both include the first voxels of the next blocks along x and y.
+/// Bounds of all planes of a block, and bounds of its first plane alone, to which samples of the preceding
+/// block along z reach. Both include the first voxels of the next blocks along x and y.
 pub(super) type Halves<T> = [Bounds<T>; 2];
 
 /// State kept for the cells between time steps, independent of the voxels' type.

@@ -372,7 +372,7 @@ impl<S: Simd> Tally<'_, S> {
             }
         }
         out[QUANTILES] = self.map.near[usize::from(last)];
-        // `count_eight` also counts entries beyond the bounds; all of those counts are zero.
+        // Only this range needs clearing: no entry lies outside the bounds, so the other counts are zero.
         for table in [a, b, c, d] {
             table[range.clone()].fill(0);
         }
