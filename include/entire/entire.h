@@ -1754,8 +1754,8 @@ entire_result entire_session_set_max_image_sample_distance(struct entire_session
 /**
  * Sets the quality law of this renderer, so that plans coarsen step or image, whichever adds less error.
  * With a step of s times the finest, and rays d pixels apart along each side, the picture error is
- * proportional to (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to (ray_share
- * + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. Replaces step_alone
+ * proportional to (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to
+ * (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. Replaces step_alone
  * (entire_session_set_max_image_sample_distance). An `image_weight` of 0 removes the law: the session then
  * uses that of its model, if the model was calibrated with pictures of this renderer.
  *
