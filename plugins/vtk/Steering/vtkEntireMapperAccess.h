@@ -5,6 +5,7 @@
 
 #include "vtkType.h"
 
+#include <string>
 #include <vector>
 
 class vtkAbstractVolumeMapper;
@@ -23,9 +24,16 @@ struct LeafMapper
   bool Gpu;
 };
 
-// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper that cannot be
-// steered.
+// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper of another class.
 void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& found);
+
+// The reason for which a mapper cannot be steered as it is told to draw now; empty where it can.
+std::string Refusal(vtkAbstractVolumeMapper* mapper);
+
+// A GPU mapper's rays begin at noise, or its samples are lit by scattering: the same rays cost another time. `gpu` is
+// that of its LeafMapper.
+bool Jitters(vtkVolumeMapper* mapper, bool gpu);
+bool Scatters(vtkVolumeMapper* mapper, bool gpu);
 
 // The sample distance that a mapper takes where it is locked to the spacing of its input.
 double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* image);

@@ -4,6 +4,7 @@
 
 #include "vtkAlgorithm.h"
 #include "vtkCommand.h"
+#include "vtkDataArray.h"
 #include "vtkFixedPointVolumeRayCastMapper.h"
 #include "vtkGPUVolumeRayCastMapper.h"
 #include "vtkImageData.h"
@@ -164,7 +165,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
   }
   std::optional<entire::volume> volume;
   std::array<double, 2> range;
-  failure = vtkEntire::ReadVoxels(this->Grid, volume, range);
+  vtkSmartPointer<vtkDataArray> kept;
+  failure = vtkEntire::ReadVoxels(this->Grid, volume, range, kept);
   if (!failure.empty())
   {
     return failure;
@@ -357,7 +359,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     return {};
   }
   const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(),
-    mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0) } };
+    mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0),
+    vtkEntire::Jitters(mapper, this->Gpu), vtkEntire::Scatters(mapper, this->Gpu) } };
   this->MarkChanges(mode, frame);
   frame.shading = mode[0] ? ENTIRE_SHADING_LOCAL : ENTIRE_SHADING_NONE;
   frame.skipping = this->Gpu ? ENTIRE_SKIPPING_NONE : ENTIRE_SKIPPING_BLOCKS;
@@ -581,11 +584,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Plan()
   if (!failure.empty())
   {
     this->Planned = {};
-    if (!owner->Status || failure != owner->Status)
-    {
-      this->Internals->Warn("Not steered: " + failure);
-    }
-    this->Internals->Report("fallback", failure.c_str());
+    this->Internals->FallBack(failure);
   }
   const bool known = this->Planned.id != 0;
   owner->PredictedTime =

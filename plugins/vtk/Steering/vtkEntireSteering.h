@@ -95,6 +95,13 @@ public:
   static bool CanSteer(vtkAbstractVolumeMapper* mapper);
 
   /**
+   * In words, why Attach() does not take a volume with this mapper; empty where it does. A vtkSmartVolumeMapper that
+   * is told to draw by OSPRay or ANARI cannot be steered; where it is told so while it is steered, VTK draws, and
+   * Status says why, until it is told otherwise.
+   */
+  static std::string GetRefusal(vtkAbstractVolumeMapper* mapper);
+
+  /**
    * Lets go of the volume and forgets what was learned of it. The mapper is left as the application set it.
    */
   void Detach();

@@ -39,8 +39,8 @@ constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
 // How many frames the time outside of the mapper is taken from.
 constexpr std::size_t REST_FRAMES = 5;
 
-// Shading, interpolation, blend mode, gradient opacity.
-using ModeKey = std::array<int, 4>;
+// Shading, interpolation, blend mode, gradient opacity; of GPU mappers also jittering and scattering.
+using ModeKey = std::array<int, 6>;
 
 // Keeps an object alive during a call, as a smart pointer does. A smart pointer that lets go of an algorithm or of
 // a data object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so
@@ -237,7 +237,7 @@ public:
     const vtkVolumeProperty* Property = nullptr;
     vtkMTimeType PropertyTime = 0;
     vtkEntire::TransferNodes Nodes;
-    vtkEntire::ModeKey Mode{ { -1, -1, -1, -1 } };
+    vtkEntire::ModeKey Mode{ { -1, -1, -1, -1, -1, -1 } };
     std::array<double, 2> Range{ { 0, 1 } };
     float LastView[16];
     bool HasView = false;
@@ -301,6 +301,8 @@ public:
   // The owner's Reason and Status; nullptr leaves the one or the other. Nobody is told: read-outs change with
   // every frame.
   void Report(const char* reason, const char* status);
+  // VTK draws the frame at hand alone: says why, and warns where that is news.
+  void FallBack(const std::string& why);
   // Keeps a warning until the frame is over.
   void Warn(const std::string& text) { this->Warnings.push_back(text); }
   void SayWarnings();
