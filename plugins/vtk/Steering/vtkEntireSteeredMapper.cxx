@@ -477,6 +477,22 @@ void vtkEntireSteering::vtkInternals::Leaf::ReadAhead()
 }
 
 //------------------------------------------------------------------------------
+bool vtkEntireSteering::vtkInternals::Leaf::UpdateInput(vtkVolumeMapper* mapper)
+{
+  if (!mapper->GetInputAlgorithm())
+  {
+    return true;
+  }
+  {
+    const vtkEntire::Hold<vtkAlgorithm> pipeline(mapper->GetInputAlgorithm());
+    const vtkEntire::Busy::Elsewhere elsewhere(this->Internals->Busy);
+    pipeline->Update();
+  }
+  return this->Alive && this->Internals->Renderer &&
+    vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume);
+}
+
+//------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
 {
   const std::shared_ptr<Leaf> self = this->shared_from_this();
@@ -502,19 +518,9 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
       return;
     }
   }
-  else if (mapper->GetInputAlgorithm())
+  else if (!this->UpdateInput(mapper))
   {
-    {
-      const vtkEntire::Hold<vtkAlgorithm> pipeline(mapper->GetInputAlgorithm());
-      const vtkEntire::Busy::Elsewhere elsewhere(this->Internals->Busy);
-      pipeline->Update();
-    }
-    if (!this->Alive || !this->Internals->Renderer ||
-      !vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume))
-    {
-      // An observer of the pipeline let go of the volume, or took it from the renderer.
-      return;
-    }
+    return;
   }
   this->Plan();
   this->Ready = this->Alive;
@@ -534,6 +540,12 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
   if (!this->Ready)
   {
     if (this->SetEarly())
+    {
+      return;
+    }
+    // A smart mapper's filter that resamples the volume runs later.
+    const vtkEntire::Hold<vtkVolumeMapper> mapper(this->Mapper.GetPointer());
+    if (this->Outer && !this->UpdateInput(mapper))
     {
       return;
     }

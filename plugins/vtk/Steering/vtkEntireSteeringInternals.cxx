@@ -196,9 +196,11 @@ double vtkEntireSteering::vtkInternals::Rest() const
   {
     return 0;
   }
-  std::array<double, vtkEntire::REST_FRAMES> sorted = this->Rests;
+  std::array<double, vtkEntire::REST_FRAMES> sorted;
+  sorted.fill(std::numeric_limits<double>::infinity());
   const std::size_t n = std::min(this->RestCount, vtkEntire::REST_FRAMES);
-  std::sort(sorted.begin(), sorted.begin() + n);
+  std::copy_n(this->Rests.begin(), n, sorted.begin());
+  std::sort(sorted.begin(), sorted.end());
   return sorted[n / 2];
 }
 

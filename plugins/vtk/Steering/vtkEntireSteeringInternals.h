@@ -207,6 +207,9 @@ public:
     // done. It lies that far ahead only where nobody sets it in between, so not inside a smart mapper that
     // draws otherwise.
     bool SetEarly() const { return !this->Gpu; }
+    // Brings the mapper's input up to date. False where an observer of its pipeline let go of the volume, or took it from
+    // the renderer.
+    bool UpdateInput(vtkVolumeMapper* mapper);
     void Plan();
     void Restore();
     void DrainQueue();
