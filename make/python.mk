@@ -12,6 +12,11 @@ test-python: ## Run the tests of the installed wheel (skipped where Python or Xv
 bars-python: ## Measure the Python package: frames held, overhead, many views, copies, leaks, still pictures; fails when a bar is short
 	@CARGO="$(CARGO)" lab/scripts/or_short.sh $(PYTHON) plugins/python/bars/bars.py -- plugins/python/run.sh bars
 
+# SLICER_FLAGS: a volume's NRRD file, --rate, --size, --clock; without a file a CT-like volume is made.
+.PHONY: bars-slicer
+bars-slicer: ## Switch presets in a view of 3D Slicer, held by entire and by Slicer's own rule: out/python/slicer.csv, for bars-reach
+	@CARGO="$(CARGO)" plugins/python/run.sh slicer $(SLICER_FLAGS)
+
 .PHONY: python-pictures
 python-pictures: ## Draw the pictures of the book's page on Python with the built wheel
 	@CARGO="$(CARGO)" plugins/python/run.sh pictures

@@ -17,6 +17,19 @@ bars-vtk: ## Compare with VTK's AutoAdjustSampleDistances and collect, train, ev
 test-paraview: ## Build the ParaView plugin, load and check it (skipped where ParaView is not there)
 	@CARGO="$(CARGO)" plugins/paraview/run.sh test
 
+# Debian's releases in folders of their own, 4 GB each, kept in MATRIX_FOLDERS; needs root. MATRIX: host, stable, testing; all by default.
+.PHONY: test-matrix
+test-matrix: ## Test the VTK class and the ParaView plugin with the versions of Debian stable and testing, beside those installed here
+	@CARGO="$(CARGO)" scripts/matrix.sh $(MATRIX)
+
+.PHONY: bars-reach
+bars-reach: ## Print the bars of the versions that test-matrix ran last; fails when one is short
+	@python3 lab/scripts/reach.py bars
+
+.PHONY: versions
+versions: ## Keep what test-matrix ran last in .ci/matrix.csv and write README's and the book's tested versions
+	@python3 lab/scripts/reach.py keep
+
 .PHONY: study-renderers
 study-renderers: ## Accuracy for VTK's mappers, ParaView and yt: out/renderers/report.html
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study data/timings/renderers-study.json --out out/renderers --bars

@@ -121,8 +121,8 @@ case $for in
             libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
         ;;&
     nightly)
-        # Slurm, and the library that Qt needs to open windows.
-        packages+=(slurm-wlm munge libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
+        # Slurm, folders of other Debian releases, and the library that Qt needs to open windows.
+        packages+=(slurm-wlm munge mmdebstrap libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
             libxcb-xinerama0 libxkbcommon-x11-0 libegl1 libdbus-1-3)
         ;;
 esac

@@ -155,6 +155,7 @@ if [[ $gate == nightly ]]; then
     step "C library under sanitizers" tests/c/sanitizers.sh
     step "Miri" scripts/miri.sh
     step "VTK under the address sanitizer" plugins/vtk/run.sh asan
+    step "versions of VTK and ParaView" scripts/matrix.sh
     step "property tests with new cases" make --no-print-directory test-properties
     step "fuzz targets with new seeds" scripts/fuzz.sh keep "${NIGHTLY_FUZZ_SECONDS:-1200}"
 fi

@@ -17,6 +17,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import reach
+
 ROOT = Path(__file__).resolve().parents[2]
 
 README_LINES = 90
@@ -362,6 +364,7 @@ def main():
         ("missing-paths", missing_paths(front)),
         ("missing-c-names", missing_names(front)),
         ("missing-make-targets", missing_targets(pages)),
+        ("documents-of-other-versions", reach.stale()),
         ("readme-figures-apart-from-results", figures_apart_from_results(readme)),
         ("code-blocks-that-do-not-compile", broken_snippets(pages) if shutil.which("cc") else ()),
     ):

@@ -17,7 +17,8 @@ cd "$(dirname "$0")/../.."
 what=${1:?build, test or screenshot}
 out=${PARAVIEW_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/paraview}
 arch=$(gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
-cmake_dir=/usr/lib/$arch/cmake/paraview-5.11
+# As `cmake --install` names it by version; the newest where there are several.
+cmake_dir=$(compgen -G "/usr/lib/$arch/cmake/paraview-*" | sort -V | tail -n 1 || true)
 
 lacks() {
     skip test-paraview "$1"
@@ -27,8 +28,8 @@ packages="paraview paraview-dev qtbase5-dev libqt5svg5-dev qttools5-dev libqt5op
 libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev libgl2ps-dev libpng-dev \
 libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev"
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++)"
-command -v pvbatch >/dev/null && [[ -d $cmake_dir ]] ||
-    lacks "ParaView 5.11 and its development files are not installed (apt-get install $packages)"
+command -v pvbatch >/dev/null && [[ $cmake_dir ]] ||
+    lacks "ParaView and its development files are not installed (apt-get install $packages)"
 command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): ParaView needs a display"
 mkdir -p "$out"
 
@@ -58,7 +59,7 @@ else
         ln -s "$modules/usr/lib/$arch/vtk/hierarchy/ParaView" "$prefix/lib/$arch/vtk/hierarchy/"
         cp -r "$cmake_dir" "$prefix/lib/$arch/cmake/"
     fi
-    cmake_dir=$prefix/lib/$arch/cmake/paraview-5.11
+    cmake_dir=$prefix/lib/$arch/cmake/$(basename "$cmake_dir")
     export PYTHONPATH=$modules/usr/lib/python3/dist-packages PARAVIEW_MODULES=$modules/usr/lib/python3/dist-packages
     export PARAVIEW_ROOT=$modules
 fi
@@ -68,7 +69,7 @@ build() {
     sdk=$(sdk)
     if command -v ninja >/dev/null; then generator=(-G Ninja); fi
     cmake -S plugins/paraview -B "$out/build" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" -DParaView_DIR="$cmake_dir" \
-        -DENTIRE_PANEL="${PARAVIEW_PANEL:-ON}" >"$out/configure.log" 2>&1 ||
+        "${strict[@]}" -DENTIRE_PANEL="${PARAVIEW_PANEL:-ON}" >"$out/configure.log" 2>&1 ||
         { tail -n 30 "$out/configure.log" >&2; exit 1; }
     cmake --build "$out/build" >"$out/build.log" 2>&1 || { tail -n 40 "$out/build.log" >&2; exit 1; }
     plugin=$(find "$out/build" -name EntireSteering.so | head -n 1)

@@ -3,6 +3,7 @@
 # Builds the Python package, tests the built wheel, measures it, or draws the book's pictures with it.
 #
 #   plugins/python/run.sh wheel|bars|pictures
+#   plugins/python/run.sh slicer [ARGUMENT…]               Slicer's own rule beside ours; arguments go to bars/slicer_rule.py
 #   plugins/python/run.sh test [--full] [ARGUMENT…]        arguments go to pytest
 #   plugins/python/run.sh exec ENVIRONMENT COMMAND...      a command in an environment of the tests, on a display
 #
@@ -10,11 +11,12 @@
 #   test     the newest VTK and PyVista, trame, yt, notebooks, mypy
 #   oldest   the oldest PyVista that finds plotter.entire by itself, and the oldest VTK that it accepts
 #   qt       vispy and napari, on Qt
+#   slicer   slicer-core, the libraries of 3D Slicer with a VTK of their own; for Python 3.11 alone
 #   host     that of VTK_PYTHON, a Python with a VTK of its own: a distribution's, ParaView's pvbatch
 #
 # PYTHON               the Python to make environments with (default python3)
 # PYTHON_OUT           where environments go (default target/python)
-# PYTHON_ENVIRONMENTS  those to test in (default "test", with --full "test oldest qt host")
+# PYTHON_ENVIRONMENTS  those to test in (default "test", with --full "test oldest qt host slicer")
 # ENTIRE_PROFILE       the cargo profile of the wheel (default release)
 # VTK_PYTHON           default /usr/bin/python3
 set -euo pipefail
@@ -22,8 +24,8 @@ cd "$(dirname "$0")/../.."
 . scripts/lib.sh
 what=${1:-}
 case $what in
-    wheel | test | bars | pictures | exec) shift ;;
-    *) echo "run.sh: found word \"$what\"; use wheel, test, bars, pictures or exec" >&2; exit 2 ;;
+    wheel | test | bars | slicer | pictures | exec) shift ;;
+    *) echo "run.sh: found word \"$what\"; use wheel, test, bars, slicer, pictures or exec" >&2; exit 2 ;;
 esac
 here=plugins/python
 out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}
@@ -93,7 +95,7 @@ tests() {
         return
     fi
     printf '\n%s: %s\n' "$name" "$("$out/$name/bin/python" -m pip list --format freeze 2>/dev/null |
-        grep -iE '^(numpy|vtk|pyvista|trame-vtk|yt|vispy|napari)=' | tr '\n' ' ')"
+        grep -iE '^(numpy|vtk|pyvista|trame-vtk|yt|vispy|napari|slicer-core)=' | tr '\n' ' ')"
     run_pytest "$name" "$out/$name/bin/python" -m pytest "$@"
 }
 
@@ -144,24 +146,25 @@ case $what in
         wheel
         environments=test
         if [[ ${1:-} == --full ]]; then
-            environments="test oldest qt host"
+            environments="test oldest qt host slicer"
             shift
         fi
         for name in ${PYTHON_ENVIRONMENTS:-$environments}; do
             case $name in
                 test)
                     if (($#)); then
-                        tests test --ignore tests/test_qt.py "$@"
+                        tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py "$@"
                         continue
                     fi
                     # In a separate process: after them, making a window has crashed inside Mesa's GLX (22.3).
                     tests test tests/test_integrations.py
-                    tests test --ignore tests/test_qt.py --ignore tests/test_integrations.py
+                    tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py --ignore tests/test_integrations.py
                     ;;
-                oldest) tests oldest tests/test_volume.py tests/test_session.py tests/test_vtk.py tests/test_window.py tests/test_pyvista.py "$@" ;;
+                oldest) tests oldest tests/test_volume.py tests/test_session.py tests/test_vtk.py tests/test_modes.py tests/test_window.py tests/test_pyvista.py "$@" ;;
                 qt) qt_tests "$@" ;;
-                host) host_tests tests/test_vtk.py tests/test_window.py "$@" ;;
-                *) echo "run.sh: PYTHON_ENVIRONMENTS names \"$name\"; use test, oldest, qt and host" >&2; exit 2 ;;
+                slicer) tests slicer tests/test_slicer.py tests/test_modes.py "$@" ;;
+                host) host_tests tests/test_vtk.py tests/test_modes.py tests/test_window.py "$@" ;;
+                *) echo "run.sh: PYTHON_ENVIRONMENTS names \"$name\"; use test, oldest, qt, host and slicer" >&2; exit 2 ;;
             esac
         done
         ;;
@@ -173,6 +176,12 @@ case $what in
         installed test || lacks "$why"
         display "$out/test/bin/python" $here/bars/bars.py --wheels out/wheels --out out/python \
             --library "${CARGO_TARGET_DIR:-target}/release/libentire.so" "$@"
+        ;;
+    slicer)
+        needs_display
+        wheel
+        installed slicer || lacks "$why"
+        display "$out/slicer/bin/python" $here/bars/slicer_rule.py "$@"
         ;;
     pictures)
         needs_display

@@ -82,6 +82,30 @@ struct SettingsMembers : Mapper
     mapper->*&SettingsMembers::LockSampleDistanceToInputSpacing = settings.Lock;
   }
 };
+// The mode of vtkSmartVolumeMapper that draws by ANARI, or -1 where this VTK has none.
+template <class Mapper>
+constexpr auto AnariMode(int) -> decltype(static_cast<int>(Mapper::AnariRenderMode))
+{
+  return Mapper::AnariRenderMode;
+}
+template <class Mapper>
+constexpr int AnariMode(long)
+{
+  return -1;
+}
+
+// The share of scattering in a GPU mapper's light: 0 where this VTK has none.
+template <class Mapper>
+auto Scattering(Mapper* mapper, int) -> decltype(static_cast<float>(mapper->GetVolumetricScatteringBlending()))
+{
+  return mapper->GetVolumetricScatteringBlending();
+}
+template <class Mapper>
+float Scattering(Mapper*, long)
+{
+  return 0;
+}
+
 using GpuMembers = SettingsMembers<vtkGPUVolumeRayCastMapper>;
 using FixedMembers = SettingsMembers<vtkFixedPointVolumeRayCastMapper>;
 
@@ -127,6 +151,47 @@ void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& f
   {
     found.push_back({ gpu, nullptr, true });
   }
+}
+
+//------------------------------------------------------------------------------
+std::string Refusal(vtkAbstractVolumeMapper* mapper)
+{
+  if (auto* blocks = vtkMultiBlockVolumeMapper::SafeDownCast(mapper))
+  {
+    // It makes the mappers that draw in its first frame; all of them draw alike.
+    const auto& inner = blocks->*Find(BlockMappers());
+    return inner.empty() ? std::string() : Refusal(inner[0]);
+  }
+  if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(mapper))
+  {
+    const int mode = smart->GetRequestedRenderMode();
+    const bool ospray = mode == vtkSmartVolumeMapper::OSPRayRenderMode;
+    if (ospray || mode == AnariMode<vtkSmartVolumeMapper>(0))
+    {
+      return std::string("vtkSmartVolumeMapper is told to draw by ") + (ospray ? "OSPRay" : "ANARI") +
+        ", outside of VTK's mappers, where there is no sample distance to set; the modes Default, GPU and RayCast can "
+        "be steered";
+    }
+    return {};
+  }
+  if (mapper && (mapper->IsA("vtkFixedPointVolumeRayCastMapper") || mapper->IsA("vtkGPUVolumeRayCastMapper")))
+  {
+    return {};
+  }
+  return std::string(mapper ? mapper->GetClassName() : "a volume without a mapper") +
+    " cannot be steered; vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper, vtkSmartVolumeMapper "
+    "and vtkMultiBlockVolumeMapper can";
+}
+
+//------------------------------------------------------------------------------
+bool Jitters(vtkVolumeMapper* mapper, bool gpu)
+{
+  return gpu && static_cast<vtkGPUVolumeRayCastMapper*>(mapper)->GetUseJittering();
+}
+
+bool Scatters(vtkVolumeMapper* mapper, bool gpu)
+{
+  return gpu && Scattering(static_cast<vtkGPUVolumeRayCastMapper*>(mapper), 0) > 0;
 }
 
 //------------------------------------------------------------------------------

@@ -5,6 +5,7 @@
 
 #include "vtkType.h"
 
+#include <string>
 #include <vector>
 
 class vtkAbstractVolumeMapper;
@@ -23,9 +24,16 @@ struct LeafMapper
   bool Gpu;
 };
 
-// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper that cannot be
-// steered.
+// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper of another class.
 void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& found);
+
+// The reason why a mapper cannot be steered with its current settings; empty if it can.
+std::string Refusal(vtkAbstractVolumeMapper* mapper);
+
+// True if a GPU mapper jitters ray starts, or lights samples by scattering: the same rays then take another time. `gpu` is
+// that of its LeafMapper.
+bool Jitters(vtkVolumeMapper* mapper, bool gpu);
+bool Scatters(vtkVolumeMapper* mapper, bool gpu);
 
 // The sample distance of a mapper that is locked to the spacing of its input.
 double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* image);

@@ -169,8 +169,8 @@ std::string ReadGrid(
 }
 
 //------------------------------------------------------------------------------
-std::string ReadVoxels(
-  const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range)
+std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
+  std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept)
 {
   const VolumeKey& key = grid.Key;
   grid.Scalars->GetRange(range.data(), key.Component);
@@ -183,10 +183,21 @@ std::string ReadVoxels(
     range[1] = range[0] + std::max(1.0, std::fabs(range[0]));
   }
   entire::volume_desc desc;
-  const std::size_t components = static_cast<std::size_t>(grid.Components);
+  vtkDataArray* scalars = grid.Scalars;
+  std::size_t components = static_cast<std::size_t>(grid.Components);
+  std::size_t offset = static_cast<std::size_t>(key.Component);
+  if (!scalars->HasStandardMemoryLayout())
+  {
+    // GetVoidPointer() would copy all of it, for as long as the array lives.
+    kept.TakeReference(vtkDataArray::CreateDataArray(scalars->GetDataType()));
+    kept->SetNumberOfTuples(scalars->GetNumberOfTuples());
+    kept->CopyComponent(0, scalars, key.Component);
+    scalars = kept;
+    components = 1;
+    offset = 0;
+  }
   const std::size_t stride[3] = { components, components * key.Dimensions[0],
     components * key.Dimensions[0] * key.Dimensions[1] };
-  std::size_t offset = static_cast<std::size_t>(key.Component);
   for (int axis = 0; axis < 3; ++axis)
   {
     offset += stride[axis] * key.Box[2 * axis];
@@ -199,9 +210,8 @@ std::string ReadVoxels(
     grid.Type == ENTIRE_SCALAR_I32 || grid.Type == ENTIRE_SCALAR_F64 || grid.Type == ENTIRE_SCALAR_U64 ||
     grid.Type == ENTIRE_SCALAR_I64;
   desc.ownership = copied ? ENTIRE_VOXELS_COPY : ENTIRE_VOXELS_BORROW;
-  desc.voxels =
-    static_cast<const char*>(grid.Scalars->GetVoidPointer(0)) + offset * grid.Scalars->GetDataTypeSize();
-  desc.voxel_count = static_cast<std::size_t>(grid.Scalars->GetNumberOfTuples()) * components - offset;
+  desc.voxels = static_cast<const char*>(scalars->GetVoidPointer(0)) + offset * scalars->GetDataTypeSize();
+  desc.voxel_count = static_cast<std::size_t>(scalars->GetNumberOfTuples()) * components - offset;
   desc.range[0] = static_cast<float>(range[0]);
   desc.range[1] = static_cast<float>(range[1]);
   auto made = entire::volume::create(desc);

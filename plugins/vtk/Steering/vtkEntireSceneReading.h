@@ -4,6 +4,7 @@
 #ifndef vtkEntireSceneReading_h
 #define vtkEntireSceneReading_h
 
+#include "vtkSmartPointer.h"
 #include "vtkType.h"
 
 #include <entire/entire.hpp>
@@ -92,9 +93,10 @@ std::string ReadGrid(
   vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
 
 // The voxels of the grid's box. The volume borrows them if the library reads their type: use it before the scene
-// changes. `range` receives the minimum and maximum scalar value.
-std::string ReadVoxels(
-  const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range);
+// changes, and while `kept` lives: a copy of the drawn component, if its values are not stored as an ordinary array.
+// `range` receives the minimum and maximum scalar value.
+std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
+  std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept);
 
 // The volume property's functions of scalar opacity and color, and its ScalarOpacityUnitDistance.
 void ReadTransferNodes(

@@ -4,6 +4,7 @@
 
 #include "vtkAlgorithm.h"
 #include "vtkCommand.h"
+#include "vtkDataArray.h"
 #include "vtkFixedPointVolumeRayCastMapper.h"
 #include "vtkGPUVolumeRayCastMapper.h"
 #include "vtkImageData.h"
@@ -163,7 +164,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
   }
   std::optional<entire::volume> volume;
   std::array<double, 2> range;
-  failure = vtkEntire::ReadVoxels(this->Grid, volume, range);
+  vtkSmartPointer<vtkDataArray> kept;
+  failure = vtkEntire::ReadVoxels(this->Grid, volume, range, kept);
   if (!failure.empty())
   {
     return failure;
@@ -356,7 +358,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     return {};
   }
   const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(),
-    mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0) } };
+    mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0),
+    vtkEntire::Jitters(mapper, this->Gpu), vtkEntire::Scatters(mapper, this->Gpu) } };
   this->MarkChanges(mode, frame);
   frame.shading = mode[0] ? ENTIRE_SHADING_LOCAL : ENTIRE_SHADING_NONE;
   frame.skipping = this->Gpu ? ENTIRE_SKIPPING_NONE : ENTIRE_SKIPPING_BLOCKS;
@@ -473,6 +476,22 @@ void vtkEntireSteering::vtkInternals::Leaf::ReadAhead()
 }
 
 //------------------------------------------------------------------------------
+bool vtkEntireSteering::vtkInternals::Leaf::UpdateInput(vtkVolumeMapper* mapper)
+{
+  if (!mapper->GetInputAlgorithm())
+  {
+    return true;
+  }
+  {
+    const vtkEntire::Hold<vtkAlgorithm> pipeline(mapper->GetInputAlgorithm());
+    const vtkEntire::Busy::Elsewhere elsewhere(this->Internals->Busy);
+    pipeline->Update();
+  }
+  return this->Alive && this->Internals->Renderer &&
+    vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume);
+}
+
+//------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
 {
   const std::shared_ptr<Leaf> self = this->shared_from_this();
@@ -498,19 +517,9 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
       return;
     }
   }
-  else if (mapper->GetInputAlgorithm())
+  else if (!this->UpdateInput(mapper))
   {
-    {
-      const vtkEntire::Hold<vtkAlgorithm> pipeline(mapper->GetInputAlgorithm());
-      const vtkEntire::Busy::Elsewhere elsewhere(this->Internals->Busy);
-      pipeline->Update();
-    }
-    if (!this->Alive || !this->Internals->Renderer ||
-      !vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume))
-    {
-      // An observer of the pipeline detached the volume, or removed it from the renderer.
-      return;
-    }
+    return;
   }
   this->Plan();
   this->Ready = this->Alive;
@@ -530,6 +539,12 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
   if (!this->Ready)
   {
     if (this->SetEarly())
+    {
+      return;
+    }
+    // A smart mapper's filter that resamples the volume runs later.
+    const vtkEntire::Hold<vtkVolumeMapper> mapper(this->Mapper.GetPointer());
+    if (this->Outer && !this->UpdateInput(mapper))
     {
       return;
     }
@@ -580,11 +595,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Plan()
   if (!failure.empty())
   {
     this->Planned = {};
-    if (!owner->Status || failure != owner->Status)
-    {
-      this->Internals->Warn("Not steered: " + failure);
-    }
-    this->Internals->Report("fallback", failure.c_str());
+    this->Internals->FallBack(failure);
   }
   const bool known = this->Planned.id != 0;
   owner->PredictedTime =

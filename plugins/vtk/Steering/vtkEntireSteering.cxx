@@ -4,7 +4,6 @@
 #include "vtkEntireStateFile.h"
 #include "vtkEntireSteeringInternals.h"
 
-#include "vtkMultiBlockVolumeMapper.h"
 #include "vtkObjectFactory.h"
 #include "vtkSmartPointer.h"
 
@@ -43,10 +42,13 @@ vtkEntireSteering::~vtkEntireSteering()
 //------------------------------------------------------------------------------
 bool vtkEntireSteering::CanSteer(vtkAbstractVolumeMapper* mapper)
 {
-  std::vector<vtkEntire::LeafMapper> found;
-  vtkEntire::FindLeafMappers(mapper, found);
-  // A multi-block mapper makes its inner mappers in its first frame.
-  return !found.empty() || vtkMultiBlockVolumeMapper::SafeDownCast(mapper);
+  return vtkEntire::Refusal(mapper).empty();
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::GetRefusal(vtkAbstractVolumeMapper* mapper)
+{
+  return vtkEntire::Refusal(mapper);
 }
 
 //------------------------------------------------------------------------------
@@ -74,11 +76,11 @@ bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
   {
     return this->Fail("Attach() was given no renderer or no volume");
   }
-  if (volume->GetMapper() && !CanSteer(volume->GetMapper()))
+  // A mapper may come later.
+  const std::string refusal = volume->GetMapper() ? GetRefusal(volume->GetMapper()) : std::string();
+  if (!refusal.empty())
   {
-    return this->Fail(std::string(volume->GetMapper()->GetClassName()) +
-      " cannot be steered; vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper, vtkSmartVolumeMapper "
-      "and vtkMultiBlockVolumeMapper can");
+    return this->Fail(refusal);
   }
   this->Internals->Volume = volume;
   this->Internals->Observe(renderer);

@@ -95,6 +95,13 @@ public:
   static bool CanSteer(vtkAbstractVolumeMapper* mapper);
 
   /**
+   * Returns the reason why Attach() refuses a volume with this mapper; empty if it accepts it. A vtkSmartVolumeMapper in
+   * the render modes OSPRay and ANARI cannot be steered; if it is set to one while it is steered, VTK draws without
+   * steering, and Status says why, until it is set to another.
+   */
+  static std::string GetRefusal(vtkAbstractVolumeMapper* mapper);
+
+  /**
    * Releases the volume and drops the learned state. The mapper gets the application's settings.
    */
   void Detach();

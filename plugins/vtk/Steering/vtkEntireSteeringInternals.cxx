@@ -161,6 +161,18 @@ void vtkEntireSteering::vtkInternals::Report(const char* reason, const char* sta
 }
 
 //------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::FallBack(const std::string& why)
+{
+  if (!this->Owner->Status || why != this->Owner->Status)
+  {
+    this->Warn("Not steered: " + why);
+  }
+  this->Report("fallback", why.c_str());
+  this->Owner->PredictedTime = vtkEntire::NOT_KNOWN;
+  this->Owner->SampleDistance = this->Owner->ImageSampleDistance = vtkEntire::NOT_KNOWN;
+}
+
+//------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::SayWarnings()
 {
   if (this->Warnings.empty())
@@ -183,9 +195,11 @@ double vtkEntireSteering::vtkInternals::Rest() const
   {
     return 0;
   }
-  std::array<double, vtkEntire::REST_FRAMES> sorted = this->Rests;
+  std::array<double, vtkEntire::REST_FRAMES> sorted;
+  sorted.fill(std::numeric_limits<double>::infinity());
   const std::size_t n = std::min(this->RestCount, vtkEntire::REST_FRAMES);
-  std::sort(sorted.begin(), sorted.begin() + n);
+  std::copy_n(this->Rests.begin(), n, sorted.begin());
+  std::sort(sorted.begin(), sorted.end());
   return sorted[n / 2];
 }
 
@@ -305,6 +319,17 @@ void vtkEntireSteering::vtkInternals::RendererStart()
   {
     this->Report(nullptr, "the volume is not among the props of the renderer that Attach() was given");
     return;
+  }
+  // A mapper of its own is what it is; one that holds others may be told to draw without them.
+  vtkAbstractVolumeMapper* const mapper = this->Volume->GetMapper();
+  if (mapper && (this->Drawing.empty() || this->Drawing[0]->Outer))
+  {
+    const std::string refusal = vtkEntire::Refusal(mapper);
+    if (!refusal.empty())
+    {
+      this->FallBack(refusal);
+      return;
+    }
   }
   this->ForEach(&Leaf::RendererStart);
 }

@@ -39,8 +39,8 @@ constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
 // Number of frames from which the time outside of the mapper is taken.
 constexpr std::size_t REST_FRAMES = 5;
 
-// Shading, interpolation, blend mode, gradient opacity.
-using ModeKey = std::array<int, 4>;
+// Shading, interpolation, blend mode, gradient opacity; of GPU mappers also jittering and scattering.
+using ModeKey = std::array<int, 6>;
 
 // Keeps an object alive during a call, as a smart pointer does. A smart pointer that releases an algorithm or a data
 // object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so only if another
@@ -204,6 +204,9 @@ public:
     // announces its start: it is set at its renderer's start, and restored at its renderer's end. That early setting
     // lasts only if nobody else sets it in between, so not inside a smart mapper that draws otherwise.
     bool SetEarly() const { return !this->Gpu; }
+    // Brings the mapper's input up to date. False where an observer of its pipeline let go of the volume, or took it from
+    // the renderer.
+    bool UpdateInput(vtkVolumeMapper* mapper);
     void Plan();
     void Restore();
     void DrainQueue();
@@ -234,7 +237,7 @@ public:
     const vtkVolumeProperty* Property = nullptr;
     vtkMTimeType PropertyTime = 0;
     vtkEntire::TransferNodes Nodes;
-    vtkEntire::ModeKey Mode{ { -1, -1, -1, -1 } };
+    vtkEntire::ModeKey Mode{ { -1, -1, -1, -1, -1, -1 } };
     std::array<double, 2> Range{ { 0, 1 } };
     float LastView[16];
     bool HasView = false;
@@ -296,6 +299,8 @@ public:
   // Sets the owner's Reason and Status; nullptr leaves the one or the other. Without an event, since read-outs change
   // with every frame.
   void Report(const char* reason, const char* status);
+  // VTK draws the frame at hand alone: says why, and warns where that is news.
+  void FallBack(const std::string& why);
   // Keeps a warning until the frame is over.
   void Warn(const std::string& text) { this->Warnings.push_back(text); }
   void SayWarnings();

@@ -126,9 +126,11 @@ def refusal(mapper: Any) -> str:
     """Reason why a mapper cannot be steered; empty if it can, or can be replaced."""
     if mapper is None:
         return "the volume has no mapper; give it one before it is held"
-    if is_gpu(mapper) or is_fixed_point(mapper) or mapper.IsA("vtkSmartVolumeMapper"):
+    if is_gpu(mapper) or is_fixed_point(mapper):
         return ""
     name = mapper.GetClassName()
+    if mapper.IsA("vtkSmartVolumeMapper"):
+        return _smart_refusal(mapper)
     if mapper.IsA("vtkMultiBlockVolumeMapper"):
         return (
             f"{name} gives Python no access to the mappers of its blocks, so nothing can be set on them; "
@@ -150,6 +152,31 @@ def refusal(mapper: Any) -> str:
         f"{name} cannot be steered; vtkOpenGLGPUVolumeRayCastMapper, vtkFixedPointVolumeRayCastMapper and "
         "vtkSmartVolumeMapper can"
     )
+
+
+def _smart_refusal(smart: Any) -> str:
+    """Why no GPU mapper can take the place of a smart one as it is told to draw; empty where one can."""
+    kind = vtkSmartVolumeMapper
+    mode = smart.GetRequestedRenderMode()
+    # VTK before 9.4 has no ANARI, and before 9.3 no low-resolution mode.
+    outside = {kind.OSPRayRenderMode: "OSPRay", getattr(kind, "AnariRenderMode", -1): "ANARI"}.get(mode)
+    if outside:
+        return (
+            f"the vtkSmartVolumeMapper is told to draw by {outside}, outside of VTK's mappers, where there is no sample "
+            "distance to set; choose the default mode, or steer with entire.Session around its frames"
+        )
+    if mode not in (kind.DefaultRenderMode, kind.GPURenderMode):
+        return (
+            f"the vtkSmartVolumeMapper was told to draw in mode {mode}, and gives Python no access to the "
+            f"mapper inside; use "
+            "vtkFixedPointVolumeRayCastMapper (pyvista: mapper='fixed_point') or the default mode"
+        )
+    if hasattr(smart, "GetLowResMode") and smart.GetLowResMode() != kind.LowResModeDisabled:
+        return (
+            "the vtkSmartVolumeMapper may draw a resampled volume (LowResMode), with a mapper inside to which Python has "
+            "no access; switch that mode off, or use the C++ class vtkEntireSteering"
+        )
+    return ""
 
 
 def _copy(source: Any, target: Any, names: tuple[str, ...]) -> None:
@@ -188,13 +215,9 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     CannotSteer
         If the smart mapper is set to another mode.
     """
-    mode = smart.GetRequestedRenderMode()
-    if mode not in (vtkSmartVolumeMapper.DefaultRenderMode, vtkSmartVolumeMapper.GPURenderMode):
-        raise CannotSteer(
-            f"the vtkSmartVolumeMapper was told to draw in mode {mode}, and gives Python no access to the "
-            f"mapper inside; use "
-            "vtkFixedPointVolumeRayCastMapper (pyvista: mapper='fixed_point') or the default mode"
-        )
+    why = _smart_refusal(smart)
+    if why:
+        raise CannotSteer(why)
     gpu = make()
     if smart.GetNumberOfInputConnections(0):
         gpu.SetInputConnection(smart.GetInputConnection(0, 0))

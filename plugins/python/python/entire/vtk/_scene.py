@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkDataArray
 from vtkmodules.vtkCommonDataModel import vtkImageData
 from vtkmodules.vtkCommonMath import vtkMatrix4x4
 from vtkmodules.vtkRenderingCore import vtkAbstractMapper
@@ -34,6 +35,9 @@ def _copied(matrix: Any) -> tuple[float, ...]:
 elements: Callable[[Any], tuple[float, ...]] = (
     methodcaller("GetData") if isinstance(vtkMatrix4x4().GetData(), tuple) else _copied
 )
+
+
+Look = tuple[int, int, int, bool, bool, bool]
 
 
 class Unreadable(ValueError):
@@ -67,17 +71,20 @@ class Grid:
         if min(dims) < 1:
             raise Unreadable("the mapper's input is empty")
         components = scalars.GetNumberOfComponents()
+        component = component if component >= 0 else components - 1
         if scalars.GetNumberOfTuples() != dims[0] * dims[1] * dims[2]:
             raise Unreadable(
                 f"the mapper's input has {scalars.GetNumberOfTuples()} scalar values for {dims} voxels"
             )
+        if not scalars.HasStandardMemoryLayout():
+            # NumPy would have VTK copy all of it, for as long as the array lives.
+            scalars, component, components = _copy_of(scalars, component), 0, 1
         try:
             values = vtk_to_numpy(scalars)
         except (AssertionError, ValueError, TypeError) as error:
             raise Unreadable(
                 f"scalars of type {scalars.GetDataTypeAsString()} cannot be predicted: {error}"
             ) from None
-        component = component if component >= 0 else components - 1
         voxels = values.reshape(dims[2], dims[1], dims[0], components)[..., component]
         spacing = [abs(s) for s in image.GetSpacing()]
         if not all(math.isfinite(s) and s > 0 for s in spacing):
@@ -100,6 +107,14 @@ class Grid:
         image.TransformContinuousIndexToPhysicalPoint(at, center)
         self.center = (center[0], center[1], center[2])
         self.direction = elements(image.GetDirectionMatrix())
+
+
+def _copy_of(scalars: Any, component: int) -> Any:
+    """A component of an array as an ordinary array."""
+    copied = vtkDataArray.CreateDataArray(scalars.GetDataType())
+    copied.SetNumberOfTuples(scalars.GetNumberOfTuples())
+    copied.CopyComponent(0, scalars, component)
+    return copied
 
 
 def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
@@ -233,13 +248,16 @@ def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
     )
 
 
-def look(prop: Any, mapper: Any) -> tuple[int, int, int, bool]:
-    """Shading, interpolation and blending of samples."""
+def look(prop: Any, mapper: Any) -> Look:
+    """Shading, interpolation and blending of samples; of GPU mappers also whether ray starts are jittered, and whether
+    samples are lit by scattering."""
     gradient = bool(prop.HasGradientOpacity(0)) and not prop.GetDisableGradientOpacity(0)
-    return (prop.GetShade(0), prop.GetInterpolationType(), mapper.GetBlendMode(), gradient)
+    jitters = hasattr(mapper, "GetUseJittering") and bool(mapper.GetUseJittering())
+    scatters = hasattr(mapper, "GetVolumetricScatteringBlending") and mapper.GetVolumetricScatteringBlending() > 0
+    return (prop.GetShade(0), prop.GetInterpolationType(), mapper.GetBlendMode(), gradient, jitters, scatters)
 
 
-def termination(mode: tuple[int, int, int, bool], gpu: bool) -> float:
+def termination(mode: Look, gpu: bool) -> float:
     if mode[2] != _COMPOSITE:
         return 1.0
     return GPU_TERMINATION if gpu else FIXED_POINT_TERMINATION

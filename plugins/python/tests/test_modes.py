@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Ways of keeping scalars and of drawing them that not every VTK has."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("vtkmodules")
+
+import entire
+import entire.vtk
+from vtkmodules import vtkCommonCore
+from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkSmartVolumeMapper
+
+from scenes import View, add_volume
+
+VERSION = vtkCommonCore.vtkVersion().GetVTKVersion()
+
+
+@pytest.mark.parametrize("name", ["OSPRay", "ANARI"])
+def test_render_modes_outside_of_vtk_are_refused_by_name(voxels, name):
+    mode = {"OSPRay": "OSPRayRenderMode", "ANARI": "AnariRenderMode"}[name]
+    if not hasattr(vtkSmartVolumeMapper, mode):
+        pytest.skip(f"VTK {VERSION} has no render mode by {name}")
+    view = View()
+    volume = add_volume(view.renderer, voxels, "smart")
+    smart = volume.GetMapper()
+    smart.SetRequestedRenderMode(getattr(vtkSmartVolumeMapper, mode))
+    with pytest.raises(entire.vtk.CannotSteer, match=f"told to draw by {name}"):
+        entire.vtk.hold(view.renderer, volume, 0.1)
+    assert volume.GetMapper() is smart
+    smart.SetRequestedRenderModeToDefault()
+    entire.vtk.hold(view.renderer, volume, 0.1).detach()
+    # One that comes later is left alone, and said.
+    steering = entire.vtk.hold(view.renderer, seconds=0.1)
+    later = add_volume(view.renderer, voxels, "smart")
+    later.GetMapper().SetRequestedRenderMode(getattr(vtkSmartVolumeMapper, mode))
+    later.VisibilityOff()
+    view.draw(2)
+    assert [leaf.volume for leaf in steering.leaves] == [volume]
+    assert any(name in note for note in steering.notes)
+
+
+def test_low_resolution_mode_is_refused(voxels):
+    if not hasattr(vtkSmartVolumeMapper, "SetLowResMode"):
+        pytest.skip(f"VTK {VERSION} has no low-resolution mode in vtkSmartVolumeMapper")
+    view = View()
+    volume = add_volume(view.renderer, voxels, "smart")
+    volume.GetMapper().SetLowResMode(vtkSmartVolumeMapper.LowResModeResample)
+    with pytest.raises(entire.vtk.CannotSteer, match="LowResMode"):
+        entire.vtk.hold(view.renderer, volume, 0.1)
+    volume.GetMapper().SetLowResMode(vtkSmartVolumeMapper.LowResModeDisabled)
+    entire.vtk.hold(view.renderer, volume, 0.1)
+
+
+@pytest.mark.parametrize("components", [1, 2])
+def test_scalars_of_any_layout_are_read_without_a_copy_of_all(voxels, components):
+    template = getattr(vtkCommonCore, "vtkSOADataArrayTemplate", None)
+    if template is None:
+        pytest.skip(f"VTK {VERSION} has no structure of arrays in Python")
+    steps = []
+    for apart in (False, True):
+        view = View()
+        volume = add_volume(view.renderer, voxels)
+        data = volume.GetMapper().GetInput().GetPointData()
+        values = vtkCommonCore.vtkUnsignedCharArray()
+        values.SetNumberOfComponents(components)
+        values.SetNumberOfTuples(voxels.size)
+        for component in range(components):
+            values.CopyComponent(component, data.GetScalars(), 0)
+        warned = []
+        if apart:
+            together, values = values, template["uint8"]()
+            values.DeepCopy(together)
+            assert not values.HasStandardMemoryLayout()
+            values.AddObserver("WarningEvent", lambda *_: warned.append(1))
+        data.SetScalars(values)
+        volume.GetProperty().SetIndependentComponents(components == 1)
+        steering = entire.vtk.hold(view.renderer, volume, 1e-4, model="unshaded-selected", clock="cpu")
+        leaf = steering.leaves[0]
+        grid = entire.vtk._scene.Grid(volume.GetMapper(), volume.GetMapper().GetInput(), components - 1)
+        assert not warned
+        assert grid.volume.shape == voxels.shape[::-1]
+        view.draw(1)
+        assert leaf.status == ""
+        steps.append(leaf.predicted)
+    assert steps[0] > 0
+    assert steps[0] == steps[1]
+
+
+def test_rays_that_begin_at_noise_are_steered(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    steering = entire.vtk.hold(view.renderer, volume, 1e-4)
+    view.draw(3)
+    leaf = steering.leaves[0]
+    smooth = view.pixels()
+    assert not any(leaf._look[4:])
+    volume.GetMapper().UseJitteringOn()
+    view.draw(3)
+    assert leaf._look[4]
+    assert steering.fallback_frames == 0
+    assert not np.array_equal(view.pixels(), smooth)
+    # A GPU mapper in a smart one's place jitters where that one does.
+    smart = vtkSmartVolumeMapper()
+    if not hasattr(smart, "SetUseJittering"):
+        pytest.skip(f"VTK {VERSION} has no jittering in vtkSmartVolumeMapper")
+    smart.SetUseJittering(1)
+    smart.SetInputData(volume.GetMapper().GetInput())
+    volume.SetMapper(smart)
+    entire.vtk.hold(view.renderer, volume, 1e-4)
+    assert volume.GetMapper().GetUseJittering()

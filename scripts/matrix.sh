@@ -1,0 +1,155 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# Tests the VTK class and the ParaView plugin with the versions of other Debian releases. Each release is installed into a
+# folder of its own, in which the scripts run that test on the host: the same tests, with warnings of the compiler as errors.
+# Results go to MATRIX_OUT/results.csv, logs beside it. Needs root, for chroot.
+#
+#   scripts/matrix.sh [host|stable|testing]...     default: all three
+#
+# MATRIX_FOLDERS  where the folders are kept (default target/matrix); one is made anew where its list of packages has changed
+# MATRIX_MIRROR   Debian's package mirror (default: the one of apt's sources)
+# MATRIX_FRESH    any text makes the folders anew
+# MATRIX_OUT      default out/matrix
+# ENTIRE_SDK      the folder of an installed libentire (default: that of `make install` is built into target/sdk)
+set -euo pipefail
+cd "$(dirname "$0")/.."
+. scripts/lib.sh
+root=$PWD
+folders=$(realpath -m "${MATRIX_FOLDERS:-${CARGO_TARGET_DIR:-target}/matrix}")
+out=$(realpath -m "${MATRIX_OUT:-out/matrix}")
+names=("$@")
+if ((!${#names[@]})); then names=(host stable testing); fi
+for name in "${names[@]}"; do
+    case $name in
+        host | stable | testing) ;;
+        *) echo "matrix.sh: found word \"$name\"; use host, stable or testing" >&2; exit 2 ;;
+    esac
+done
+
+packages=(ca-certificates g++ cmake ninja-build pkg-config valgrind xvfb xauth libgl1-mesa-dri python3 python3-numpy
+    libvtk9-dev python3-vtk9 paraview paraview-dev openmpi-bin qt6-base-dev qt6-svg-dev qt6-tools-dev qt6-5compat-dev
+    libutfcpp-dev libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev
+    libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
+# Last, in the folder: ParaView's Python modules, which in some releases conflict with VTK's and then lie beside them; and
+# names without Python's suffix for extension modules, by which the CMake packages of Debian's newer ParaViews ask for them.
+# shellcheck disable=SC2016
+finish='export DEBIAN_FRONTEND=noninteractive
+    apt-get install --yes --quiet --no-install-recommends --no-remove python3-paraview || {
+        cd /tmp && apt-get download python3-paraview && dpkg -x python3-paraview_*.deb /opt/python3-paraview && rm python3-paraview_*.deb; }
+    mkdir -p /opt/python3-paraview
+    find /usr/lib/python3/dist-packages /opt/python3-paraview -name "*.cpython-3*.so" | while read -r file; do
+        ln -sf "$(basename "$file")" "${file%.cpython-3*}.so"
+    done'
+
+# shellcheck disable=SC2016
+mirror=${MATRIX_MIRROR:-$(apt-get indextargets --format '$(REPO_URI)' 'Origin: Debian' 'Created-By: Packages' 2>/dev/null |
+    awk '!/-security/ { print; exit }')}
+
+# Why no folder can be made or entered here, with the remedy; nothing where it can.
+lacking() {
+    local need
+    [[ $(id -u) == 0 ]] || { echo "needs root for chroot (sudo make test-matrix)"; return; }
+    for need in mmdebstrap chroot unshare python3; do
+        have $need || { echo "$need is not installed (apt-get install mmdebstrap coreutils util-linux python3)"; return; }
+    done
+    unshare --mount true 2>/dev/null || { echo "this machine gives no mount namespace (unshare --mount fails)"; return; }
+    [[ $mirror ]] || echo "apt knows no mirror of Debian (set MATRIX_MIRROR)"
+}
+
+# inside FOLDER COMMAND...: a command in a folder, this checkout read-only at /entire and the C library at /sdk. What is
+# mounted for it is so for its processes alone: nothing stays mounted in the folder, however they end.
+# shellcheck disable=SC2016,SC2329
+inside() {
+    local folder=$1
+    shift
+    mkdir -p "$folder"/{entire,sdk}
+    unshare --mount bash -euc '
+        folder=$1
+        mount --bind "$2" "$folder/entire"
+        mount -o remount,bind,ro "$folder/entire"
+        mount --bind "$3" "$folder/sdk"
+        mount -t proc proc "$folder/proc"
+        mount --rbind /dev "$folder/dev"
+        exec chroot "$folder" env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin PYTHONDONTWRITEBYTECODE=1 "${@:4}"
+    ' inside "$folder" "$root" "$sdk" "$@"
+}
+
+# folder NAME: makes the folder where it is not there, and keeps the seconds that this took in its file made-in.
+folder() {
+    local name=$1 folder=$folders/$1 began=$SECONDS list
+    list=$(printf '%s\n' "${packages[@]}" "$finish")
+    if [[ -z ${MATRIX_FRESH:-} && -e $folder/made-in && $(cat "$folder/made-from") == "$list" ]]; then
+        echo "matrix: $name: $folder is there ($(du -shx "$folder" | cut -f 1))"
+        return
+    fi
+    echo "matrix: $name: installing Debian $name from $mirror into $folder, some minutes and 4 GB: ${packages[*]} python3-paraview"
+    rm -rf "$folder"
+    mkdir -p "$folders"
+    # What it mounts goes with it. Releases may be past their date on a mirror that is behind, and a folder that is not whole is
+    # made anew: its files need not reach the disk one by one.
+    unshare --mount mmdebstrap --mode=root --variant=apt --include="$(IFS=,; echo "${packages[*]}")" \
+        --aptopt='APT::Install-Recommends "false"' --aptopt='Acquire::Check-Valid-Until "false"' --dpkgopt=force-unsafe-io \
+        --customize-hook="chroot \"\$1\" bash -euc '$finish'" \
+        "$name" "$folder" "deb $mirror $name main" >"$out/$name-folder.log" 2>&1 || {
+        echo "matrix: $name: mmdebstrap failed:"
+        tail -n 5 "$out/$name-folder.log"
+        rm -rf "$folder"
+        return 1
+    }
+    rm -f "$folder"/var/cache/apt/archives/*.deb
+    echo "$list" >"$folder/made-from"
+    echo $((SECONDS - began)) >"$folder/made-in"
+    echo "matrix: $name: $(chroot "$folder" dpkg-query -f '.\n' -W | wc -l) packages, $(du -shx "$folder" | cut -f 1), in $((SECONDS - began)) s"
+}
+
+# tests NAME PROGRAM COMMAND...: runs a suite and notes how it ended and its seconds for the results.
+tests() {
+    local name=$1 program=$2 began=$SECONDS ended=passed
+    shift 2
+    "$@" >"$out/$name-$program.log" 2>&1 || ended=failed
+    echo "matrix: $name, $program: $ended in $((SECONDS - began)) s"
+    if [[ $ended != passed ]]; then
+        status=1
+        grep -E 'Failed|FAILED|error|skipped:' "$out/$name-$program.log" | head -n 20 || true
+    fi
+    suites+=("$name,$program,$ended,$((SECONDS - began))")
+}
+
+mkdir -p "$out"
+status=0 suites=() places=()
+why=
+if [[ " ${names[*]} " == *" stable "* || " ${names[*]} " == *" testing "* ]]; then why=$(lacking); fi
+library=$SECONDS
+sdk=$(sdk)
+library=$((SECONDS - library))
+for name in "${names[@]}"; do
+    if [[ $name == host ]]; then
+        here=$(realpath -m "${CARGO_TARGET_DIR:-target}")
+        places+=("host=/=$here/vtk=$here/paraview")
+        rm -rf "$here/vtk/tests.xml" "$here/paraview/check"
+        tests host vtk env ENTIRE_SDK="$sdk" plugins/vtk/run.sh test --full
+        tests host paraview env ENTIRE_SDK="$sdk" plugins/paraview/run.sh test --full
+        continue
+    fi
+    if [[ $why ]]; then
+        skip "test-matrix, Debian $name" "$why"
+        continue
+    fi
+    folder "$name" || { status=1; continue; }
+    glibc=$(chroot "$folders/$name" getconf GNU_LIBC_VERSION)
+    if [[ $(printf '%s\n%s\n' "$glibc" "$(getconf GNU_LIBC_VERSION)" | sort -V | tail -n 1) != "$glibc" ]]; then
+        skip "test-matrix, Debian $name" "the C library is built here against $(getconf GNU_LIBC_VERSION), and Debian $name has $glibc"
+        continue
+    fi
+    rm -rf "$folders/$name/build"
+    places+=("$name=$folders/$name=$folders/$name/build/vtk=$folders/$name/build/paraview")
+    modules=()
+    if [[ -e $folders/$name/opt/python3-paraview/usr ]]; then modules=(PARAVIEW_PYTHON=/opt/python3-paraview); fi
+    tests "$name" vtk inside "$folders/$name" ENTIRE_SDK=/sdk VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test --full
+    tests "$name" paraview inside "$folders/$name" ENTIRE_SDK=/sdk PARAVIEW_OUT=/build/paraview "${modules[@]}" \
+        /entire/plugins/paraview/run.sh test --full
+done
+if ((${#places[@]})); then
+    python3 lab/scripts/reach.py record --results "$out/results.csv" --library "$library" --suites "${suites[@]}" --places "${places[@]}" || status=1
+fi
+exit $status
