@@ -17,6 +17,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import circles
 import reach
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,6 +32,9 @@ RUST_LINES = 85_000
 # Of `core` alone, without tests: lines, and crates that it brings, itself included.
 INFERENCE_LINES = 10_000
 INFERENCE_CRATES = 12
+# Circles of files, and files of one.
+CIRCLES = 3
+CIRCLE_FILES = 3
 # Crates that only studies use.
 STUDY_CRATES = ("forust-ml", "image-compare")
 SOURCE_ROOMS = ("core", "steer", "io", "report", "train", "farm", "ffi", "cli", "vk-raycaster", "explore", "plugins", "lab")
@@ -387,6 +391,10 @@ def main():
         documents = [page for page in pages if page in front or page.path == "CONTRIBUTING.md"]
         found = list(undocumented_options(documents, helps))
         bars.at_most("options-in-no-document", len(found), 0, found)
+    found = circles.all_circles()
+    lines = [" ".join(files) for files in found]
+    bars.at_most("circles-of-files", len(found), CIRCLES, lines)
+    bars.at_most("files-of-a-circle", max(map(len, found), default=0), CIRCLE_FILES, lines)
     if not options.quick:
         for crate in FRONT_CRATES:
             items = public_items(crate)

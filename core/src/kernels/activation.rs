@@ -3,10 +3,6 @@
 use super::Level;
 use super::simd::{Kernel, Simd};
 
-/// SELU's scale λ (Klambauer et al. 2017, self-normalizing networks).
-pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
-/// SELU's α: SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise.
-pub const SELU_ALPHA: f64 = 1.673_263_242_354_377_2;
 #[cfg(test)]
 /// Bound on the relative error of [`selu`] against float64 for every finite f32 whose result is a normal
 /// number; subnormal results are within one unit in the last place.
@@ -44,6 +40,7 @@ impl Kernel for Selu<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kernels::{SELU_ALPHA, SELU_SCALE};
     use alloc::vec::Vec;
 
     fn exact(x: f32) -> f64 {

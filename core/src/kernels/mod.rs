@@ -19,9 +19,9 @@ mod simd;
 #[cfg(target_arch = "x86_64")]
 mod x86_64;
 
-pub use activation::{SELU_ALPHA, SELU_SCALE, selu};
+pub use activation::selu;
 pub use executor::Executor;
 pub use helper::Helper;
 pub use level::{Isa, Level};
 pub use mlp::Storage;
-pub use simd::{Kernel, Simd};
+pub use simd::{Kernel, SELU_ALPHA, SELU_SCALE, Simd};

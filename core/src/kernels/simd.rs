@@ -5,7 +5,10 @@
 //! [`Simd`] token to the body, so a network is dispatched once per call and compiled once per instruction
 //! set.
 
-use super::activation::{SELU_ALPHA, SELU_SCALE};
+/// SELU's scale λ (Klambauer et al. 2017, self-normalizing networks).
+pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
+/// SELU's α: SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise.
+pub const SELU_ALPHA: f64 = 1.673_263_242_354_377_2;
 
 /// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it
 /// calls: code that is not inlined is compiled without the level's instructions.

@@ -1,0 +1,76 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Lists circles of files in the crates: sets of files of which each uses the next by a path that begins with `crate` or
+`super`. Tests and the files that open a crate or a folder (lib.rs, main.rs, mod.rs) are left out.
+
+    circles.py              prints a line for each circle
+"""
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CRATES = ("core", "steer", "io", "train", "report", "farm", "ffi", "vk-raycaster", "explore", "cli", "lab", "plugins/python")
+PATH = re.compile(r"\b(crate|super)((?:::super)*)::\{?([a-z_0-9]+)((?:::[a-z_0-9]+)*)")
+
+
+def file_of(source, parts):
+    """The file of the longest beginning of a module path that has one."""
+    for n in range(len(parts), 0, -1):
+        place = source.joinpath(*parts[:n])
+        for found in (place.with_suffix(".rs"), place / "mod.rs"):
+            if found.exists():
+                return found
+    return None
+
+
+def uses(source):
+    """Files of a crate, and the files that each uses."""
+    graph = {}
+    for path in sorted(source.rglob("*.rs")):
+        if path.stem in ("lib", "main", "mod") or path.stem.endswith("tests"):
+            continue
+        text = path.read_text(encoding="utf-8").split("\n#[cfg(test)]\nmod tests")[0]
+        module = list(path.relative_to(source).with_suffix("").parts)
+        found = graph.setdefault(path, set())
+        for start, supers, first, rest in PATH.findall(text):
+            up = 1 + supers.count("super")
+            base = [] if start == "crate" else module[: len(module) - up]
+            other = file_of(source, base + [first] + [part for part in rest.split("::") if part])
+            if other and other != path and other.stem not in ("lib", "main", "mod"):
+                found.add(other)
+    return graph
+
+
+def circles(graph):
+    """The strongly connected sets of more than one file (Tarjan)."""
+    number, low, stack, found = {}, {}, [], []
+
+    def visit(file):
+        number[file] = low[file] = len(number)
+        stack.append(file)
+        for other in graph.get(file, ()):
+            if other not in number:
+                visit(other)
+            if other in stack:
+                low[file] = min(low[file], low[other])
+        if low[file] == number[file]:
+            at = stack.index(file)
+            if len(stack) - at > 1:
+                found.append(sorted(stack[at:]))
+            del stack[at:]
+
+    for file in graph:
+        if file not in number:
+            visit(file)
+    return found
+
+
+def all_circles():
+    return [[str(file.relative_to(ROOT)) for file in circle] for crate in CRATES for circle in circles(uses(ROOT / crate / "src"))]
+
+
+if __name__ == "__main__":
+    sys.setrecursionlimit(10000)
+    for files in all_circles():
+        print(" ".join(files))
