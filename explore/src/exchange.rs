@@ -108,7 +108,7 @@ fn numbers(value: &Value, key: &str) -> Result<Option<Vec<[f64; 4]>>> {
     let Some(list) = value.get(key) else { return Ok(None) };
     let list = list.as_array().with_context(|| format!("{key} is no array of numbers"))?;
     let all: Option<Vec<f64>> = list.iter().map(Value::as_f64).collect();
-    let all = all.with_context(|| format!("{key} holds something that is no number"))?;
+    let all = all.with_context(|| format!("{key} contains a value that is not a number"))?;
     ensure!(
         !all.is_empty() && all.len().is_multiple_of(4),
         "{key} has {} numbers; four for each node are expected",

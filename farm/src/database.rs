@@ -38,7 +38,10 @@ impl<'a> Database<'a> {
             make_folder(&state.join(folder))?;
         }
         let numbers = job.numbers();
-        ensure!(numbers.len() == job.len(), "two tasks have one id; change the job's name of a volume");
+        ensure!(
+            numbers.len() == job.len(),
+            "two tasks have the same id; give one of their volumes another name in the job"
+        );
         let (mut done, mut quarantined) = (HashMap::new(), HashMap::new());
         let (mut begun, mut inputs, mut gone) = (false, None, HashSet::new());
         let number = |task: &str| parse_id(task).and_then(|id| numbers.get(&id).copied());

@@ -64,7 +64,7 @@ impl Planner {
         // The dispatcher's times may be older than the learner's until the next request.
         let expected: Vec<f64> = drawn.iter().map(|t| self.learner.seconds(*t as usize)).collect();
         let sampled = stride > 1;
-        // With every task: a queue. With a sample: all work over all speed.
+        // With all tasks, a queue is simulated; with a sample, the end is all work divided by all speeds.
         let end = |times: &[f64], busy: &[f64]| {
             if sampled {
                 let work = scale * times.iter().sum::<f64>();

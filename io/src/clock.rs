@@ -119,7 +119,11 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
     }
     let names: Vec<&str> = models.into_iter().filter(|m| of(m.1).is_none()).map(|m| m.0).collect();
     (!names.is_empty()).then(|| {
-        format!("{} states no clock; its predictions are taken as {} seconds", names.join(", "), clock.name())
+        format!(
+            "no clock is stated by {}; predictions are taken as {} seconds",
+            names.join(", "),
+            clock.name()
+        )
     })
 }
 

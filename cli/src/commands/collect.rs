@@ -230,7 +230,7 @@ pub fn run(options: &Options) -> Result<()> {
             let differences = differences(&old, &manifest);
             ensure!(
                 differences.is_empty(),
-                "cannot go on with {}: {}; use the same settings, files and machine, or another --out",
+                "cannot continue {}: {}; use the same settings, files and machine, or another --out",
                 options.out.display(),
                 differences.join("; ")
             );
@@ -253,7 +253,7 @@ pub fn run(options: &Options) -> Result<()> {
             // A collection that was killed before its manifest was written has no frame.
             ensure!(
                 Writer::is_fresh(&options.out)?,
-                "cannot go on with {}: its manifest {} is missing",
+                "cannot continue {}: its manifest {} is missing",
                 options.out.display(),
                 Manifest::path_for(&options.out).display()
             );

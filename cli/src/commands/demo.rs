@@ -360,12 +360,12 @@ mod tests {
     fn the_verdict_says_who_won_whoever_did() {
         let names: Vec<String> = CONTROLLERS.iter().map(|k| k.name().to_owned()).collect();
         let say = |errors: [f64; 5]| verdict(&names, &errors.map(metrics));
-        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).ends_with(
-            "both predicting controllers were closer than the \
-             reactive ones."
-        ));
+        assert!(
+            say([0.9, 0.5, 0.6, 0.2, 0.1])
+                .ends_with("both predicting controllers were closer than the reactive ones.")
+        );
         assert!(say([0.9, 0.5, 0.6, 0.55, 0.1]).contains("one of the two"));
-        assert!(say([0.9, 0.1, 0.6, 0.2, 0.2]).contains("did not beat"));
+        assert!(say([0.9, 0.1, 0.6, 0.2, 0.2]).contains("neither predicting"));
         assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).contains("10 % (hybrid) and 20 % (Algorithm 1)"));
         assert_eq!(verdict(&names[..1], &[metrics(0.1)]), "");
     }

@@ -156,7 +156,7 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
         "target",
         "clock      wall",
         "frames of 3 other volumes",
-        "none of which it was fitted to",
+        "which it was not fitted to",
         "hybrid (ours)",
         "abrupt switch",
     ] {
@@ -207,9 +207,9 @@ fn bad_input_is_one_line_and_status_1() {
         (output.status.code(), text)
     };
     for (more, expected) in [
-        (&["--target", "33"][..], "no unit"),
+        (&["--target", "33"][..], "no known unit"),
         (&["--target", "0ms"], "finite positive"),
-        (&["--target", "-1"], "no unit"),
+        (&["--target", "-1"], "no known unit"),
         (&["--target", "-5ms"], "finite positive"),
         (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
         (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),

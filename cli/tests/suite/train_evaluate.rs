@@ -217,7 +217,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         "--validation-groups",
         "blobs/m03",
     ]);
-    fails(&["evaluate", "--model", &tuned, "--data", data.csv(), "--unseen"], 1, "a model learned from");
+    fails(&["evaluate", "--model", &tuned, "--data", data.csv(), "--unseen"], 1, "a model was trained on");
 }
 
 #[test]
@@ -334,7 +334,7 @@ fn compared_pictures_put_their_law_into_the_model() {
 
     // A quality law that is bound to a renderer must name it.
     let told = entire(&arguments);
-    assert!(String::from_utf8_lossy(&told.stderr).contains("no manifest stands beside the frames"));
+    assert!(String::from_utf8_lossy(&told.stderr).contains("the frames have no manifest"));
 
     std::fs::write(&pictures, text.replace("near,1,1,0.02,0", "near,1,1,soon,0")).unwrap();
     fails(&arguments, 1, "line 2, column seconds: \"soon\" is no number");

@@ -433,7 +433,7 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     assert!(cells(&Volume::open(&path).unwrap()));
     write(vti_of(&format!("Scalars=\"vtkGhostType\">{}", points("vtkGhostType")), ">"));
     let message = format!("{:#}", Volume::open(&path).unwrap_err());
-    assert!(message.contains("keeps for itself (\"vtkGhostType\")"), "{message}");
+    assert!(message.contains("VTK's own (\"vtkGhostType\")"), "{message}");
 
     let message = format!("{:#}", open_array(&fixtures().join("scaled.nii"), "a").unwrap_err());
     assert!(message.contains("holds one volume without a name"), "{message}");

@@ -293,7 +293,7 @@ mod tests {
         assert!(FeatureTable::beside(&csv, &[], 0xfeed).unwrap().is_some());
         let says = |hash: u64| format!("{:#}", FeatureTable::beside(&csv, &[], hash).unwrap_err());
         let message = says(0xfeee);
-        assert!(message.contains("another table") && message.contains("`entire features`"), "{message}");
+        assert!(message.contains("does not belong") && message.contains("`entire features`"), "{message}");
         let before = FeatureTable { schema: schema_of(SceneQuantity::ALL.len() - 1), ..table() };
         before.write(&path).unwrap();
         assert!(FeatureTable::beside(&csv, &[], 0xfeed).unwrap().is_some());

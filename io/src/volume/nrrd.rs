@@ -402,7 +402,7 @@ mod tests {
             (with(&PLAIN.replace("2 3 4", "2 3"), &[]), "\"sizes\" has 2 entries, \"dimension\" says 3"),
             (with(&format!("{PLAIN}spacings: 1 0 1\n"), &[0; 24]), "finite and positive"),
             (with(&format!("{PLAIN}spacings: 1 -1 1\n"), &[0; 24]), "finite and positive"),
-            (with(&format!("{PLAIN}sizes: 2 3 4\n"), &[0; 24]), "stands there twice"),
+            (with(&format!("{PLAIN}sizes: 2 3 4\n"), &[0; 24]), "appears twice"),
             (with(&format!("{PLAIN}data file: gone.raw\n"), &[]), "gone.raw"),
             (
                 with(&format!("{PLAIN}data file: LIST\na\nb\n"), &[]),
@@ -448,7 +448,7 @@ mod tests {
         let last = open(&with(&format!("{gzip}byte skip: -3\n"), &pack(&end))).unwrap();
         assert_eq!(last.data(), &VolumeData::U8(end[end.len() - 26..end.len() - 2].to_vec()));
         let behind = open(&with(&gzip, &pack(&[7; 25]))).unwrap();
-        assert!(behind.notes()[0].contains("1 bytes behind the 24 bytes"), "{:?}", behind.notes());
+        assert!(behind.notes()[0].contains("1 bytes after the 24 bytes"), "{:?}", behind.notes());
         assert!(message(&with(&gzip, &pack(&[7; 20]))).contains("end after 20 of 24 bytes"));
         let whole = pack(&(0..24).collect::<Vec<u8>>());
         assert!(message(&with(&gzip, &whole[..whole.len() - 12])).contains("of 24"));

@@ -44,10 +44,10 @@ pub struct Options {
     /// Timing tables, one for each type of machine.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Test tables, in the order of the makes of --data.
+    /// Test tables, in the order of the types of machine of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
     pub judged: Vec<PathBuf>,
-    /// Prior models, in the order of the makes of --data.
+    /// Prior models, in the order of the types of machine of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
     pub priors: Vec<PathBuf>,
     /// Numbers of frames.

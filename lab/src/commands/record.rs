@@ -173,7 +173,7 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
     let differences = begun.differences(recording);
     ensure!(
         differences.is_empty(),
-        "cannot go on with {}: its {} differ; use the same settings, or another --out",
+        "cannot continue {}: its {} differ; use the same settings, or another --out",
         options.out.display(),
         differences.join(", ")
     );

@@ -157,7 +157,7 @@ impl Open {
             let found = differences(&old, &manifest);
             ensure!(
                 found.is_empty(),
-                "cannot go on with {}: {}; remove it, or choose another --out",
+                "cannot continue {}: {}; remove it, or choose another --out",
                 path.display(),
                 found.join("; ")
             );

@@ -25,7 +25,7 @@ const SCENES: f64 = 6.0;
 /// Maximum number of scenes of one volume.
 const PER_VOLUME: usize = 2;
 
-/// Shortest image side that is compared: smaller images say little.
+/// Shortest image side that is compared: errors of smaller images vary too much.
 const LEAST_SIDE: u32 = 96;
 
 /// Error measure between a picture and the one at full quality.
