@@ -186,7 +186,8 @@ def table(rows):
     """The rows of a Markdown table, one for each system."""
     yield "| system | VTK | tests passed | ParaView | checks passed |"
     yield "|---|---|---|---|---|"
-    for system in dict.fromkeys(r["system"] for r in rows if r["program"] in VERSIONS):
+    versions = {r["system"]: [int(n) for n in r["version"].split(".")] for r in rows if r["program"] == "VTK"}
+    for system in sorted(versions, key=versions.get):
         cells = [system]
         for program in VERSIONS:
             mine = [r for r in rows if r["system"] == system and r["program"] == program]
