@@ -23,7 +23,7 @@ test-matrix: ## Test the VTK class and the ParaView plugin with the versions of 
 	@CARGO="$(CARGO)" scripts/matrix.sh $(MATRIX)
 
 .PHONY: bars-reach
-bars-reach: ## Print the bars of the versions that test-matrix ran last; fails when one is short
+bars-reach: ## Print the bars of the versions that test-matrix ran last, here or elsewhere (.ci/matrix.csv); fails when one is short
 	@python3 lab/scripts/reach.py bars
 
 .PHONY: versions

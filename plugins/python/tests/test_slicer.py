@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """3D Slicer's views, with slicer-core."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -119,6 +121,19 @@ def test_a_view_may_be_empty_at_first(voxels):
     view.move()
     view.draw(2)
     assert len(steering.leaves) == 1
+
+
+def test_views_of_slicer_and_trame_slicer_lead_to_their_manager(view):
+    # The names by which qMRMLThreeDWidget, qMRMLThreeDView and trame-slicer's view give it out.
+    three_d_view = SimpleNamespace(displayableManagerByClassName=view.group.GetDisplayableManagerByClassName)
+    widget = SimpleNamespace(threeDView=lambda: three_d_view)
+    for each in (widget, three_d_view, SimpleNamespace(displayable_manager_group=view.group), view.group, view.manager):
+        steering = entire.slicer.hold(each)
+        assert len(steering.leaves) == 1
+        before = steering.seconds
+        steering.detach()
+        view.node.SetExpectedFPS(view.node.GetExpectedFPS() + 1)
+        assert steering.seconds == before
 
 
 def test_what_is_no_view_says_so():
