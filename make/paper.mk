@@ -9,5 +9,5 @@ paper: setup ## Collect, encode, train and report as the paper does, a night at 
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper all --data "$(PAPER_DATA)" --out "$(PAPER_OUT)" $(PAPER_FLAGS)
 
 .PHONY: bars-paper
-bars-paper: ## Write the paper's report from what is kept and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short
+bars-paper: ## Write the paper's report from what is kept and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short (INTERVAL)
 	@$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars

@@ -1,5 +1,6 @@
 //! What the study of the paper is asked for: its JSON file.
 
+use super::volumes::{BY_MEMBERS, BY_VOLUMES};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::files::read_text;
 use entire_cli::fit::Recipe;
@@ -103,12 +104,44 @@ pub struct DataSet {
     /// Whether it only tests what was learned from the others: volumes of another kind.
     #[serde(default)]
     pub only_tests: bool,
-    /// The harder split.
+    /// What the paper tests on.
+    #[serde(default)]
+    pub rule: Rule,
+    /// The members of the split by member.
     #[serde(default)]
     pub members: Option<MemberSplit>,
 }
 
-/// Which ensemble members serve what in the harder split; all others are learned from.
+/// What the paper holds out of a data set to test on. Its headline numbers are of that split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rule {
+    /// Random volumes, as of MAESTROeX.
+    #[default]
+    Volumes,
+    /// A whole ensemble member, as of Nyx and Castro.
+    Members,
+}
+
+impl Rule {
+    /// The split's name in results.
+    pub const fn split(self) -> &'static str {
+        match self {
+            Self::Volumes => BY_VOLUMES,
+            Self::Members => BY_MEMBERS,
+        }
+    }
+
+    /// The split that the paper does not judge on.
+    pub const fn other(self) -> Self {
+        match self {
+            Self::Volumes => Self::Members,
+            Self::Members => Self::Volumes,
+        }
+    }
+}
+
+/// Which ensemble members serve what in the split by member; all others are learned from.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MemberSplit {
@@ -272,22 +305,36 @@ pub struct Numbers {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
-    /// RMSE of the network over that of the mean of 15 %.
-    pub over_constant: f64,
-    /// The same over LVRP's.
+    /// RMSE of the network over that of the mean of 15 %, by data set: in the paper's base mode, by its rule.
+    pub over_constant: BTreeMap<String, f64>,
+    /// The same of frames that yt drew, of each of them.
+    pub yt_over_constant: f64,
+    /// RMSE of the network over LVRP's, at the paper's ratio of voxels.
     pub over_lvrp: f64,
+    /// Voxels of the paper's volumes over those that its LVRP renders.
+    pub lvrp_voxels: f64,
     /// RMSE of ours over the network's.
     pub ours_over_network: f64,
-    /// Data sets for which they must hold.
-    pub data_sets: usize,
+    /// Error without the feature vector over that with it, where volumes differ in sparsity: in the ablation, and
+    /// where the volume alone varies.
+    pub feature_vector: (f64, f64),
     /// Reconstruction of held-out volumes, dB.
     pub psnr: f64,
+    /// Data sets for which that must hold.
+    pub data_sets: usize,
+    /// Mean distance from the target of Algorithm 1 with the network over that of OLP: in the first frame after a
+    /// change, and over all frames.
+    pub algorithm1_over_olp: (f64, f64),
+    /// The slowest node by the network's times over that by measured times.
+    pub slowest_node: f64,
     /// Seconds that the report may take.
     pub report_seconds: f64,
 }
 
 /// Modes of our raycaster.
 pub const RAYCASTER_MODES: [&str; 3] = ["none", "local", "scatter"];
+/// The paper's raycaster shades by local lighting; single scattering comes on top.
+pub const BASE_MODE: &str = "local";
 /// The mode of frames that yt drew.
 pub const YT: &str = "yt";
 
@@ -295,6 +342,11 @@ impl Paper {
     /// A data set by its name.
     pub fn data_set(&self, name: &str) -> Option<&DataSet> {
         self.data_sets.iter().find(|d| d.name == name)
+    }
+
+    /// What the paper tests on in a data set.
+    pub fn rule(&self, set: &str) -> Rule {
+        self.data_set(set).map_or_else(Rule::default, |d| d.rule)
     }
 
     /// Ours for a mode.

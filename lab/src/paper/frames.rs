@@ -4,6 +4,7 @@ use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::{DataSet, Panel};
 use super::encode::{ALL, Encoder};
+use super::judge::Low;
 use super::volumes::{BY_VOLUMES, Parts, Place, places};
 use crate::study::twins;
 use anyhow::{Context, Result};
@@ -13,7 +14,7 @@ use entire_cli::dataset::{Clock, Table};
 use entire_cli::files::open_model;
 use entire_cli::split::TimedFrames;
 use entire_core::features::{PROBE_SIDE, SceneQuantity};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// The tables of a data set and mode.
@@ -25,7 +26,7 @@ pub(super) struct Loaded {
     /// Volumes of another kind: title and place of the table.
     pub(super) modalities: Vec<(String, usize)>,
     /// Seconds on few voxels, by table and frame number.
-    pub(super) low: BTreeMap<(usize, u64), f64>,
+    pub(super) low: Low,
 }
 
 /// Frames of a split.
@@ -46,7 +47,7 @@ impl Loaded {
         if !main.exists() {
             return Ok(None);
         }
-        let mut out = Self { tables: Vec::new(), varied: None, modalities: Vec::new(), low: BTreeMap::new() };
+        let mut out = Self { tables: Vec::new(), varied: None, modalities: Vec::new(), low: Low::new() };
         out.add(work, place, mode, Kind::Random, clock)?;
         if table_path(work.out, &place.set.name, mode, Kind::Varied, false).exists() {
             out.varied = Some(out.add(work, place, mode, Kind::Varied, clock)?);
@@ -74,7 +75,8 @@ impl Loaded {
         Ok(index)
     }
 
-    /// The frames of a split. Of volumes that are held out, only so many as the description says.
+    /// The frames of a split: of validation volumes only so many as the description says, of test volumes all
+    /// that were measured.
     pub(super) fn split(&self, work: &Work<'_>, parts: &Parts, clock: Clock) -> SplitFrames<'_> {
         let of = |names: &BTreeSet<String>, most: u32| {
             let each = u64::from(work.paper.frames.training);
@@ -88,7 +90,7 @@ impl Loaded {
         SplitFrames {
             training: of(&parts.training, counts.training),
             validation: of(&parts.validation, counts.held_out),
-            test: of(&parts.test, counts.held_out),
+            test: of(&parts.test, counts.training),
         }
     }
 

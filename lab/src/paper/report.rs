@@ -41,8 +41,8 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
     make_folder(out)?;
     let mut page = Page::new(
         paper.title.as_str(),
-        "Every table and figure of the paper beside ours, by the paper's protocol: its split, its frames per \
-         volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
+        "Every table and figure of the paper beside ours, by the paper's protocol: its rule for test volumes, its frames \
+         per volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
          are others than the paper's, so the ratios are what compares: over the standard deviation of the times, \
          over the mean of 15 % of the frames, over the low-resolution proxy. What was not measured says so and \
          names its command.",

@@ -117,7 +117,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let (output, _) = paper(at, "report", &["--bars"]);
     assert_eq!(output.status.code(), Some(1));
     let bars = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(bars.contains("bar paper/raycaster-rmse-over-constant - 0.3000 short"), "{bars}");
+    assert!(bars.contains("bar paper/castro_blast/network-over-constant - 0.2500 short"), "{bars}");
 
     std::fs::copy(&table, at.join("elsewhere.csv")).unwrap();
     let manifest = std::fs::read(at.join("out/tables/castro_blast-none.manifest.json")).unwrap();
