@@ -1,10 +1,11 @@
 //! What the study says about its bars.
 
-use super::description::{BASE_MODE, Panel, Paper, YT};
+use super::description::{BASE_MODE, Panel, Paper, Rule, YT};
 use super::encode::{ALL, Encoder, Record, SHIPPED};
 use super::judge::NETWORK;
 use super::report::{Shown, ours_of};
 use super::results::Results;
+use super::trials::AS_IT_IS;
 use super::{cases, control, interval};
 use crate::bars::Bar;
 use serde::{Deserialize, Serialize};
@@ -62,7 +63,12 @@ pub fn bars(
     };
     for (set, limit) in &limits.over_constant {
         let name = format!("{set}/network-over-constant");
-        out.push(at_most(name, over_constant(set, BASE_MODE), *limit));
+        let bar = at_most(name, over_constant(set, BASE_MODE), *limit);
+        let tried = if bar.value.is_none() { by_one_network(paper, all, set) } else { None };
+        out.push(match tried {
+            Some(note) => bar.with_note(note),
+            None => bar,
+        });
     }
     for set in limits.over_constant.keys() {
         let name = format!("{set}/{YT}/network-over-constant");
@@ -132,6 +138,16 @@ pub fn bars(
     out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
     out.push(Bar::at_most("paper/report-seconds", Some(seconds), limits.report_seconds));
     out
+}
+
+/// What trials say of a data set whose members are held out: one network learned from all data sets together.
+fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
+    let of = |r: &&Results| r.panel == Panel::Procedure && r.mode == BASE_MODE;
+    let title = &paper.data_set(set).filter(|d| d.rule == Rule::Members)?.title;
+    let found = all.iter().find(of)?;
+    let row = found.row(title, AS_IT_IS)?;
+    let brackets = interval::in_brackets(found.over_constant_interval(row));
+    Some(format!("{:.4} {brackets} by one network for all data sets", row.over_constant?))
 }
 
 /// What was found for a data set in a mode.

@@ -3,7 +3,7 @@
 use super::description::{Label, Paper};
 use super::material::Material;
 use super::report::{numbers_table, picture};
-use super::sections::{Section, section};
+use super::sections::{Section, section, trials};
 use anyhow::Result;
 use entire_cli::files::{make_folder, write_whole};
 use entire_cli::report::{Column, Table};
@@ -73,6 +73,10 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
                 let _ = write!(out, "\n{note}\n");
             }
         }
+    }
+    for trial in trials(paper, material) {
+        let _ = write!(out, "\n## {}\n\n`{}`\n", trial.title, trial.command);
+        out += &tables_and_charts(&trial.section, trial.title, trial.stem, &images)?;
     }
     if !missing.is_empty() {
         let mut table =

@@ -3,7 +3,7 @@
 use super::volumes::{BY_MEMBERS, BY_VOLUMES};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::files::read_text;
-use entire_cli::fit::Recipe;
+use entire_cli::fit::{Recipe, TargetChoice};
 use entire_cli::scenes::SceneDistribution;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -58,6 +58,8 @@ pub struct Paper {
     pub tuning: Tuning,
     /// Load balancing.
     pub orbit: Orbit,
+    /// What the network's error comes from.
+    pub trials: Trials,
     /// For each part of the study, the data sets and modes that it is made of; `overall` is made of all.
     pub panels: BTreeMap<Panel, Vec<(String, String)>>,
     /// The paper's tables and figures.
@@ -232,6 +234,79 @@ pub struct Orbit {
     pub size: u32,
 }
 
+/// Trials of what the network's error comes from, on frames that the repository holds.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trials {
+    /// Measured frames, by mode; the changes are tried in the first.
+    pub tables: Vec<TrialTables>,
+    /// A teacher's labels of frames of the first mode's training volumes.
+    pub labels: PathBuf,
+    /// Frames of each volume that are learned from by labels, and passes over them.
+    pub frames: Vec<(usize, usize)>,
+    /// Trainings on labels, of each number of frames.
+    pub label_runs: usize,
+    /// Trainings of each change.
+    pub runs: usize,
+    /// Passes over the measured frames.
+    pub epochs: usize,
+    /// What is changed, one at a time.
+    pub changes: Vec<Change>,
+}
+
+/// Measured frames of one mode.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialTables {
+    /// The mode.
+    pub mode: String,
+    /// Learned from, and validated on.
+    pub training: PathBuf,
+    /// The same on few voxels.
+    pub training_low: PathBuf,
+    /// Tested on: ensemble members that nothing was learned from.
+    pub test: PathBuf,
+    /// The same on few voxels.
+    pub test_low: PathBuf,
+}
+
+/// A change of the paper's recipe.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Change {
+    /// In tables.
+    pub name: String,
+    /// Gaussian lobes by ascending center.
+    pub sorted_lobes: bool,
+    /// Every frame with its Gaussian lobes in each order, and as many steps in all.
+    pub every_order: bool,
+    /// Logarithms of image sides, and of widths and heights of lobes.
+    pub log_inputs: bool,
+    /// One number for the image's size, the geometric mean of its sides.
+    pub one_resolution: bool,
+    /// What the network gives.
+    pub target: Option<TargetChoice>,
+    /// Frames per step.
+    pub batch: Option<usize>,
+    /// Gradients as they are.
+    pub no_clipping: bool,
+    /// What decides which epoch's weights are kept.
+    pub validation: Validation,
+}
+
+/// What decides which epoch's weights are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Validation {
+    /// As many frames of each validation volume as the description says.
+    #[default]
+    Few,
+    /// All frames of the validation volumes.
+    All,
+    /// The training loss, which is lowest at the end.
+    Training,
+}
+
 /// A part of the study; each is made and kept by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
@@ -259,6 +334,10 @@ pub enum Panel {
     Balancing,
     /// Renderings.
     Pictures,
+    /// The paper's recipe on the repository's frames, one change at a time; only where it is named.
+    Procedure,
+    /// The paper's recipe on a teacher's labels, by their number; only where it is named.
+    Frames,
 }
 
 impl Panel {
@@ -375,6 +454,11 @@ pub fn read(path: &Path) -> Result<Paper> {
         place(a);
         place(b);
     });
+    place(&mut paper.trials.labels);
+    for tables in &mut paper.trials.tables {
+        let all = [&mut tables.training, &mut tables.training_low, &mut tables.test, &mut tables.test_low];
+        all.into_iter().for_each(place);
+    }
     paper.labels.iter_mut().filter_map(|l| l.picture.as_mut()).for_each(place);
     check(&paper).with_context(|| format!("{}", path.display()))?;
     Ok(paper)
@@ -389,6 +473,11 @@ fn check(paper: &Paper) -> Result<()> {
     );
     ensure!(paper.in_mode.values().all(|m| m.repeats != Some(0)), "in_mode: repeats is 0; it is at least 1");
     ensure!(paper.repeats > 0 && paper.yt.repeats > 0 && paper.runs > 0, "repeats and runs are at least 1");
+    let trials = &paper.trials;
+    ensure!(
+        !trials.tables.is_empty() && trials.runs.min(trials.label_runs) > 0,
+        "trials need tables and runs"
+    );
     ensure!(!paper.encoders.shipped.is_empty(), "encoders: shipped names none");
     paper.scenes.check()?;
     let mut names = BTreeSet::new();

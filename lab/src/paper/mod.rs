@@ -21,6 +21,7 @@ pub mod report;
 mod results;
 mod sections;
 pub mod train;
+pub mod trials;
 mod tuning;
 mod volumes;
 pub mod yt;

@@ -2,13 +2,14 @@
 
 use super::cases::NODES;
 use super::control;
-use super::description::{Label, Paper};
+use super::description::{Label, Panel, Paper};
 use super::encode::{ALL, SHIPPED};
 use super::interval;
 use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
 use super::material::Material;
 use super::overall::{distributions, overall};
-use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, SORTED};
+use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, Row, SORTED};
+use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;
 use super::volumes::{BY_VOLUMES, in_words};
 use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
@@ -560,4 +561,134 @@ fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
         }
     }
     s.summary = format!("{} pictures", s.pictures.len());
+}
+
+/// A part of the study that has no counterpart in the paper.
+pub(super) struct Trial {
+    /// Its heading.
+    pub(super) title: &'static str,
+    /// The command that makes it.
+    pub(super) command: &'static str,
+    /// What its files' names begin with.
+    pub(super) stem: &'static str,
+    /// What was found.
+    pub(super) section: Section,
+}
+
+/// What the network's error comes from, as far as that was tried.
+pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
+    let of = |panel: Panel| material.all.iter().filter(move |r| r.panel == panel);
+    let mut procedure = Section::default();
+    for r in of(Panel::Procedure) {
+        let changed =
+            r.rows.iter().filter(|x| x.split == TOGETHER && x.name != CONSTANT && x.name != LVRP).count();
+        if changed > 1 {
+            let what = "The paper's recipe on measured frames, one change at a time, frames";
+            procedure.tables.push(trials_table(r, what, "change"));
+        }
+    }
+    if let Some(table) = by_set(paper, &of(Panel::Procedure).collect::<Vec<_>>()) {
+        procedure.tables.push(table);
+    }
+    let mut frames = Section::default();
+    for r in of(Panel::Frames) {
+        let what = "The paper's recipe on a teacher's labels, judged on measured frames,";
+        frames.tables.push(trials_table(r, what, "labels of each volume"));
+        let x = |row: &Row| row.more.get("training frames").copied();
+        let rows = || r.rows.iter().filter(|row| x(row).is_some());
+        let line = rows().filter_map(|row| Some((x(row)?, row.over_constant?))).collect();
+        let band = rows().filter_map(|row| {
+            let (low, high) = r.over_constant_interval(row)?;
+            Some((x(row)?, low, high))
+        });
+        let chart = Chart::new(
+            "Error by the number of frames learned from",
+            Axis::log("frames"),
+            Axis::log("network over the mean of 15 %"),
+        )
+        .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
+        .series(Series::new("mean over runs", Mark::Line(line)).color(0));
+        frames.charts.push((chart, "The same volumes throughout; the labels are a predictor's.".into()));
+    }
+    let all = [
+        ("The recipe, one change at a time", "make paper-procedure", "trial-procedure", procedure),
+        ("Frames without volumes", "make paper-frames DATA=FOLDER", "trial-frames", frames),
+    ];
+    all.into_iter()
+        .filter(|(.., section)| section.there())
+        .map(|(title, command, stem, section)| Trial { title, command, stem, section })
+        .collect()
+}
+
+/// Trials of one part and mode, each over the first of them.
+fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
+    let mut table = Table::new(vec![
+        Column::text(name),
+        Column::number("training frames"),
+        Column::number("validation frames"),
+        Column::number("epochs"),
+        Column::number("of the weights"),
+        Column::number("RMSE, s"),
+        Column::number("± runs"),
+        Column::number("RMSE/SD"),
+        Column::number("over the mean of 15 %"),
+        Column::number("over LVRP"),
+        Column::number("over the first row"),
+    ]);
+    let rows = || r.rows.iter().filter(|x| x.split == TOGETHER && x.more.contains_key("epochs"));
+    let first = rows().next();
+    for row in rows() {
+        let more = |k: &str| row.more.get(k).map(|v| format!("{v:.0}"));
+        let over_first = first.map(|f| row.rmse / f.rmse);
+        let interval = first.and_then(|f| interval::of_ratio(&row.by_volume, &f.by_volume));
+        table.row(vec![
+            row.name.as_str().into(),
+            more("training frames").into(),
+            more("validation frames").into(),
+            more("epochs").into(),
+            more("best epoch").into(),
+            seconds(row.rmse).into(),
+            format!("{} ({})", seconds(row.rmse_sd), row.runs).into(),
+            format!("{:.3}", row.rmse / row.sd).into(),
+            with_interval(row.over_constant, r.over_constant_interval(row)).into(),
+            with_interval(row.over_lvrp, r.over_lvrp_interval(row)).into(),
+            over(over_first, interval, first.is_some_and(|f| f.name == row.name)).into(),
+        ]);
+    }
+    let judged = rows().next().map_or(0, |x| x.frames);
+    let volumes = rows().next().map_or(0, |x| x.by_volume.len());
+    let caption = format!(
+        "{what} {}: {judged} test frames of {volumes} volumes of {TOGETHER}.",
+        mode_in_words(&r.mode)
+    );
+    (table, caption)
+}
+
+/// The recipe as it is, by mode and data set, each beside baselines of that data set alone.
+fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
+    let mut table = Table::new(vec![
+        Column::text("data set, renderer"),
+        Column::number("test frames"),
+        Column::number("RMSE/SD"),
+        Column::number("over the mean of 15 %"),
+        Column::number("over LVRP"),
+    ]);
+    let mut any = false;
+    for r in of {
+        let known = |split: &str| split == TOGETHER || paper.data_sets.iter().any(|d| d.title == split);
+        for row in r.rows.iter().filter(|x| x.name == AS_IT_IS && known(&x.split)) {
+            any = true;
+            let set = if row.split == TOGETHER { "all three" } else { row.split.as_str() };
+            table.row(vec![
+                format!("{set}, {}", mode_in_words(&r.mode)).into(),
+                row.frames.to_string().into(),
+                format!("{:.3}", row.rmse / row.sd).into(),
+                with_interval(row.over_constant, r.over_constant_interval(row)).into(),
+                with_interval(row.over_lvrp, r.over_lvrp_interval(row)).into(),
+            ]);
+        }
+    }
+    let caption =
+        format!("The recipe {AS_IT_IS}, one network for the three data sets, on {TOGETHER} of each.");
+    any.then_some((table, caption))
 }

@@ -43,6 +43,24 @@ fn description(to: &Path) {
     d["tuning"] =
         json!({ "mode": "none", "frames": [4], "epochs": 2, "renderers": renderers, "machines": machines });
     d["orbit"] = json!({ "volumes": 2, "poses": 4, "size": 16 });
+    let table = |name: &str| absolute(&format!("data/timings/{name}.csv.gz"));
+    let (training, test) = (table("none-train"), table("none-members"));
+    // Measured frames stand in for labels: their features lie beside them.
+    d["trials"] = json!({
+        "tables": [{
+            "mode": "none",
+            "training": training,
+            "training_low": table("none-train-64"),
+            "test": test,
+            "test_low": table("none-members-64"),
+        }],
+        "labels": training,
+        "frames": [[2, 2], [4, 1]],
+        "label_runs": 1,
+        "runs": 2,
+        "epochs": 1,
+        "changes": [{ "name": "lobes sorted", "sorted_lobes": true }],
+    });
     let own = json!([["castro_blast", "none"]]);
     let names = ["ablation", "varied", "samples", "depth", "encoders", "final", "steering"];
     d["panels"] =
@@ -227,6 +245,47 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     for label in labels {
         assert_eq!(ours(&rows, label), ours(&again, label));
     }
+}
+
+#[test]
+fn trials_are_judged_by_volume_and_made_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    description(&at.join("paper.json"));
+    let train = || {
+        let (output, said) = paper(at, "train", &["--only", "procedure,frames"]);
+        assert!(output.status.success(), "{said}");
+    };
+    train();
+    let results = files(&at.join("out/results"));
+    let of = |panel: &str| -> Value {
+        serde_json::from_slice(&results[&at.join(format!("out/results/{panel}-all-none.json"))]).unwrap()
+    };
+    let procedure = of("procedure");
+    let rows = procedure["rows"].as_array().unwrap();
+    let of_all: Vec<&Value> = rows.iter().filter(|r| r["split"] == "left-out members").collect();
+    let names: Vec<&str> = of_all.iter().map(|r| r["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["mean of 15 % (Bruder et al.)", "LVRP", "as it is", "lobes sorted"]);
+    for row in of_all {
+        let volumes = row["by_volume"].as_object().unwrap();
+        let frames = volumes.values().map(|v| v["frames"].as_u64().unwrap()).sum::<u64>();
+        assert_eq!((volumes.len(), frames), (77, 770));
+    }
+    // Lobes in another order are other inputs.
+    assert_ne!(rows[2]["rmse"], rows[3]["rmse"]);
+    let frames = of("frames");
+    let learned =
+        frames["rows"].as_array().unwrap().iter().filter_map(|r| r["more"]["training frames"].as_f64());
+    assert_eq!(learned.collect::<Vec<_>>(), [40.0 * 2.0, 40.0 * 4.0]);
+
+    let (_, said) = paper(at, "report", &[]);
+    let html = std::fs::read_to_string(at.join("out/report.html")).unwrap_or_else(|e| panic!("{e} {said}"));
+    assert!(html.contains("one change at a time") && html.contains("lobes sorted"));
+
+    let trials = files(&at.join("out/trials"));
+    assert_eq!(trials.len(), 2 * 2 + 2);
+    train();
+    assert_eq!((files(&at.join("out/trials")), files(&at.join("out/results"))), (trials, results));
 }
 
 #[test]
