@@ -23,7 +23,7 @@ pub struct Errors {
 }
 
 /// Squared errors by volume.
-pub type ByVolume = BTreeMap<String, Errors>;
+pub(super) type ByVolume = BTreeMap<String, Errors>;
 
 /// Squared errors of several runs of a predictor; `volumes` names the volume of each frame.
 pub(super) fn by_volume<'a>(

@@ -13,7 +13,6 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::{Clock, Table};
 use entire_cli::files::{fnv1a, make_folder, read_text, write_json};
 use entire_cli::fit::{Recipe, TargetChoice};
-use entire_cli::inputs::Layout;
 use entire_cli::options::thread_pool;
 use entire_cli::progress::templated_bar;
 use entire_cli::split::{GroupBy, TimedFrames};
