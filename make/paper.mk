@@ -8,6 +8,17 @@ PAPER_KEPT ?= $(wildcard data/timings/paper-results.json.gz)
 paper: setup ## Collect, encode, train and report as the paper does, a night at most: out/paper/report.html (PAPER_DATA=FOLDER)
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper all --data "$(PAPER_DATA)" --out "$(PAPER_OUT)" $(PAPER_FLAGS)
 
+PAPER_TRIALS = $(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper train --out "$(PAPER_OUT)"
+
+.PHONY: paper-procedure
+paper-procedure: setup ## The paper's recipe on the repository's frames, one change at a time, half an hour: out/paper/results
+	$(PAPER_TRIALS) --only procedure $(PAPER_FLAGS)
+
+.PHONY: paper-frames
+paper-frames: build ## The paper's recipe on a teacher's labels, by their number, half an hour: make paper-frames DATA=FOLDER-WITH-ensembles
+	DATA="$(DATA)" FRAMES=2500 ONLY=collect bash lab/scripts/distill.sh unshaded
+	$(PAPER_TRIALS) --only frames --data "$(DATA)" $(PAPER_FLAGS)
+
 .PHONY: bars-paper
-bars-paper: ## Write the paper's report from what is kept and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short
+bars-paper: ## Write the paper's report from what is kept and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short (INTERVAL)
 	@$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars

@@ -7,6 +7,7 @@
 #   EPOCHS   passes over them; 18 to 30 by set unless given, 6 from START
 #   START    a folder with SET-distilled.safetensors to go on from, for teachers that changed a little: models, for example;
 #            fewer frames and passes do then
+#   ONLY     collect: the labels alone, out/distill/SET.csv
 #   MODELS   where the models go, models/ unless given
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -31,6 +32,7 @@ for set in ${*:-unshaded local scatter}; do
     echo "==> $set: $frames frames of each of ${#volumes[@]} volumes, predicted by models/$set-selected.safetensors"
     "$entire" collect "${volumes[@]}" --out "$out/$set.csv" "${resume[@]}" --frames "$frames" --repeats 1 --warm-up 0 \
         --seed 77 --enlarge 2 --max-size "$size" --shade "$shade" --teacher "$root/models/$set-selected.safetensors"
+    [[ ${ONLY:-} != collect ]] || continue
     echo "==> $set: training"
     if [[ -n $start ]]; then
         network=(--fine-tune "$start/$set-distilled.safetensors" --learning-rate 2e-4 --epochs "${EPOCHS:-6}")

@@ -14,25 +14,37 @@ pub struct Bar {
     pub limit: f64,
     /// True if the limit is met; false without a value.
     pub ok: bool,
+    /// What stands behind it in brackets; may be empty.
+    pub note: String,
 }
 
 impl Bar {
     /// Met if the value is no more than the limit.
     pub fn at_most(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
-        Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v <= limit) }
+        Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v <= limit), note: String::new() }
     }
 
     /// Met if the value is no less than the limit.
     pub fn at_least(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
-        Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit) }
+        Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit), note: String::new() }
+    }
+
+    /// The same with something behind it in brackets.
+    pub fn with_note(self, note: impl Into<String>) -> Self {
+        Self { note: note.into(), ..self }
+    }
+
+    fn in_brackets(&self) -> String {
+        if self.note.is_empty() { String::new() } else { format!(" ({})", self.note) }
     }
 }
 
 impl std::fmt::Display for Bar {
-    /// `bar NAME VALUE LIMIT ok|short`, the value `-` where it could not be measured.
+    /// `bar NAME VALUE LIMIT ok|short`, the value `-` where nothing was found; then the note, where there is one.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
-        write!(f, "bar {} {found} {:.4} {}", self.name, self.limit, if self.ok { "ok" } else { "short" })
+        let verdict = if self.ok { "ok" } else { "short" };
+        write!(f, "bar {} {found} {:.4} {verdict}{}", self.name, self.limit, self.in_brackets())
     }
 }
 
@@ -49,7 +61,7 @@ pub fn table(bars: &[Bar]) -> Table {
             b.name.as_str().into(),
             b.value.map(|v| format!("{v:.4}")).into(),
             format!("{:.4}", b.limit).into(),
-            if b.ok { "yes" } else { "short" }.into(),
+            format!("{}{}", if b.ok { "yes" } else { "short" }, b.in_brackets()).into(),
         ]);
     }
     table

@@ -4,7 +4,7 @@ use super::{farm, replay};
 use crate::bars;
 use crate::paper::{
     Paper, Place, Selection, Work, book, cases, collect, control, description, encode, material, pictures,
-    places, report, train, yt,
+    places, report, train, trials, yt,
 };
 use anyhow::{Result, ensure};
 use clap::{Subcommand, ValueEnum};
@@ -253,6 +253,7 @@ fn encode_all(work: &Work<'_>, step: &StepOptions, which: &WhichEncoders) -> Res
 fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
     let wanted = |p: Panel| how.only.is_empty() || how.only.contains(&p);
     train::train(work, &how.only)?;
+    trials::run(work, &how.only)?;
     if wanted(Panel::Pictures) {
         let mut renderer = device::open(step.device)?;
         pictures::draw(work, &found(work)?, renderer.as_mut())?;

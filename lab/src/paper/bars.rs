@@ -1,14 +1,14 @@
 //! Bars of the paper's study.
 
-use super::description::{Panel, Paper, YT};
-use super::encode::{ALL, Encoder, Record};
+use super::description::{BASE_MODE, Panel, Paper, Rule, YT};
+use super::encode::{ALL, Encoder, Record, SHIPPED};
 use super::judge::NETWORK;
 use super::report::{Shown, ours_of};
-use super::results::{Results, Row};
-use super::volumes::BY_VOLUMES;
+use super::results::Results;
+use super::trials::AS_IT_IS;
+use super::{cases, control, interval};
 use crate::bars::Bar;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// Errors of an encoder's reconstruction of held-out volumes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -26,13 +26,21 @@ impl Reconstruction {
     }
 }
 
-/// The n-th smallest of some numbers, counted from 1: a bound for at least n of them.
-fn nth(mut values: Vec<f64>, n: usize) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(n.checked_sub(1)?).copied()
+/// What was found, and its interval over test volumes.
+type Ratio = (Option<f64>, Option<(f64, f64)>);
+
+/// A bar with its interval over volumes beside it.
+fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
+    let bar = Bar::at_most(format!("paper/{name}"), value, limit);
+    match (value, interval) {
+        (None, _) => bar,
+        (_, Some((low, high))) => bar.with_note(format!("interval: {low:.4} to {high:.4}")),
+        (_, None) => bar.with_note("interval: not kept"),
+    }
 }
 
-/// The bars; missing values are short.
+/// The bars: whatever is missing is short. A data set counts in the paper's base mode and by the paper's rule for
+/// its test volumes.
 pub fn bars(
     paper: &Paper,
     all: &[Results],
@@ -43,50 +51,124 @@ pub fn bars(
     let limits = &paper.limits;
     let missing = shown.iter().filter(|s| !s.there || s.command.is_empty()).count();
     let mut out = vec![Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0)];
-    // As in the paper: on its split, with at least its number of frames of every training volume.
+    // As the paper: with at least its number of frames of every training volume.
     let full = |r: &&Results| r.panel == Panel::Overall && complete(r);
     let overall: Vec<&Results> = all.iter().filter(full).collect();
-    let network = |r: &Results| r.row(BY_VOLUMES, NETWORK).cloned();
-    let ratios = |of: &dyn Fn(&Row) -> Option<f64>, yt: bool| -> Vec<f64> {
-        // One value per data set, the worst of its modes; none if a mode has none.
-        let mut worst: BTreeMap<&str, Option<f64>> = BTreeMap::new();
-        for r in overall.iter().filter(|r| (r.mode == YT) == yt) {
-            let found = network(r).as_ref().and_then(of);
-            let slot = worst.entry(&r.set).or_insert(Some(f64::NEG_INFINITY));
-            *slot = slot.zip(found).map(|(a, b)| a.max(b));
-        }
-        worst.into_values().flatten().collect()
+    let network = |r: &Results| r.row(paper.rule(&r.set).split(), NETWORK).cloned();
+    let over_constant = |set: &str, mode: &str| -> Ratio {
+        let Some((r, row)) = find(&overall, set, mode).and_then(|r| Some((r, network(r)?))) else {
+            return (None, None);
+        };
+        (row.over_constant, r.over_constant_interval(&row))
     };
-    let constant = |r: &Row| r.over_constant;
-    let lvrp = |r: &Row| r.over_lvrp;
-    let n = limits.data_sets;
-    let mut at_most =
-        |name: &str, value, limit| out.push(Bar::at_most(format!("paper/{name}"), value, limit));
-    at_most("raycaster-rmse-over-constant", nth(ratios(&constant, false), n), limits.over_constant);
-    at_most("yt-rmse-over-constant", nth(ratios(&constant, true), 1), limits.over_constant);
-    at_most("raycaster-rmse-over-lvrp", nth(ratios(&lvrp, false), n), limits.over_lvrp);
-    at_most("yt-rmse-over-lvrp", nth(ratios(&lvrp, true), 1), limits.over_lvrp);
+    for (set, limit) in &limits.over_constant {
+        let name = format!("{set}/network-over-constant");
+        let bar = at_most(name, over_constant(set, BASE_MODE), *limit);
+        let tried = if bar.value.is_none() { by_one_network(paper, all, set) } else { None };
+        out.push(match tried {
+            Some(note) => bar.with_note(note),
+            None => bar,
+        });
+    }
+    for set in limits.over_constant.keys() {
+        let name = format!("{set}/{YT}/network-over-constant");
+        out.push(at_most(name, over_constant(set, YT), limits.yt_over_constant));
+    }
+    for set in limits.over_constant.keys() {
+        let name = format!("{set}/network-over-lvrp");
+        let found = find(&overall, set, BASE_MODE).and_then(|r| Some((r, network(r)?)));
+        let voxels = found.as_ref().and_then(|(r, _)| voxels_over_proxy(paper, r));
+        out.push(match found.zip(voxels) {
+            // A proxy of more voxels is a stronger baseline than the paper's.
+            Some(((_, row), voxels)) if voxels < limits.lvrp_voxels => {
+                let over = row.over_lvrp.map_or("-".into(), |v| format!("{v:.4}"));
+                let (here, papers) = (voxels.round(), limits.lvrp_voxels);
+                let note = format!("{over} with 1/{here} of the voxels, the paper has 1/{papers}");
+                at_most(name, (None, None), limits.over_lvrp).with_note(note)
+            }
+            Some(((r, row), _)) => {
+                at_most(name, (row.over_lvrp, r.over_lvrp_interval(&row)), limits.over_lvrp)
+            }
+            None => at_most(name, (None, None), limits.over_lvrp),
+        });
+    }
     for r in &overall {
-        let ratio = ours_of(r, BY_VOLUMES).zip(network(r)).map(|(o, p)| o.rmse / p.rmse);
-        at_most(&format!("{}/{}/ours-over-network", r.set, r.mode), ratio, limits.ours_over_network);
+        let pair = ours_of(r, paper.rule(&r.set).split()).zip(network(r));
+        let ratio = pair.as_ref().map(|(o, p)| o.rmse / p.rmse);
+        let interval = pair.as_ref().and_then(|(o, p)| interval::of_ratio(&o.by_volume, &p.by_volume));
+        let name = format!("{}/{}/ours-over-network", r.set, r.mode);
+        out.push(at_most(name, (ratio, interval), limits.ours_over_network));
     }
     if overall.is_empty() {
-        at_most("ours-over-network", None, limits.ours_over_network);
+        out.push(at_most("ours-over-network".into(), (None, None), limits.ours_over_network));
     }
-    let (size, features) = paper.encoders.main;
-    let mut psnr: Vec<f64> = reconstructions
+    // No data set holds variants of its volumes by sparsity threshold.
+    let (ablation, alone) = limits.feature_vector;
+    out.push(Bar::at_least("paper/without-over-with-feature-vector", None, ablation));
+    out.push(Bar::at_least("paper/without-over-with-feature-vector-volume-alone", None, alone));
+    let main = |r: &&Reconstruction| {
+        r.encoder.channels.is_empty() && (r.encoder.size, r.encoder.features) == paper.encoders.main
+    };
+    let mut own: Vec<f64> = reconstructions.iter().filter(main).filter_map(Reconstruction::psnr).collect();
+    out.push(Bar::at_least(
+        "paper/reconstruction-psnr-db",
+        nth_best(&mut own, limits.data_sets),
+        limits.psnr,
+    ));
+    let joint = [ALL, SHIPPED]
         .iter()
-        .filter(|r| r.encoder.channels.is_empty() && r.encoder.set != ALL)
-        .filter(|r| (r.encoder.size, r.encoder.features) == (size, features))
-        .filter_map(Reconstruction::psnr)
-        .collect();
-    psnr.sort_by(|a, b| b.total_cmp(a));
-    out.push(Bar::at_least("paper/reconstruction-psnr-db", psnr.get(n - 1).copied(), limits.psnr));
+        .find_map(|set| reconstructions.iter().filter(main).find(|r| r.encoder.set == *set));
+    let of_set = |set: &String| joint.and_then(|r| r.record.psnr("test", set));
+    let mut together: Vec<f64> = limits.over_constant.keys().filter_map(of_set).collect();
+    out.push(Bar::at_least(
+        "paper/joint-reconstruction-psnr-db",
+        nth_best(&mut together, limits.data_sets),
+        limits.psnr,
+    ));
+    let (switches, everywhere) = limits.algorithm1_over_olp;
+    for (name, key, limit) in
+        [("switches", control::FIRST_FRAMES, switches), ("all", control::ALL_FRAMES, everywhere)]
+    {
+        let found = control::algorithm1_over_olp(all, key);
+        out.push(Bar::at_most(format!("paper/algorithm1-over-olp-distance-{name}"), found, limit));
+    }
+    let slowest = cases::slowest_node(all, NETWORK);
+    out.push(Bar::at_most("paper/slowest-node-by-network", slowest, limits.slowest_node));
+    // Whether a sentence holds is read, not computed.
+    out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
     out.push(Bar::at_most("paper/report-seconds", Some(seconds), limits.report_seconds));
     out
 }
 
-/// True if the training volumes have as many frames as the description requires.
+/// What trials say of a data set whose members are held out: one network learned from all data sets together.
+fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
+    let of = |r: &&Results| r.panel == Panel::Procedure && r.mode == BASE_MODE;
+    let title = &paper.data_set(set).filter(|d| d.rule == Rule::Members)?.title;
+    let found = all.iter().find(of)?;
+    let row = found.row(title, AS_IT_IS)?;
+    let brackets = interval::in_brackets(found.over_constant_interval(row));
+    Some(format!("{:.4} {brackets} by one network for all data sets", row.over_constant?))
+}
+
+/// What was found for a data set in a mode.
+fn find<'a>(all: &[&'a Results], set: &str, mode: &str) -> Option<&'a Results> {
+    all.iter().find(|r| r.set == set && r.mode == mode).copied()
+}
+
+/// The n-th best of some numbers, the highest best: what holds for at least n of them.
+fn nth_best(values: &mut [f64], n: usize) -> Option<f64> {
+    values.sort_by(|a, b| b.total_cmp(a));
+    values.get(n.checked_sub(1)?).copied()
+}
+
+/// Voxels as rendered over those behind the low-resolution proxy.
+fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
+    let times = results.facts.iter().find(|f| f.name == "times")?;
+    let side = |k: &str| times.values.get(k).copied();
+    Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
+}
+
+/// Whether the frames of the training volumes are as many as the description asks for.
 fn complete(results: &Results) -> bool {
     let times = results.facts.iter().find(|f| f.name == "times");
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();
@@ -96,20 +178,25 @@ fn complete(results: &Results) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::results::Fact;
+    use super::super::interval::{ByVolume, Errors};
+    use super::super::judge::{CONSTANT, LVRP};
+    use super::super::results::{Fact, Row};
     use super::*;
     use std::path::Path;
 
-    fn overall(set: &str, mode: &str, over: Option<f64>) -> Results {
-        let mut out = Results::new(Panel::Overall, set, mode, String::new());
-        let frames = [("expected frames", 100.0), ("frames", 100.0)].map(|(n, v)| (n.to_owned(), v));
-        out.facts.push(Fact { name: "times".into(), values: frames.into() });
-        out.rows.push(Row {
-            name: NETWORK.into(),
-            split: BY_VOLUMES.into(),
-            frames: 10,
+    /// Two test volumes of one frame each.
+    fn row(name: &str, split: &str, squared: [f64; 2], over: Option<f64>) -> Row {
+        let by_volume: ByVolume = ["a", "b"]
+            .into_iter()
+            .zip(squared)
+            .map(|(volume, s)| (volume.to_owned(), Errors { frames: 1, squared: vec![s] }))
+            .collect();
+        Row {
+            name: name.into(),
+            split: split.into(),
+            frames: 2,
             runs: 1,
-            rmse: 1.0,
+            rmse: interval::rmse(&by_volume).unwrap(),
             rmse_sd: 0.0,
             rmse_median: 1.0,
             sd: 1.0,
@@ -119,33 +206,67 @@ mod tests {
             mdape: 0.1,
             latency: None,
             squared_errors: [0.0; 5],
-            more: BTreeMap::new(),
-        });
+            of_twins: by_volume.clone(),
+            by_volume,
+            more: std::collections::BTreeMap::new(),
+        }
+    }
+
+    fn overall(set: &str, mode: &str, split: &str, over: Option<f64>) -> Results {
+        let mut out = Results::new(Panel::Overall, set, mode, String::new());
+        let frames =
+            [("expected frames", 100.0), ("frames", 100.0), ("x", 192.0), ("y", 192.0), ("z", 192.0)];
+        out.facts.push(Fact { name: "times".into(), values: frames.map(|(n, v)| (n.to_owned(), v)).into() });
+        out.rows.push(row(CONSTANT, split, [4.0, 4.0], None));
+        out.rows.push(row(LVRP, split, [4.0, 4.0], None));
+        out.rows.push(row(NETWORK, split, [0.04, 0.16], over));
         out
     }
 
     #[test]
-    fn a_data_set_counts_by_its_worst_mode() {
+    fn a_data_set_counts_in_the_base_mode_and_by_the_papers_rule() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");
-        let paper: Paper = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
-        let of = |all: &[Results], name: &str| -> Option<f64> {
-            let found = bars(&paper, all, &[], &[], 1.0);
-            found.iter().find(|b| b.name == format!("paper/{name}")).unwrap().value
+        let mut paper: Paper = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+        let of = |paper: &Paper, all: &[Results], name: &str| -> String {
+            let found = bars(paper, all, &[], &[], 1.0);
+            let bar = found.iter().find(|b| b.name == format!("paper/{name}")).unwrap();
+            bar.to_string().split_once(&bar.name).unwrap().1.trim().to_owned()
         };
-        let mut all = vec![
-            overall("a", "none", Some(0.2)),
-            overall("a", "local", Some(0.6)),
-            overall("b", "none", Some(0.5)),
-            overall("b", "scatter", Some(0.1)),
-            overall("c", "none", Some(0.9)),
-            overall("a", YT, Some(0.3)),
+        let (nyx, maestroex) = ("nyx_cosmology", "maestroex_bubbles");
+        let name = "nyx_cosmology/network-over-constant";
+        // Another mode, or another split than the paper's, is no measurement.
+        let easier =
+            [overall(nyx, "none", "members", Some(0.1)), overall(nyx, "local", "volumes", Some(0.1))];
+        assert_eq!(of(&paper, &easier, name), "- 0.2000 short");
+        let all = [
+            overall(nyx, "local", "members", Some(0.16)),
+            overall(maestroex, "local", "volumes", Some(0.3)),
+            overall(nyx, YT, "members", Some(0.21)),
         ];
-        // The second of 0.5, 0.6 and 0.9.
-        assert_eq!(of(&all, "raycaster-rmse-over-constant"), Some(0.6));
-        assert_eq!(of(&all, "raycaster-rmse-over-lvrp"), Some(1.2));
-        assert_eq!(of(&all, "yt-rmse-over-constant"), Some(0.3));
-        // A data set with a mode without a value has no value.
-        all.push(overall("b", "local", None));
-        assert_eq!(of(&all, "raycaster-rmse-over-constant"), Some(0.9));
+        // Both volumes are the first, or the second: 1/4 of the draws each.
+        assert_eq!(of(&paper, &all, name), "0.1600 0.2000 ok (interval: 0.1000 to 0.2000)");
+        let name = "maestroex_bubbles/network-over-constant";
+        assert_eq!(of(&paper, &all, name), "0.3000 0.2600 short (interval: 0.1000 to 0.2000)");
+        let name = "nyx_cosmology/yt/network-over-constant";
+        assert!(of(&paper, &all, name).starts_with("0.2100 0.2000 short"));
+        // 64³ of 192³ voxels is another baseline than the paper's.
+        let name = "nyx_cosmology/network-over-lvrp";
+        assert_eq!(
+            of(&paper, &all, name),
+            "- 0.6000 short (0.3200 with 1/27 of the voxels, the paper has 1/512)"
+        );
+        paper.proxy = 24;
+        assert_eq!(of(&paper, &all, name), "0.3200 0.6000 ok (interval: 0.1000 to 0.2000)");
+        // Kept without errors by volume.
+        let mut kept = all[0].clone();
+        kept.rows.iter_mut().for_each(|r| r.by_volume.clear());
+        let name = "nyx_cosmology/network-over-constant";
+        assert_eq!(of(&paper, &[kept], name), "0.1600 0.2000 ok (interval: not kept)");
+    }
+
+    #[test]
+    fn what_holds_for_two_of_three_is_the_second_best() {
+        assert_eq!(nth_best(&mut [17.3, 19.5, 15.7], 2), Some(17.3));
+        assert_eq!(nth_best(&mut [17.3], 2), None);
     }
 }

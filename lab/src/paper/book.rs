@@ -3,7 +3,7 @@
 use super::description::{Label, Paper};
 use super::material::Material;
 use super::report::{numbers_table, picture};
-use super::sections::section;
+use super::sections::{Section, section, trials};
 use anyhow::Result;
 use entire_io::files::{make_folder, write_whole};
 use entire_report::{Column, Table};
@@ -44,15 +44,7 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
         if let Some(numbers) = &label.paper {
             let _ = write!(out, "\nThe paper:\n\n{}", numbers_table(numbers).to_markdown());
         }
-        for (table, caption) in &section.tables {
-            let _ = write!(out, "\nHere: {caption}\n\n{}", table.to_markdown());
-        }
-        let stem = label.label.replace(':', "-");
-        for (i, (chart, caption)) in section.charts.iter().enumerate() {
-            let file = format!("{stem}-{i}.svg");
-            write_whole(&images.join(&file), chart.to_svg_file().as_bytes())?;
-            let _ = write!(out, "\n![{}: {caption}]({IMAGES}/{file})\n\n{caption}\n", label.title);
-        }
+        out += &tables_and_charts(&section, &label.title, &label.label.replace(':', "-"), &images)?;
         let mut drawn = Vec::new();
         for (file, caption) in &section.pictures {
             let name =
@@ -82,6 +74,10 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
             }
         }
     }
+    for trial in trials(paper, material) {
+        let _ = write!(out, "\n## {}\n\n`{}`\n", trial.title, trial.command);
+        out += &tables_and_charts(&trial.section, trial.title, trial.stem, &images)?;
+    }
     if !missing.is_empty() {
         let mut table =
             Table::new(vec![Column::text("label"), Column::text("what"), Column::text("what makes it")]);
@@ -92,4 +88,18 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
         let _ = write!(out, "\n## Not measured\n\n{}", table.to_markdown());
     }
     write_whole(&pages.join(PAGE), out.as_bytes())
+}
+
+/// The tables and charts of a section; the charts' files begin with `stem`.
+fn tables_and_charts(section: &Section, title: &str, stem: &str, images: &Path) -> Result<String> {
+    let mut out = String::new();
+    for (table, caption) in &section.tables {
+        let _ = write!(out, "\nHere: {caption}\n\n{}", table.to_markdown());
+    }
+    for (i, (chart, caption)) in section.charts.iter().enumerate() {
+        let file = format!("{stem}-{i}.svg");
+        write_whole(&images.join(&file), chart.to_svg_file().as_bytes())?;
+        let _ = write!(out, "\n![{title}: {caption}]({IMAGES}/{file})\n\n{caption}\n");
+    }
+    Ok(out)
 }

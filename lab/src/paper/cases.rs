@@ -17,7 +17,13 @@ const UNIFORM: &str = "uniform";
 /// Tasks are assigned by their measured times.
 const GROUND_TRUTH: &str = "GT";
 
-/// Path of the task list of the orbit for `entire-lab farm`.
+/// The slowest node by a predictor's times over that by measured ones, the worst of all numbers of nodes.
+pub(super) fn slowest_node(all: &[Results], predictor: &str) -> Option<f64> {
+    let facts = all.iter().filter(|r| r.panel == Panel::Balancing).flat_map(|r| &r.facts);
+    facts.filter(|f| f.name == predictor).filter_map(|f| f.values.get("slowest")).copied().reduce(f64::max)
+}
+
+/// Where the tasks of the orbit are written down for `entire-lab farm`.
 pub fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
     out.join("cases").join(format!("tasks-{set}-{mode}.csv"))
 }

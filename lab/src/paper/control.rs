@@ -313,13 +313,27 @@ fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     Ok(out)
 }
 
-/// Columns of the table of controllers: a figure of the scores, its title, and true if it is a share.
+/// Mean distance from the target over all frames.
+pub(super) const ALL_FRAMES: &str = "all deviation";
+/// The same over the first frames after a change.
+pub(super) const FIRST_FRAMES: &str = "first_frame_deviation";
+
+/// A distance of Algorithm 1 with the paper's network over that of OLP; `None` where they were not played.
+pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64> {
+    let played = all.iter().find(|r| r.panel == Panel::Steering)?;
+    let of = |kind: ControllerKind| {
+        played.facts.iter().find(|f| f.name == kind.name())?.values.get(distance).copied()
+    };
+    Some(of(ControllerKind::Algorithm1)? / of(ControllerKind::Olp)?)
+}
+
+/// What the table of controllers shows: a figure of the scores, its title, and whether it is a share.
 const COLUMNS: [(&str, &str, bool); 7] = [
-    ("all deviation", "mean distance from the target", true),
+    (ALL_FRAMES, "mean distance from the target", true),
     ("all missed", "frames over 1.1 × target", true),
     ("all quality", "oracle's step over the step", true),
     ("calm deviation", "calm phases: distance", true),
-    ("first_frame_deviation", "first frames after a change: distance", true),
+    (FIRST_FRAMES, "first frames after a change: distance", true),
     ("psnr_loss", "PSNR below the oracle's, dB", false),
     ("worst", "slowest frame over target", false),
 ];

@@ -1,9 +1,10 @@
 //! Description of the paper's study: its JSON file.
 
+use super::volumes::{BY_MEMBERS, BY_VOLUMES};
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::files::read_text;
 use entire_io::scenes::SceneDistribution;
-use entire_train::fit::Recipe;
+use entire_train::fit::{Recipe, TargetChoice};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -57,7 +58,9 @@ pub struct Paper {
     pub tuning: Tuning,
     /// Load balancing.
     pub orbit: Orbit,
-    /// For each part of the study, its data sets and modes; `overall` has all.
+    /// What the network's error comes from.
+    pub trials: Trials,
+    /// For each part of the study, the data sets and modes that it is made of; `overall` is made of all.
     pub panels: BTreeMap<Panel, Vec<(String, String)>>,
     /// The paper's tables and figures.
     pub labels: Vec<Label>,
@@ -104,12 +107,44 @@ pub struct DataSet {
     /// True if it only tests models of the others: volumes of another kind.
     #[serde(default)]
     pub only_tests: bool,
-    /// The harder split.
+    /// What the paper tests on.
+    #[serde(default)]
+    pub rule: Rule,
+    /// The members of the split by member.
     #[serde(default)]
     pub members: Option<MemberSplit>,
 }
 
-/// Roles of ensemble members in the harder split; all others are for training.
+/// What the paper holds out of a data set to test on. Its headline numbers are of that split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rule {
+    /// Random volumes, as of MAESTROeX.
+    #[default]
+    Volumes,
+    /// A whole ensemble member, as of Nyx and Castro.
+    Members,
+}
+
+impl Rule {
+    /// The split's name in results.
+    pub const fn split(self) -> &'static str {
+        match self {
+            Self::Volumes => BY_VOLUMES,
+            Self::Members => BY_MEMBERS,
+        }
+    }
+
+    /// The split that the paper does not judge on.
+    pub const fn other(self) -> Self {
+        match self {
+            Self::Volumes => Self::Members,
+            Self::Members => Self::Volumes,
+        }
+    }
+}
+
+/// Which ensemble members serve what in the split by member; all others are learned from.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MemberSplit {
@@ -200,7 +235,80 @@ pub struct Orbit {
     pub size: u32,
 }
 
-/// Part of the study; each is computed and stored separately.
+/// Trials of what the network's error comes from, on frames that the repository holds.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trials {
+    /// Measured frames, by mode; the changes are tried in the first.
+    pub tables: Vec<TrialTables>,
+    /// A teacher's labels of frames of the first mode's training volumes.
+    pub labels: PathBuf,
+    /// Frames of each volume that are learned from by labels, and passes over them.
+    pub frames: Vec<(usize, usize)>,
+    /// Trainings on labels, of each number of frames.
+    pub label_runs: usize,
+    /// Trainings of each change.
+    pub runs: usize,
+    /// Passes over the measured frames.
+    pub epochs: usize,
+    /// What is changed, one at a time.
+    pub changes: Vec<Change>,
+}
+
+/// Measured frames of one mode.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialTables {
+    /// The mode.
+    pub mode: String,
+    /// Learned from, and validated on.
+    pub training: PathBuf,
+    /// The same on few voxels.
+    pub training_low: PathBuf,
+    /// Tested on: ensemble members that nothing was learned from.
+    pub test: PathBuf,
+    /// The same on few voxels.
+    pub test_low: PathBuf,
+}
+
+/// A change of the paper's recipe.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Change {
+    /// In tables.
+    pub name: String,
+    /// Gaussian lobes by ascending center.
+    pub sorted_lobes: bool,
+    /// Every frame with its Gaussian lobes in each order, and as many steps in all.
+    pub every_order: bool,
+    /// Logarithms of image sides, and of widths and heights of lobes.
+    pub log_inputs: bool,
+    /// One number for the image's size, the geometric mean of its sides.
+    pub one_resolution: bool,
+    /// What the network gives.
+    pub target: Option<TargetChoice>,
+    /// Frames per step.
+    pub batch: Option<usize>,
+    /// Gradients as they are.
+    pub no_clipping: bool,
+    /// What decides which epoch's weights are kept.
+    pub validation: Validation,
+}
+
+/// What decides which epoch's weights are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Validation {
+    /// As many frames of each validation volume as the description says.
+    #[default]
+    Few,
+    /// All frames of the validation volumes.
+    All,
+    /// The training loss, which is lowest at the end.
+    Training,
+}
+
+/// A part of the study; each is made and kept by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
@@ -227,6 +335,10 @@ pub enum Panel {
     Balancing,
     /// Renderings.
     Pictures,
+    /// The paper's recipe on the repository's frames, one change at a time; only where it is named.
+    Procedure,
+    /// The paper's recipe on a teacher's labels, by their number; only where it is named.
+    Frames,
 }
 
 impl Panel {
@@ -273,22 +385,36 @@ pub struct Numbers {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
-    /// RMSE of the network over that of the mean of 15 %.
-    pub over_constant: f64,
-    /// The same over LVRP's.
+    /// RMSE of the network over that of the mean of 15 %, by data set: in the paper's base mode, by its rule.
+    pub over_constant: BTreeMap<String, f64>,
+    /// The same of frames that yt drew, of each of them.
+    pub yt_over_constant: f64,
+    /// RMSE of the network over LVRP's, at the paper's ratio of voxels.
     pub over_lvrp: f64,
-    /// RMSE of our predictor over the network's.
+    /// Voxels of the paper's volumes over those that its LVRP renders.
+    pub lvrp_voxels: f64,
+    /// RMSE of ours over the network's.
     pub ours_over_network: f64,
-    /// Number of data sets for which they must hold.
-    pub data_sets: usize,
+    /// Error without the feature vector over that with it, where volumes differ in sparsity: in the ablation, and
+    /// where the volume alone varies.
+    pub feature_vector: (f64, f64),
     /// Reconstruction of held-out volumes, dB.
     pub psnr: f64,
-    /// Time limit of the report, seconds.
+    /// Data sets for which that must hold.
+    pub data_sets: usize,
+    /// Mean distance from the target of Algorithm 1 with the network over that of OLP: in the first frame after a
+    /// change, and over all frames.
+    pub algorithm1_over_olp: (f64, f64),
+    /// The slowest node by the network's times over that by measured times.
+    pub slowest_node: f64,
+    /// Seconds that the report may take.
     pub report_seconds: f64,
 }
 
 /// Modes of our raycaster.
 pub const RAYCASTER_MODES: [&str; 3] = ["none", "local", "scatter"];
+/// The paper's raycaster shades by local lighting; single scattering comes on top.
+pub const BASE_MODE: &str = "local";
 /// The mode of frames that yt drew.
 pub const YT: &str = "yt";
 
@@ -298,7 +424,12 @@ impl Paper {
         self.data_sets.iter().find(|d| d.name == name)
     }
 
-    /// Our recipe for a mode.
+    /// What the paper tests on in a data set.
+    pub fn rule(&self, set: &str) -> Rule {
+        self.data_set(set).map_or_else(Rule::default, |d| d.rule)
+    }
+
+    /// Ours for a mode.
     ///
     /// # Errors
     /// If the description has none.
@@ -324,6 +455,11 @@ pub fn read(path: &Path) -> Result<Paper> {
         place(a);
         place(b);
     });
+    place(&mut paper.trials.labels);
+    for tables in &mut paper.trials.tables {
+        let all = [&mut tables.training, &mut tables.training_low, &mut tables.test, &mut tables.test_low];
+        all.into_iter().for_each(place);
+    }
     paper.labels.iter_mut().filter_map(|l| l.picture.as_mut()).for_each(place);
     check(&paper).with_context(|| format!("{}", path.display()))?;
     Ok(paper)
@@ -338,6 +474,11 @@ fn check(paper: &Paper) -> Result<()> {
     );
     ensure!(paper.in_mode.values().all(|m| m.repeats != Some(0)), "in_mode: repeats is 0; it is at least 1");
     ensure!(paper.repeats > 0 && paper.yt.repeats > 0 && paper.runs > 0, "repeats and runs are at least 1");
+    let trials = &paper.trials;
+    ensure!(
+        !trials.tables.is_empty() && trials.runs.min(trials.label_runs) > 0,
+        "trials need tables and runs"
+    );
     ensure!(!paper.encoders.shipped.is_empty(), "encoders: shipped names none");
     paper.scenes.check()?;
     let mut names = BTreeSet::new();

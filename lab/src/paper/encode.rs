@@ -20,6 +20,8 @@ const GRACE: Duration = Duration::from_secs(600);
 
 /// The name of the encoder of all data sets.
 pub const ALL: &str = "all";
+/// The name of those that ship: of all data sets, whole members held out.
+pub const SHIPPED: &str = "shipped";
 
 /// An encoder to train.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -4,6 +4,7 @@ use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::{DataSet, Panel};
 use super::encode::{ALL, Encoder};
+use super::judge::Low;
 use super::volumes::{BY_VOLUMES, Parts, Place, places};
 use crate::study::twins;
 use anyhow::{Context, Result};
@@ -13,7 +14,7 @@ use entire_io::dataset::{Clock, Table};
 use entire_io::files::open_model;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_train::split::TimedFrames;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// The tables of a data set and mode.
@@ -24,8 +25,8 @@ pub(super) struct Loaded {
     pub(super) varied: Option<usize>,
     /// Volumes of another kind: title and index of the table.
     pub(super) modalities: Vec<(String, usize)>,
-    /// Seconds at low resolution, by table and frame number.
-    pub(super) low: BTreeMap<(usize, u64), f64>,
+    /// Seconds on few voxels, by table and frame number.
+    pub(super) low: Low,
 }
 
 /// Frames of a split.
@@ -45,7 +46,7 @@ impl Loaded {
         if !main.exists() {
             return Ok(None);
         }
-        let mut out = Self { tables: Vec::new(), varied: None, modalities: Vec::new(), low: BTreeMap::new() };
+        let mut out = Self { tables: Vec::new(), varied: None, modalities: Vec::new(), low: Low::new() };
         out.add(work, place, mode, Kind::Random, clock)?;
         if table_path(work.out, &place.set.name, mode, Kind::Varied, false).exists() {
             out.varied = Some(out.add(work, place, mode, Kind::Varied, clock)?);
@@ -73,7 +74,8 @@ impl Loaded {
         Ok(index)
     }
 
-    /// The frames of a split. Of held-out volumes, only the described number.
+    /// The frames of a split: of validation volumes only so many as the description says, of test volumes all
+    /// that were measured.
     pub(super) fn split(&self, work: &Work<'_>, parts: &Parts, clock: Clock) -> SplitFrames<'_> {
         let of = |names: &BTreeSet<String>, most: u32| {
             let each = u64::from(work.paper.frames.training);
@@ -87,7 +89,7 @@ impl Loaded {
         SplitFrames {
             training: of(&parts.training, counts.training),
             validation: of(&parts.validation, counts.held_out),
-            test: of(&parts.test, counts.held_out),
+            test: of(&parts.test, counts.training),
         }
     }
 

@@ -3,6 +3,7 @@
 
 use super::Work;
 use super::frames::{Loaded, SplitFrames};
+use super::interval;
 use super::results::Row;
 use super::volumes::Place;
 use crate::latency::Bench;
@@ -101,19 +102,17 @@ impl At<'_> {
 
     /// The proxy's line, fitted to the training frames; `None` if too few were rendered at low resolution.
     pub(super) fn proxy(&self, training: &TimedFrames<'_>) -> Option<Line> {
-        let pairs: Vec<(f64, f64)> = training
-            .frames
-            .iter()
-            .zip(&training.seconds)
-            .filter_map(|(f, t)| Some((*self.loaded.low.get(&(f.table, f.number))?, *t)))
-            .collect();
-        (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
+        line_of(&self.loaded.low, training)
     }
 
-    /// Predictions of the proxy; `None` where it lacks some of the frames.
-    pub(super) fn by_proxy(&self, line: Option<Line>, frames: &[&TimedFrame]) -> Option<Vec<f64>> {
-        let line = line?;
-        frames.iter().map(|f| Some(line.at(*self.loaded.low.get(&(f.table, f.number))?))).collect()
+    /// Begins to judge predictors on some frames.
+    pub(super) fn judge<'f>(
+        &self,
+        split: &str,
+        frames: &'f TimedFrames<'f>,
+        line: Option<Line>,
+    ) -> Judge<'f> {
+        Judge::new(&self.loaded.low, self.work.paper.runs, split, frames, line)
     }
 
     /// Bench for latencies, on a volume in its rendered form.
@@ -127,62 +126,93 @@ impl At<'_> {
     }
 }
 
-/// Evaluates predictors on one set of frames, beside the baselines.
+/// Seconds of frames on few voxels, by table and frame number.
+pub(super) type Low = BTreeMap<(usize, u64), f64>;
+
+/// The proxy's line, fitted to the training frames; `None` where too few were rendered on few voxels.
+pub(super) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
+    let pairs: Vec<(f64, f64)> = training
+        .frames
+        .iter()
+        .zip(&training.seconds)
+        .filter_map(|(f, t)| Some((*low.get(&(f.table, f.number))?, *t)))
+        .collect();
+    (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
+}
+
+/// What the proxy predicts; `None` for a frame that was not rendered on few voxels.
+pub(super) fn by_proxy(low: &Low, line: Option<Line>, frames: &[&TimedFrame]) -> Vec<Option<f64>> {
+    frames.iter().map(|f| Some(line?.at(*low.get(&(f.table, f.number))?))).collect()
+}
+
+/// Predictors on one set of frames, beside the baselines.
 pub(super) struct Judge<'a> {
     split: String,
     frames: &'a TimedFrames<'a>,
-    constant: Option<f64>,
-    lvrp: Option<f64>,
-    /// Results.
+    /// What the proxy predicts for those frames that it has.
+    proxy: Vec<Option<f64>>,
+    constant: Option<Row>,
+    lvrp: Option<Row>,
+    /// What was found.
     pub(super) rows: Vec<Row>,
 }
 
 impl<'a> Judge<'a> {
     /// Starts with the baselines.
     pub(super) fn new(
-        at: &At<'_>,
+        low: &Low,
+        runs: usize,
         split: &str,
         frames: &'a TimedFrames<'a>,
         line: Option<Line>,
-        with_constant: bool,
     ) -> Self {
-        let mut out = Self { split: split.to_owned(), frames, constant: None, lvrp: None, rows: Vec::new() };
-        if with_constant {
-            let draws: Vec<Vec<f64>> = (1..=at.work.paper.runs.max(5) as u64)
-                .map(|seed| {
-                    let count = (PROBE_SHARE * frames.frames.len() as f64).ceil().max(1.0) as usize;
-                    let seen = frames.sample(count, seed).0.seconds;
-                    let mean = seen.iter().sum::<f64>() / seen.len().max(1) as f64;
-                    vec![mean; frames.frames.len()]
-                })
-                .collect();
-            out.add(CONSTANT, &draws);
-            out.constant = out.rows.last().map(|r| r.rmse);
+        let proxy = by_proxy(low, line, &frames.frames);
+        let mut out =
+            Self { split: split.to_owned(), frames, proxy, constant: None, lvrp: None, rows: Vec::new() };
+        let draws: Vec<Vec<f64>> = (1..=runs.max(5) as u64)
+            .map(|seed| {
+                let count = (PROBE_SHARE * frames.frames.len() as f64).ceil().max(1.0) as usize;
+                let seen = frames.sample(count, seed).0.seconds;
+                let mean = seen.iter().sum::<f64>() / seen.len().max(1) as f64;
+                vec![mean; frames.frames.len()]
+            })
+            .collect();
+        out.constant = out.judged(CONSTANT, &draws, frames);
+        let twins = out.twins();
+        if !twins.frames.is_empty() {
+            let predicted: Vec<f64> = out.proxy.iter().copied().flatten().collect();
+            let took = |f: &&TimedFrame| low.get(&(f.table, f.number)).copied();
+            let mut times: Vec<f64> = twins.frames.iter().filter_map(took).collect();
+            let judged = out.judged(LVRP, &[predicted], &twins);
+            out.lvrp = judged.map(|row| Row { latency: median(&mut times), ..row });
         }
-        if let Some(predicted) = at.by_proxy(line, &frames.frames) {
-            out.add(LVRP, &[predicted]);
-            out.lvrp = out.rows.last().map(|r| r.rmse);
-            let mut times: Vec<f64> = frames
-                .frames
-                .iter()
-                .filter_map(|f| at.loaded.low.get(&(f.table, f.number)).copied())
-                .collect();
-            if let Some(row) = out.rows.last_mut() {
-                row.latency = median(&mut times);
-            }
-        }
-        for row in &mut out.rows {
-            row.over_constant = out.constant.map(|c| row.rmse / c);
-            row.over_lvrp = out.lvrp.map(|c| row.rmse / c);
+        for mut row in [&out.constant, &out.lvrp].into_iter().flatten().cloned().collect::<Vec<Row>>() {
+            out.compare(&mut row);
+            out.rows.push(row);
         }
         out
     }
 
     /// Evaluates the runs of a predictor; does nothing without frames.
     pub(super) fn add(&mut self, name: &str, runs: &[Vec<f64>]) {
-        let measured = &self.frames.seconds;
+        if let Some(mut row) = self.judged(name, runs, self.frames) {
+            self.compare(&mut row);
+            self.rows.push(row);
+        }
+    }
+
+    /// The frames that the proxy has.
+    fn twins(&self) -> TimedFrames<'a> {
+        let all = self.frames.frames.iter().zip(&self.frames.seconds).zip(&self.proxy);
+        let (frames, seconds) = all.filter(|(_, p)| p.is_some()).map(|((f, t), _)| (*f, *t)).unzip();
+        TimedFrames { frames, seconds }
+    }
+
+    /// Errors on some frames: all, or those that the proxy has.
+    fn judged(&self, name: &str, runs: &[Vec<f64>], frames: &TimedFrames<'_>) -> Option<Row> {
+        let measured = &frames.seconds;
         let metrics: Vec<Metrics> = runs.iter().filter_map(|p| Metrics::new(p, measured)).collect();
-        let Some(first) = metrics.first() else { return };
+        let first = metrics.first()?;
         let n = metrics.len() as f64;
         let rmse = metrics.iter().map(|m| m.rmse).sum::<f64>() / n;
         let squares = metrics.iter().map(|m| (m.rmse - rmse).powi(2)).sum::<f64>();
@@ -190,7 +220,17 @@ impl<'a> Judge<'a> {
             runs.iter().flat_map(|p| p.iter().zip(measured).map(|(p, t)| (p - t).powi(2))).collect();
         errors.sort_by(f64::total_cmp);
         let mut each: Vec<f64> = metrics.iter().map(|m| m.rmse).collect();
-        self.rows.push(Row {
+        let by_volume = |of: &TimedFrames<'_>, runs: &[Vec<f64>]| {
+            interval::by_volume(of.frames.iter().map(|f| f.scene.volume.as_str()), &of.seconds, runs)
+        };
+        let of_twins = if frames.frames.len() < self.frames.frames.len() {
+            by_volume(frames, runs)
+        } else {
+            let of =
+                |run: &Vec<f64>| run.iter().zip(&self.proxy).filter_map(|(p, l)| l.map(|_| *p)).collect();
+            by_volume(&self.twins(), &runs.iter().map(of).collect::<Vec<Vec<f64>>>())
+        };
+        Some(Row {
             name: name.to_owned(),
             split: self.split.clone(),
             frames: first.frames,
@@ -200,12 +240,23 @@ impl<'a> Judge<'a> {
             rmse_median: median(&mut each).unwrap_or(rmse),
             sd: first.sd,
             mean: measured.iter().sum::<f64>() / measured.len() as f64,
-            over_constant: self.constant.map(|c| rmse / c),
-            over_lvrp: self.lvrp.map(|c| rmse / c),
+            over_constant: None,
+            over_lvrp: None,
             mdape: metrics.iter().map(|m| m.mdape).sum::<f64>() / n,
             latency: None,
             squared_errors: [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| percentile(&errors, q)),
+            by_volume: by_volume(frames, runs),
+            of_twins,
             more: BTreeMap::new(),
-        });
+        })
+    }
+
+    /// A row's errors over those of the baselines, on the frames that both have.
+    fn compare(&self, row: &mut Row) {
+        let all = row.frames == self.frames.frames.len();
+        let errors = |r: &Row| interval::rmse(if all { &r.by_volume } else { &r.of_twins });
+        row.over_constant = self.constant.as_ref().and_then(|c| Some(errors(row)? / errors(c)?));
+        let twins = |r: &Row| interval::rmse(&r.of_twins);
+        row.over_lvrp = self.lvrp.as_ref().and_then(|l| Some(twins(row)? / twins(l)?));
     }
 }

@@ -2,10 +2,11 @@
 
 use super::bars::Reconstruction;
 use super::description::Paper;
-use super::encode::{ALL, Encoder};
+use super::encode::{ALL, Encoder, Provenance, Record, SHIPPED};
 use super::results::{Results, read_all};
 use anyhow::{Context, Result};
-use entire_io::files::{gzip, make_folder_of, read_bytes, read_decompressed, write_whole};
+use entire_core::model::Key;
+use entire_io::files::{gzip, make_folder_of, read_bytes, read_decompressed, read_model_file, write_whole};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -50,6 +51,9 @@ pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Materi
             }
         }
     }
+    for path in &asked.shipped {
+        reconstructions.extend(shipped(path)?);
+    }
     let mut pictures = kept.pictures;
     for name in all.iter().flat_map(|r| &r.pictures).map(|(name, _)| name) {
         let path = out.join("pictures").join(name);
@@ -58,6 +62,19 @@ pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Materi
         }
     }
     Ok(Material { all, reconstructions, pictures })
+}
+
+/// What the file of an encoder that ships says about its training.
+fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
+    let (file, model) = read_model_file(path)?;
+    let net = model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+    let Some(text) = file.metadata.get(Key::Provenance.name()) else { return Ok(None) };
+    let provenance: Provenance = serde_json::from_str(text)
+        .with_context(|| format!("{} does not say how it was trained", path.display()))?;
+    let (size, features) = (net.input, net.fc.outputs);
+    let encoder = Encoder { set: SHIPPED.into(), size, features, channels: Vec::new() };
+    // How long it took is not in the file.
+    Ok(Some(Reconstruction { encoder, record: Record { provenance, seconds: 0.0 } }))
 }
 
 fn read(path: &Path) -> Result<Material> {

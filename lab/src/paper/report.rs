@@ -5,7 +5,7 @@ use super::description::{Label, Paper};
 use super::judge::OURS;
 use super::material::Material;
 use super::results::{Results, Row};
-use super::sections::{Section, section};
+use super::sections::{Section, section, trials};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use entire_io::files::{make_folder, read_bytes, write_json, write_whole};
@@ -41,8 +41,8 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
     make_folder(out)?;
     let mut page = Page::new(
         paper.title.as_str(),
-        "Every table and figure of the paper beside ours, by the paper's protocol: its split, its frames per \
-         volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
+        "Every table and figure of the paper beside ours, by the paper's protocol: its rule for test volumes, its frames \
+         per volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
          are others than the paper's, so the ratios are what compares: over the standard deviation of the times, \
          over the mean of 15 % of the frames, over the low-resolution proxy. What was not measured says so and \
          names its command.",
@@ -88,6 +88,16 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
             page.paragraph(&label.note);
         }
         page.paragraph(&format!("Command: {}", label.command));
+    }
+    for trial in trials(paper, material) {
+        page.heading(trial.title);
+        for (table, caption) in &trial.section.tables {
+            page.table(table, caption);
+        }
+        for (chart, caption) in &trial.section.charts {
+            page.chart(chart, caption);
+        }
+        page.paragraph(&format!("Command: {}", trial.command));
     }
     let found =
         bars(paper, &material.all, &shown, &material.reconstructions, started.elapsed().as_secs_f64());

@@ -1,6 +1,8 @@
 //! Results of the study, in one small file for every part of it, data set and mode.
 
 use super::description::Panel;
+use super::interval::{self, ByVolume};
+use super::judge::{CONSTANT, LVRP};
 use anyhow::{Context, Result};
 use entire_io::files::{make_folder, read_text, write_json};
 use serde::{Deserialize, Serialize};
@@ -30,7 +32,7 @@ pub struct Row {
     pub mean: f64,
     /// RMSE over that of the mean of 15 % of the frames.
     pub over_constant: Option<f64>,
-    /// RMSE over that of the low-resolution proxy.
+    /// RMSE over that of the low-resolution proxy, on the frames that it has.
     pub over_lvrp: Option<f64>,
     /// Median of |predicted − measured| / measured, mean over the runs.
     pub mdape: f64,
@@ -38,6 +40,12 @@ pub struct Row {
     pub latency: Option<f64>,
     /// Squared errors of all runs: 5th, 25th, 50th, 75th, 95th percentile.
     pub squared_errors: [f64; 5],
+    /// Squared errors by volume, behind intervals.
+    #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
+    pub by_volume: ByVolume,
+    /// The same on those frames alone that were rendered on few voxels, too.
+    #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
+    pub of_twins: ByVolume,
     /// Other numbers.
     #[serde(default)]
     pub more: BTreeMap<String, f64>,
@@ -130,6 +138,19 @@ impl Results {
             program: entire_io::machine::version(),
             seconds: 0.0,
         }
+    }
+
+    /// The interval of a row's RMSE over that of the mean of 15 % of the frames.
+    pub fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
+        let constant = self.row(&row.split, CONSTANT)?;
+        // The proxy may have fewer frames.
+        let under = if row.frames == constant.frames { &constant.by_volume } else { &constant.of_twins };
+        interval::of_ratio(&row.by_volume, under)
+    }
+
+    /// The interval of a row's RMSE over LVRP's.
+    pub fn over_lvrp_interval(&self, row: &Row) -> Option<(f64, f64)> {
+        interval::of_ratio(&row.of_twins, &self.row(&row.split, LVRP)?.of_twins)
     }
 
     /// A row.

@@ -2,13 +2,16 @@
 
 use super::cases::NODES;
 use super::control;
-use super::description::{Label, Paper};
-use super::encode::ALL;
+use super::description::{Label, Panel, Paper};
+use super::encode::{ALL, SHIPPED};
+use super::interval;
 use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
 use super::material::Material;
+use super::overall::{distributions, overall};
 use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, Row, SORTED};
+use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;
-use super::volumes::{BY_MODALITY, BY_VOLUMES};
+use super::volumes::{BY_VOLUMES, in_words};
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 use std::collections::BTreeSet;
 
@@ -79,24 +82,27 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
     s
 }
 
-fn title(paper: &Paper, r: &Results) -> String {
+pub(super) fn title(paper: &Paper, r: &Results) -> String {
     title_of(paper, &r.set, &r.mode)
 }
 
 /// A data set in a mode, in words.
-fn title_of(paper: &Paper, set: &str, mode: &str) -> String {
+pub(super) fn title_of(paper: &Paper, set: &str, mode: &str) -> String {
     let name = paper.data_set(set).map_or(set, |d| d.title.as_str());
-    let mode = match mode {
+    format!("{name}, {}", mode_in_words(mode))
+}
+
+fn mode_in_words(mode: &str) -> &str {
+    match mode {
         "none" => "unshaded",
         "local" => "local lighting",
         "scatter" => "single scattering",
         other => other,
-    };
-    format!("{name}, {mode}")
+    }
 }
 
-/// Seconds with four significant digits.
-fn seconds(v: f64) -> String {
+/// Seconds with four digits that count.
+pub(super) fn seconds(v: f64) -> String {
     if v == 0.0 || !v.is_finite() {
         return "0".into();
     }
@@ -108,10 +114,21 @@ fn ratio(v: Option<f64>) -> String {
     v.map_or("-".into(), |v| format!("{v:.3}"))
 }
 
+/// A ratio with its interval beside it.
+pub(super) fn with_interval(v: Option<f64>, interval: Option<(f64, f64)>) -> String {
+    v.map_or("-".into(), |v| format!("{v:.3} {}", interval::in_brackets(interval)))
+}
+
+/// A row's errors over those of a baseline; nothing stands beside the baseline's own 1.
+fn over(v: Option<f64>, interval: Option<(f64, f64)>, own: bool) -> String {
+    if own { ratio(v) } else { with_interval(v, interval) }
+}
+
 fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> Table) {
     for r in of.iter().filter(|r| !r.rows.is_empty()) {
         let frames = r.frames.get(BY_VOLUMES).map_or(String::new(), |f| {
-            format!(" {} training, {} validation and {} test frames.", f[0], f[1], f[2])
+            let split = in_words(BY_VOLUMES);
+            format!(" Split by {split}: {} training, {} validation and {} test frames.", f[0], f[1], f[2])
         });
         s.tables.push((table(r), format!("{}.{frames} Network on: {}.", title(paper, r), r.encoder)));
         let found = r.row(BY_VOLUMES, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
@@ -129,7 +146,7 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> 
 }
 
 /// Errors of every predictor of a part.
-fn errors_table(r: &Results) -> Table {
+pub(super) fn errors_table(r: &Results) -> Table {
     let mut table = Table::new(vec![
         Column::text("on"),
         Column::text("predictor"),
@@ -145,14 +162,14 @@ fn errors_table(r: &Results) -> Table {
     ]);
     for row in &r.rows {
         table.row(vec![
-            row.split.as_str().into(),
+            in_words(&row.split).into(),
             row.name.as_str().into(),
             seconds(row.rmse).into(),
             (row.runs > 1).then(|| seconds(row.rmse_sd)).into(),
             row.runs.to_string().into(),
             format!("{:.3}", row.rmse / row.sd).into(),
-            ratio(row.over_constant).into(),
-            ratio(row.over_lvrp).into(),
+            over(row.over_constant, r.over_constant_interval(row), row.name == CONSTANT).into(),
+            over(row.over_lvrp, r.over_lvrp_interval(row), row.name == LVRP).into(),
             format!("{:.1}", 100.0 * row.mdape).into(),
             row.latency.map(|l| format!("{:.3}", 1e3 * l)).into(),
             row.frames.to_string().into(),
@@ -190,142 +207,6 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
         s.tables.push((table, "Voxels as rendered.".into()));
         s.summary = parts.join("; ");
     }
-}
-
-fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
-    let mut table = Table::new(vec![
-        Column::text("data set, renderer"),
-        Column::number("training frames"),
-        Column::number("network, RMSE s"),
-        Column::number("± runs"),
-        Column::number("ms"),
-        Column::number("mean of 15 %, s"),
-        Column::number("LVRP, s"),
-        Column::number("LVRP, ms"),
-        Column::number("ours, s"),
-        Column::number("± runs"),
-        Column::number("ms"),
-        Column::number("network/SD"),
-        Column::number("network/mean"),
-        Column::number("network/LVRP"),
-        Column::number("ours/network"),
-    ]);
-    let mut parts = Vec::new();
-    for r in of {
-        let find = |name: &str| r.row(BY_VOLUMES, name);
-        let Some(network) = find(NETWORK) else { continue };
-        let s_of = |row: Option<&Row>| row.map(|x| seconds(x.rmse));
-        let ms = |row: Option<&Row>| Some(format!("{:.3}", 1e3 * row?.latency?));
-        let ours = find(OURS);
-        table.row(vec![
-            title(paper, r).into(),
-            r.frames.get(BY_VOLUMES).map_or(0, |f| f[0]).to_string().into(),
-            seconds(network.rmse).into(),
-            format!("{} ({})", seconds(network.rmse_sd), network.runs).into(),
-            ms(Some(network)).into(),
-            s_of(find(CONSTANT)).into(),
-            s_of(find(LVRP)).into(),
-            ms(find(LVRP)).into(),
-            s_of(ours).into(),
-            ours.map(|o| seconds(o.rmse_sd)).into(),
-            ms(ours).into(),
-            format!("{:.3}", network.rmse / network.sd).into(),
-            ratio(network.over_constant).into(),
-            ratio(network.over_lvrp).into(),
-            ratio(ours.map(|o| o.rmse / network.rmse)).into(),
-        ]);
-        parts.push(format!(
-            "{}: {} of the mean, {} of LVRP, ours {} of the network",
-            title(paper, r),
-            ratio(network.over_constant),
-            ratio(network.over_lvrp),
-            ratio(ours.map(|o| o.rmse / network.rmse))
-        ));
-    }
-    if parts.is_empty() {
-        return;
-    }
-    s.summary = parts.join("; ");
-    s.tables.push((table, "The paper's split: volumes at random.".into()));
-    for set in paper.data_sets.iter().filter(|d| !d.only_tests) {
-        for mode in &set.modes {
-            if !of.iter().any(|r| r.set == set.name && r.mode == *mode) {
-                s.notes.push(format!(
-                    "{}: not measured. `entire-lab paper collect --data DATA --data-sets {} --modes {mode}`, then \
-                     the command above.",
-                    title_of(paper, &set.name, mode),
-                    set.name
-                ));
-            }
-        }
-    }
-    for r in of {
-        if r.rows.iter().any(|x| x.split != BY_VOLUMES) {
-            s.tables.push((
-                errors_table(r),
-                format!(
-                    "{}: the paper's split beside whole ensemble members and volumes of another kind ({BY_MODALITY}). \
-                     Network by volumes on: {}.",
-                    title(paper, r),
-                    r.encoder
-                ),
-            ));
-        }
-    }
-    let mut chart = Chart::new(
-        "Accuracy against latency, the paper's split",
-        Axis::log("one prediction, ms"),
-        Axis::log("RMSE / SD"),
-    );
-    for (i, name) in [NETWORK, OURS, LVRP].into_iter().enumerate() {
-        let points: Vec<(f64, f64, String)> = of
-            .iter()
-            .filter_map(|r| {
-                let row = r.row(BY_VOLUMES, name)?;
-                Some((1e3 * row.latency?, row.rmse / row.sd, title(paper, r)))
-            })
-            .collect();
-        if !points.is_empty() {
-            chart = chart.series(Series::new(name, Mark::Points(points)).color(i));
-        }
-    }
-    s.charts.push((chart, "Lower left is better.".into()));
-}
-
-fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
-    let shown: Vec<&&Results> = of.iter().filter(|r| r.row(BY_VOLUMES, NETWORK).is_some()).collect();
-    if shown.is_empty() {
-        return;
-    }
-    let names: Vec<String> = shown.iter().map(|r| title(paper, r)).collect();
-    let times: Vec<(f64, [f64; 5])> = shown
-        .iter()
-        .enumerate()
-        .filter_map(|(i, r)| {
-            let v = &r.facts.iter().find(|f| f.name == "times")?.values;
-            Some((
-                i as f64,
-                ["p5", "p25", "p50", "p75", "p95"].map(|k| v.get(k).copied().unwrap_or(f64::NAN)),
-            ))
-        })
-        .collect();
-    let axis = || Axis::categories("data set, renderer", names.clone());
-    s.charts.push((
-        Chart::new("Rendering times", axis(), Axis::log("seconds"))
-            .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(times)).color(0)),
-        "All frames.".into(),
-    ));
-    let mut chart = Chart::new("Squared errors", axis(), Axis::log("seconds squared"));
-    for (k, name) in [NETWORK, OURS].into_iter().enumerate() {
-        let boxes = shown
-            .iter()
-            .enumerate()
-            .filter_map(|(i, r)| Some((i as f64, r.row(BY_VOLUMES, name)?.squared_errors)))
-            .collect();
-        chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
-    }
-    s.charts.push((chart, "Test frames of the paper's split, all runs.".into()));
-    s.summary = format!("{} distributions of times and squared errors", shown.len());
 }
 
 /// One chart for every chart name among curves.
@@ -417,7 +298,7 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
                 row.latency.map(|l| format!("{:.2}", 1e3 * l)).into(),
                 seconds(row.rmse).into(),
                 seconds(row.rmse_sd).into(),
-                ratio(row.over_constant).into(),
+                with_interval(row.over_constant, r.over_constant_interval(row)).into(),
                 row.more.get("epochs").map(|e| format!("{e:.0}")).into(),
             ]);
         }
@@ -426,7 +307,7 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
 }
 
 fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
-    if material.reconstructions.is_empty() {
+    if material.reconstructions.iter().all(|r| r.encoder.set == SHIPPED) {
         return;
     }
     let mut table = Table::new(vec![
@@ -444,7 +325,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
     for r in &material.reconstructions {
         let e = &r.encoder;
         let parts = ["train", "validation", "test"];
-        let sets: Vec<&str> = if e.set == ALL {
+        let together = [ALL, SHIPPED].contains(&e.set.as_str());
+        let sets: Vec<&str> = if together {
             paper.data_sets.iter().map(|d| d.name.as_str()).collect()
         } else {
             vec![e.set.as_str()]
@@ -455,13 +337,13 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             }
             let widths: Vec<String> = e.channels.iter().map(ToString::to_string).collect();
             let mut cells = vec![
-                if e.set == ALL { format!("{set}, of all") } else { set.to_owned() }.into(),
+                if together { format!("{set}, {}", of_all(&e.set)) } else { set.to_owned() }.into(),
                 format!("{}³F{}", e.size, e.features).into(),
                 if widths.is_empty() { "as they are".into() } else { widths.join("-") }.into(),
             ];
             cells.extend(parts.map(|p| r.record.psnr(p, set).map(|v| format!("{v:.2}")).into()));
             cells.push(r.record.provenance.epochs_run.to_string().into());
-            cells.push(format!("{:.0}", r.record.seconds).into());
+            cells.push((e.set != SHIPPED).then(|| format!("{:.0}", r.record.seconds)).into());
             cells.push(r.record.provenance.stopped.as_str().into());
             table.row(cells);
         }
@@ -471,8 +353,15 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             best.push(format!("{} {}³F{} {v:.1} dB", e.set, e.size, e.features));
         }
     }
-    s.tables.push((table, "Peak signal-to-noise ratio of the reconstruction, mean over volumes.".into()));
+    let what = "Peak signal-to-noise ratio of the reconstruction, mean over volumes: random volumes held out, of the \
+                encoder that ships whole members.";
+    s.tables.push((table, what.into()));
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
+}
+
+/// What an encoder of several data sets is.
+fn of_all(set: &str) -> &'static str {
+    if set == SHIPPED { "of all, as shipped" } else { "of all" }
 }
 
 fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
@@ -672,4 +561,134 @@ fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
         }
     }
     s.summary = format!("{} pictures", s.pictures.len());
+}
+
+/// A part of the study that has no counterpart in the paper.
+pub(super) struct Trial {
+    /// Its heading.
+    pub(super) title: &'static str,
+    /// The command that makes it.
+    pub(super) command: &'static str,
+    /// What its files' names begin with.
+    pub(super) stem: &'static str,
+    /// What was found.
+    pub(super) section: Section,
+}
+
+/// What the network's error comes from, as far as that was tried.
+pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
+    let of = |panel: Panel| material.all.iter().filter(move |r| r.panel == panel);
+    let mut procedure = Section::default();
+    for r in of(Panel::Procedure) {
+        let changed =
+            r.rows.iter().filter(|x| x.split == TOGETHER && x.name != CONSTANT && x.name != LVRP).count();
+        if changed > 1 {
+            let what = "The paper's recipe on measured frames, one change at a time, frames";
+            procedure.tables.push(trials_table(r, what, "change"));
+        }
+    }
+    if let Some(table) = by_set(paper, &of(Panel::Procedure).collect::<Vec<_>>()) {
+        procedure.tables.push(table);
+    }
+    let mut frames = Section::default();
+    for r in of(Panel::Frames) {
+        let what = "The paper's recipe on a teacher's labels, judged on measured frames,";
+        frames.tables.push(trials_table(r, what, "labels of each volume"));
+        let x = |row: &Row| row.more.get("training frames").copied();
+        let rows = || r.rows.iter().filter(|row| x(row).is_some());
+        let line = rows().filter_map(|row| Some((x(row)?, row.over_constant?))).collect();
+        let band = rows().filter_map(|row| {
+            let (low, high) = r.over_constant_interval(row)?;
+            Some((x(row)?, low, high))
+        });
+        let chart = Chart::new(
+            "Error by the number of frames learned from",
+            Axis::log("frames"),
+            Axis::log("network over the mean of 15 %"),
+        )
+        .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
+        .series(Series::new("mean over runs", Mark::Line(line)).color(0));
+        frames.charts.push((chart, "The same volumes throughout; the labels are a predictor's.".into()));
+    }
+    let all = [
+        ("The recipe, one change at a time", "make paper-procedure", "trial-procedure", procedure),
+        ("Frames without volumes", "make paper-frames DATA=FOLDER", "trial-frames", frames),
+    ];
+    all.into_iter()
+        .filter(|(.., section)| section.there())
+        .map(|(title, command, stem, section)| Trial { title, command, stem, section })
+        .collect()
+}
+
+/// Trials of one part and mode, each over the first of them.
+fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
+    let mut table = Table::new(vec![
+        Column::text(name),
+        Column::number("training frames"),
+        Column::number("validation frames"),
+        Column::number("epochs"),
+        Column::number("of the weights"),
+        Column::number("RMSE, s"),
+        Column::number("± runs"),
+        Column::number("RMSE/SD"),
+        Column::number("over the mean of 15 %"),
+        Column::number("over LVRP"),
+        Column::number("over the first row"),
+    ]);
+    let rows = || r.rows.iter().filter(|x| x.split == TOGETHER && x.more.contains_key("epochs"));
+    let first = rows().next();
+    for row in rows() {
+        let more = |k: &str| row.more.get(k).map(|v| format!("{v:.0}"));
+        let over_first = first.map(|f| row.rmse / f.rmse);
+        let interval = first.and_then(|f| interval::of_ratio(&row.by_volume, &f.by_volume));
+        table.row(vec![
+            row.name.as_str().into(),
+            more("training frames").into(),
+            more("validation frames").into(),
+            more("epochs").into(),
+            more("best epoch").into(),
+            seconds(row.rmse).into(),
+            format!("{} ({})", seconds(row.rmse_sd), row.runs).into(),
+            format!("{:.3}", row.rmse / row.sd).into(),
+            with_interval(row.over_constant, r.over_constant_interval(row)).into(),
+            with_interval(row.over_lvrp, r.over_lvrp_interval(row)).into(),
+            over(over_first, interval, first.is_some_and(|f| f.name == row.name)).into(),
+        ]);
+    }
+    let judged = rows().next().map_or(0, |x| x.frames);
+    let volumes = rows().next().map_or(0, |x| x.by_volume.len());
+    let caption = format!(
+        "{what} {}: {judged} test frames of {volumes} volumes of {TOGETHER}.",
+        mode_in_words(&r.mode)
+    );
+    (table, caption)
+}
+
+/// The recipe as it is, by mode and data set, each beside baselines of that data set alone.
+fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
+    let mut table = Table::new(vec![
+        Column::text("data set, renderer"),
+        Column::number("test frames"),
+        Column::number("RMSE/SD"),
+        Column::number("over the mean of 15 %"),
+        Column::number("over LVRP"),
+    ]);
+    let mut any = false;
+    for r in of {
+        let known = |split: &str| split == TOGETHER || paper.data_sets.iter().any(|d| d.title == split);
+        for row in r.rows.iter().filter(|x| x.name == AS_IT_IS && known(&x.split)) {
+            any = true;
+            let set = if row.split == TOGETHER { "all three" } else { row.split.as_str() };
+            table.row(vec![
+                format!("{set}, {}", mode_in_words(&r.mode)).into(),
+                row.frames.to_string().into(),
+                format!("{:.3}", row.rmse / row.sd).into(),
+                with_interval(row.over_constant, r.over_constant_interval(row)).into(),
+                with_interval(row.over_lvrp, r.over_lvrp_interval(row)).into(),
+            ]);
+        }
+    }
+    let caption =
+        format!("The recipe {AS_IT_IS}, one network for the three data sets, on {TOGETHER} of each.");
+    any.then_some((table, caption))
 }

@@ -3,7 +3,7 @@
 use super::collect::{DRAWN_ORBIT, EXPERIMENTS, ORBIT, PER_EXPERIMENT};
 use super::description::{Panel, Paper, RAYCASTER_MODES};
 use super::frames::{Loaded, SplitFrames, main_encoder, of_panel, trained};
-use super::judge::{At, Judge, Method, NETWORK, OURS};
+use super::judge::{At, Method, NETWORK, OURS, by_proxy};
 use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, write};
 use super::volumes::{BY_MODALITY, BY_VOLUMES, Parts, Place};
 use super::{Work, tuning};
@@ -24,8 +24,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Version of the results: raised whenever the same frames give other ones.
-const MADE_AS: u32 = 1;
+/// Counts up whenever the same frames give other results.
+const MADE_AS: u32 = 2;
 
 /// The parts that use the frames of one data set and mode each.
 const BY_SET: [Panel; 7] = [
@@ -230,7 +230,7 @@ impl At<'_> {
             let line = self.proxy(&frames.training);
             let networks = self.networks(parts.name, &frames)?;
             let ours = self.ours(parts.name, &frames)?;
-            let mut judge = Judge::new(self, parts.name, &frames.test, line, true);
+            let mut judge = self.judge(parts.name, &frames.test, line);
             for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
                 judge.add(name, &self.predictions(models, &frames.test.frames)?);
                 if let (Some(bench), Some(row)) = (&mut bench, judge.rows.last_mut()) {
@@ -242,11 +242,9 @@ impl At<'_> {
                 continue;
             }
             for (title, table) in &self.loaded.modalities {
-                let few = u64::from(self.paper().frames.held_out);
-                let each = u64::from(self.paper().frames.training);
-                let other = self.loaded.all(*table, self.clock).parted(|f| f.number % each < few).0;
+                let other = self.loaded.all(*table, self.clock);
                 let split = format!("{BY_MODALITY}: {title}");
-                let mut judge = Judge::new(self, &split, &other, line, true);
+                let mut judge = self.judge(&split, &other, line);
                 for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
                     judge.add(name, &self.predictions(models, &other.frames)?);
                 }
@@ -300,7 +298,7 @@ impl At<'_> {
     fn ablation(&self, results: &mut Results) -> Result<()> {
         let frames = self.frames(BY_VOLUMES)?;
         self.note_frames(results, BY_VOLUMES, &frames)?;
-        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, self.proxy(&frames.training), true);
+        let mut judge = self.judge(BY_VOLUMES, &frames.test, self.proxy(&frames.training));
         let networks = self.networks(BY_VOLUMES, &frames)?;
         judge.add(NETWORK, &self.predictions(&networks, &frames.test.frames)?);
         for input in &self.paper().network.inputs {
@@ -328,7 +326,7 @@ impl At<'_> {
         for (i, (experiment, input)) in EXPERIMENTS.iter().zip(inputs).enumerate() {
             let of = all.parted(|f| f.number < ORBIT && f.number / PER_EXPERIMENT == i as u64).0;
             let models = self.without(&input.to_string(), &frames)?;
-            let mut judge = Judge::new(self, experiment, &of, line, true);
+            let mut judge = self.judge(experiment, &of, line);
             let by_network = self.predictions(&networks, &of.frames)?;
             let by_ours = self.predictions(&ours, &of.frames)?;
             judge.add(NETWORK, &by_network);
@@ -356,7 +354,8 @@ impl At<'_> {
             if let Some(p) = by_ours.first() {
                 curve(OURS, p);
             }
-            if let Some(p) = self.by_proxy(line, &of.frames) {
+            let proxy = by_proxy(&self.loaded.low, line, &of.frames);
+            if let Some(p) = proxy.into_iter().collect::<Option<Vec<f64>>>() {
                 curve(super::judge::LVRP, &p);
             }
         }
@@ -389,7 +388,7 @@ impl At<'_> {
         self.note_frames(results, BY_VOLUMES, &frames)?;
         let (recipe, _) = self.network(BY_VOLUMES)?;
         let line = self.proxy(&frames.training);
-        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, line, true);
+        let mut judge = self.judge(BY_VOLUMES, &frames.test, line);
         for &share in self.paper().shares.iter().chain([&1.0]) {
             let count = ((share * frames.training.frames.len() as f64).round() as usize).max(2);
             let predicted = if share < 1.0 {
@@ -419,7 +418,7 @@ impl At<'_> {
         self.note_frames(results, BY_VOLUMES, &frames)?;
         let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
         let line = self.proxy(&frames.training);
-        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, line, true);
+        let mut judge = self.judge(BY_VOLUMES, &frames.test, line);
         for preset in &self.paper().depths {
             let (network, _) = self.network(BY_VOLUMES)?;
             let models = self.with_layers(preset, network, "", &frames)?;
@@ -454,7 +453,7 @@ impl At<'_> {
         self.note_frames(results, BY_VOLUMES, &frames)?;
         let set = &self.place.set.name;
         let line = self.proxy(&frames.training);
-        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, line, true);
+        let mut judge = self.judge(BY_VOLUMES, &frames.test, line);
         for encoder in trained(self.work, Some(set))? {
             let path = encoder.path(self.work.out);
             let name = format!("{}³F{}", encoder.size, encoder.features);
@@ -499,7 +498,7 @@ impl At<'_> {
         let frames = self.frames(BY_VOLUMES)?;
         self.note_frames(results, BY_VOLUMES, &frames)?;
         let trained = trained(self.work, Some(&self.place.set.name))?;
-        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, self.proxy(&frames.training), true);
+        let mut judge = self.judge(BY_VOLUMES, &frames.test, self.proxy(&frames.training));
         for (size, features, preset) in &self.paper().finalists {
             let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
                 entire_io::files::note(&format!(

@@ -41,14 +41,23 @@ pub struct Parts {
     pub test: BTreeSet<String>,
 }
 
-/// The paper's split: volumes at random, a tenth each for validation and test.
+/// Random volumes, a tenth each for validation and test: the paper's rule for MAESTROeX.
 pub(super) const BY_VOLUMES: &str = "volumes";
-/// The harder split: whole ensemble members.
+/// Whole ensemble members: the paper's rule for Nyx and Castro.
 pub(super) const BY_MEMBERS: &str = "members";
-/// The hardest: volumes of another kind.
+/// Volumes of another kind.
 pub(super) const BY_MODALITY: &str = "modality";
 
-/// A data set in its folder.
+/// A split in words.
+pub(super) fn in_words(split: &str) -> &str {
+    match split {
+        BY_VOLUMES => "random volumes",
+        BY_MEMBERS => "left-out member",
+        other => other,
+    }
+}
+
+/// A data set where it lies.
 #[derive(Clone, Debug)]
 pub struct Place {
     /// The data set.

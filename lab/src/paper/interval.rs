@@ -1,0 +1,138 @@
+//! Intervals of ratios of errors: test volumes drawn anew with replacement. Runs and seeds stay as they are, so
+//! that an interval says what a ratio owes to which volumes were tested on.
+
+use crate::study::LEVEL;
+use entire_io::metrics::percentile;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Draws behind an interval.
+pub(super) const DRAWS: usize = 10_000;
+/// Their seed.
+const SEED: u64 = 1;
+
+/// Squared errors on the frames of one volume.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Errors {
+    /// How many frames.
+    pub frames: usize,
+    /// Sum over them, seconds squared, by run.
+    pub squared: Vec<f64>,
+}
+
+/// Squared errors by volume.
+pub(super) type ByVolume = BTreeMap<String, Errors>;
+
+/// Squared errors of several runs of a predictor; `volumes` names the volume of each frame.
+pub(super) fn by_volume<'a>(
+    volumes: impl Iterator<Item = &'a str>,
+    measured: &[f64],
+    runs: &[Vec<f64>],
+) -> ByVolume {
+    let mut out = ByVolume::new();
+    for (i, volume) in volumes.enumerate() {
+        let of = out.entry(volume.to_owned()).or_default();
+        of.frames += 1;
+        of.squared.resize(runs.len(), 0.0);
+        for (sum, predicted) in of.squared.iter_mut().zip(runs) {
+            *sum += (predicted[i] - measured[i]).powi(2);
+        }
+    }
+    out
+}
+
+/// RMSE, the mean over the runs; `None` without frames.
+pub(super) fn rmse(errors: &ByVolume) -> Option<f64> {
+    let all: Vec<&Errors> = errors.values().collect();
+    (!all.is_empty()).then(|| rmse_of(all.iter().copied()))
+}
+
+fn rmse_of<'a>(drawn: impl Iterator<Item = &'a Errors> + Clone) -> f64 {
+    let frames: usize = drawn.clone().map(|e| e.frames).sum();
+    let runs = drawn.clone().map(|e| e.squared.len()).min().unwrap_or(0);
+    let total = |run: usize| drawn.clone().map(|e| e.squared[run]).sum::<f64>();
+    (0..runs).map(|run| (total(run) / frames as f64).sqrt()).sum::<f64>() / runs as f64
+}
+
+/// The interval of the RMSE of one predictor over that of another on the same frames: [`LEVEL`] of the
+/// [`DRAWS`] lie within. `None` where the frames are not the same, or of fewer than two volumes.
+pub(super) fn of_ratio(over: &ByVolume, under: &ByVolume) -> Option<(f64, f64)> {
+    let same = over.len() == under.len()
+        && over.iter().zip(under).all(|((a, x), (b, y))| a == b && x.frames == y.frames);
+    if !same || over.len() < 2 {
+        return None;
+    }
+    let pairs: Vec<(&Errors, &Errors)> = over.values().zip(under.values()).collect();
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut ratios: Vec<f64> = (0..DRAWS)
+        .map(|_| {
+            let drawn: Vec<(&Errors, &Errors)> =
+                (0..pairs.len()).map(|_| pairs[(rng.next_u64() % pairs.len() as u64) as usize]).collect();
+            rmse_of(drawn.iter().map(|p| p.0)) / rmse_of(drawn.iter().map(|p| p.1))
+        })
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    let outside = (1.0 - LEVEL) / 2.0;
+    Some((percentile(&ratios, outside), percentile(&ratios, 1.0 - outside)))
+}
+
+/// What stands in brackets beside a ratio.
+pub(super) fn in_brackets(interval: Option<(f64, f64)>) -> String {
+    interval.map_or_else(|| "(not kept)".into(), |(low, high)| format!("({low:.2}–{high:.2})"))
+}
+
+/// What the brackets beside ratios mean.
+pub(super) fn sentence() -> String {
+    format!(
+        "In brackets beside a ratio: the interval that holds {:.0} % of {DRAWS} draws of the test volumes with \
+         replacement (seed {SEED}), or `not kept` where the results hold no errors of two volumes or more.",
+        100.0 * LEVEL
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One frame of each volume, one run.
+    fn errors(squared: &[f64]) -> ByVolume {
+        let one = |(i, s): (usize, &f64)| (format!("v{i:03}"), Errors { frames: 1, squared: vec![*s] });
+        squared.iter().enumerate().map(one).collect()
+    }
+
+    /// The number of twenty volumes with an error that a draw holds is binomial (20, ½): 5 % of the draws have
+    /// no more than 6 of them, 95 % no more than 14.
+    #[test]
+    fn an_interval_is_that_of_the_binomial_distribution() {
+        let half: Vec<f64> = (0..20).map(|i| f64::from(i % 2)).collect();
+        let (low, high) = of_ratio(&errors(&half), &errors(&[4.0; 20])).unwrap();
+        let ratio = |with: f64| (with / 20.0).sqrt() / 2.0;
+        assert!((low - ratio(6.0)).abs() < 1e-12 && (high - ratio(14.0)).abs() < 1e-12, "{low} {high}");
+    }
+
+    /// Volumes are drawn, not frames, and for both predictors alike: a ratio that is the same on every volume
+    /// has no spread, whatever the volumes' own errors.
+    #[test]
+    fn both_predictors_are_judged_on_the_same_draws() {
+        let under: Vec<f64> = (1..=9).map(f64::from).collect();
+        let over: Vec<f64> = under.iter().map(|e| 0.25 * e).collect();
+        let (low, high) = of_ratio(&errors(&over), &errors(&under)).unwrap();
+        assert!((low - 0.5).abs() < 1e-12 && (high - 0.5).abs() < 1e-12, "{low} {high}");
+        // Other volumes, or one alone.
+        assert_eq!(of_ratio(&errors(&over), &errors(&under[..8])), None);
+        assert_eq!(of_ratio(&errors(&over[..1]), &errors(&under[..1])), None);
+    }
+
+    #[test]
+    fn the_error_is_the_mean_of_the_runs() {
+        let measured = [1.0, 1.0, 2.0];
+        let runs = [vec![2.0, 2.0, 3.0], vec![4.0, 4.0, 5.0]];
+        let found = by_volume(["a", "a", "b"].into_iter(), &measured, &runs);
+        assert_eq!(found["a"], Errors { frames: 2, squared: vec![2.0, 18.0] });
+        assert_eq!(found["b"], Errors { frames: 1, squared: vec![1.0, 9.0] });
+        assert_eq!(rmse(&found), Some(2.0));
+        assert_eq!(rmse(&ByVolume::new()), None);
+    }
+}

@@ -1,0 +1,176 @@
+//! Every data set and mode: the network, ours and the baselines, by the paper's rule for its test volumes and by the
+//! other split beside it.
+
+use super::description::{Paper, Rule};
+use super::interval;
+use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
+use super::results::{Results, Row};
+use super::sections::{Section, errors_table, seconds, title, title_of, with_interval};
+use super::volumes::{BY_MODALITY, BY_VOLUMES, in_words};
+use entire_report::{Axis, Chart, Column, Mark, Series, Table};
+
+/// What the paper's rule is, for captions.
+const RULE: &str = "MAESTROeX by random volumes, Nyx and Castro by ensemble member";
+
+/// Prediction by data set and renderer.
+pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let mut parts = Vec::new();
+    let headline = table(paper, of, |rule| rule, &mut parts);
+    if parts.is_empty() {
+        return;
+    }
+    s.summary = parts.join("; ");
+    s.tables.push((headline, format!("Test volumes by the paper's rule: {RULE}. {}", interval::sentence())));
+    let mut others = Vec::new();
+    let other = table(paper, of, Rule::other, &mut others);
+    if !others.is_empty() {
+        let what = "The other split of each data set, which the paper does not judge on";
+        s.tables.push((
+            other,
+            format!("{what}: random volumes of Nyx and Castro, a left-out member of MAESTROeX."),
+        ));
+    }
+    for set in paper.data_sets.iter().filter(|d| !d.only_tests) {
+        for mode in &set.modes {
+            if !of.iter().any(|r| r.set == set.name && r.mode == *mode) {
+                s.notes.push(format!(
+                    "{}: not measured. `entire-lab paper collect --data DATA --data-sets {} --modes {mode}`, then \
+                     the command above.",
+                    title_of(paper, &set.name, mode),
+                    set.name
+                ));
+            }
+        }
+    }
+    for r in of {
+        if r.rows.iter().any(|x| x.split != BY_VOLUMES) {
+            s.tables.push((
+                errors_table(r),
+                format!(
+                    "{}: random volumes, a left-out member, and volumes of another kind ({BY_MODALITY}). Network by \
+                     random volumes on: {}.",
+                    title(paper, r),
+                    r.encoder
+                ),
+            ));
+        }
+    }
+    let mut chart = Chart::new(
+        "Accuracy against latency, test volumes by the paper's rule",
+        Axis::log("one prediction, ms"),
+        Axis::log("RMSE / SD"),
+    );
+    for (i, name) in [NETWORK, OURS, LVRP].into_iter().enumerate() {
+        let points: Vec<(f64, f64, String)> = of
+            .iter()
+            .filter_map(|r| {
+                let row = r.row(paper.rule(&r.set).split(), name)?;
+                Some((1e3 * row.latency?, row.rmse / row.sd, title(paper, r)))
+            })
+            .collect();
+        if !points.is_empty() {
+            chart = chart.series(Series::new(name, Mark::Points(points)).color(i));
+        }
+    }
+    s.charts.push((chart, "Lower left is better.".into()));
+}
+
+/// A row for every data set and mode that has the split; `parts` gets what stands in them, in words.
+fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("data set, renderer"),
+        Column::text("tested on"),
+        Column::number("training frames"),
+        Column::number("test frames"),
+        Column::number("network, RMSE s"),
+        Column::number("± runs"),
+        Column::number("ms"),
+        Column::number("mean of 15 %, s"),
+        Column::number("LVRP, s"),
+        Column::number("LVRP, ms"),
+        Column::number("ours, s"),
+        Column::number("± runs"),
+        Column::number("ms"),
+        Column::number("network/mean"),
+        Column::number("network/LVRP"),
+        Column::number("ours/network"),
+    ]);
+    for r in of {
+        let split = split(paper.rule(&r.set)).split();
+        let find = |name: &str| r.row(split, name);
+        let Some(network) = find(NETWORK) else { continue };
+        let s_of = |row: Option<&Row>| row.map(|x| seconds(x.rmse));
+        let ms = |row: Option<&Row>| Some(format!("{:.3}", 1e3 * row?.latency?));
+        let ours = find(OURS);
+        let ratios = [
+            with_interval(network.over_constant, r.over_constant_interval(network)),
+            with_interval(network.over_lvrp, r.over_lvrp_interval(network)),
+            with_interval(
+                ours.map(|o| o.rmse / network.rmse),
+                ours.and_then(|o| interval::of_ratio(&o.by_volume, &network.by_volume)),
+            ),
+        ];
+        let [over_mean, over_lvrp, ours_over] = ratios;
+        parts.push(format!(
+            "{}: {over_mean} of the mean, {over_lvrp} of LVRP, ours {ours_over} of the network",
+            title(paper, r)
+        ));
+        table.row(vec![
+            title(paper, r).into(),
+            in_words(split).into(),
+            r.frames.get(split).map_or(0, |f| f[0]).to_string().into(),
+            network.frames.to_string().into(),
+            seconds(network.rmse).into(),
+            format!("{} ({})", seconds(network.rmse_sd), network.runs).into(),
+            ms(Some(network)).into(),
+            s_of(find(CONSTANT)).into(),
+            s_of(find(LVRP)).into(),
+            ms(find(LVRP)).into(),
+            s_of(ours).into(),
+            ours.map(|o| seconds(o.rmse_sd)).into(),
+            ms(ours).into(),
+            over_mean.into(),
+            over_lvrp.into(),
+            ours_over.into(),
+        ]);
+    }
+    table
+}
+
+/// Distributions of times and squared errors.
+pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let split = |r: &Results| paper.rule(&r.set).split();
+    let shown: Vec<&&Results> = of.iter().filter(|r| r.row(split(r), NETWORK).is_some()).collect();
+    if shown.is_empty() {
+        return;
+    }
+    let names: Vec<String> = shown.iter().map(|r| title(paper, r)).collect();
+    let times: Vec<(f64, [f64; 5])> = shown
+        .iter()
+        .enumerate()
+        .filter_map(|(i, r)| {
+            let v = &r.facts.iter().find(|f| f.name == "times")?.values;
+            Some((
+                i as f64,
+                ["p5", "p25", "p50", "p75", "p95"].map(|k| v.get(k).copied().unwrap_or(f64::NAN)),
+            ))
+        })
+        .collect();
+    let axis = || Axis::categories("data set, renderer", names.clone());
+    s.charts.push((
+        Chart::new("Rendering times", axis(), Axis::log("seconds"))
+            .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(times)).color(0)),
+        "All frames.".into(),
+    ));
+    let mut chart = Chart::new("Squared errors", axis(), Axis::log("seconds squared"));
+    for (k, name) in [NETWORK, OURS].into_iter().enumerate() {
+        let boxes = shown
+            .iter()
+            .enumerate()
+            .filter_map(|(i, r)| Some((i as f64, r.row(split(r), name)?.squared_errors)))
+            .collect();
+        chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
+    }
+    s.charts.push((chart, format!("Test frames by the paper's rule ({RULE}), all runs.")));
+    s.summary = format!("{} distributions of times and squared errors", shown.len());
+}

@@ -1,0 +1,509 @@
+//! What the network's error comes from: the paper's recipe on frames that the repository holds, one change at a
+//! time, and on a teacher's labels, by their number. Trainings run beside one another, one thread each; every one is
+//! kept as soon as it is done.
+
+use super::Work;
+use super::description::{Change, Panel, TrialTables, Validation};
+use super::frames::main_encoder;
+use super::judge::{Judge, Low, line_of};
+use super::results::{Results, kept, write};
+use super::volumes::BY_MEMBERS;
+use crate::study::{clock, twins};
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::model::GroupKind;
+use entire_core::nn::Target;
+use entire_io::dataset::{Clock, Table};
+use entire_io::files::{fnv1a, make_folder, read_text, write_json};
+use entire_io::options::thread_pool;
+use entire_io::progress::templated_bar;
+use entire_train::fit::{Recipe, TargetChoice};
+use entire_train::gradient::{Network, Progress, Samples, Settings, preset_widths, train};
+use entire_train::split::{GroupBy, TimedFrames};
+use indicatif::ProgressBar;
+use rayon::ThreadPool;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+/// The recipe without a change.
+pub(super) const AS_IT_IS: &str = "as it is";
+/// The split of all test frames together; those of one data set are under its title.
+pub(super) const TOGETHER: &str = "left-out members";
+/// The set's name in results.
+const SETS: &str = "all";
+
+/// Counts up whenever the same frames give other results.
+const MADE_AS: u32 = 1;
+
+/// Numbers of a Gaussian lobe: center, width, height.
+const PER_LOBE: usize = 3;
+
+/// A network to be trained.
+struct Trial {
+    name: String,
+    change: Change,
+    epochs: usize,
+    width: usize,
+    training: Rows,
+    validation: Rows,
+    /// Inputs of the frames that are predicted.
+    test: Vec<f32>,
+}
+
+/// Frames as a network takes them.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Rows {
+    inputs: Vec<f32>,
+    seconds: Vec<f64>,
+}
+
+impl Rows {
+    fn samples(&self) -> Samples<'_> {
+        Samples { inputs: &self.inputs, seconds: &self.seconds }
+    }
+}
+
+/// A training that is done.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Done {
+    /// Seconds of the test frames.
+    predicted: Vec<f64>,
+    /// The epoch of the weights.
+    best_epoch: usize,
+    /// How long it took.
+    seconds: f64,
+}
+
+/// The measured tables, read.
+struct Measured {
+    tables: Vec<Table>,
+    low: Low,
+    clock: Clock,
+}
+
+impl Measured {
+    /// `None`, with a note, where they are not there.
+    fn read(of: &TrialTables, clock: Clock) -> Result<Option<Self>> {
+        if let Some(path) = [&of.training, &of.test].into_iter().find(|p| !p.exists()) {
+            entire_io::files::note(&format!("{} is not there; its trials are left out", path.display()));
+            return Ok(None);
+        }
+        let tables = vec![Table::read(&of.training, 0)?, Table::read(&of.test, 1)?];
+        let mut low = Low::new();
+        for (index, path) in [&of.training_low, &of.test_low].into_iter().enumerate() {
+            if path.exists() {
+                twins((index, &tables[index]), path, clock, &mut low)?;
+            }
+        }
+        Ok(Some(Self { tables, low, clock }))
+    }
+
+    fn frames(&self, table: usize) -> TimedFrames<'_> {
+        TimedFrames::of(&self.tables[table].frames, self.clock)
+    }
+}
+
+/// Makes what is missing of the trials asked for.
+///
+/// # Errors
+/// When tables cannot be read, a training fails, and when it is stopped.
+pub fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
+    let clock = clock(&work.paper.clock)?;
+    for panel in [Panel::Procedure, Panel::Frames].into_iter().filter(|p| panels.contains(p)) {
+        for (i, tables) in work.paper.trials.tables.iter().enumerate() {
+            if !work.selection.has_mode(&tables.mode) || (panel == Panel::Frames && i > 0) {
+                continue;
+            }
+            let Some(measured) = Measured::read(tables, clock)? else { continue };
+            let trials = match panel {
+                Panel::Frames => by_number(work, &measured)?,
+                _ => one_change_each(work, &measured, i == 0)?,
+            };
+            if !trials.is_empty() {
+                make(work, panel, &tables.mode, &measured, &trials)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The paper's recipe, and where `changed` every change of it.
+fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
+    let asked = &work.paper.trials;
+    let all = measured.frames(0);
+    let (held, training) = all.hold_out(GroupBy::Volume, 1);
+    let unchanged = Change { name: AS_IT_IS.into(), ..Change::default() };
+    let changes = std::iter::once(&unchanged).chain(asked.changes.iter().filter(|_| changed));
+    changes
+        .map(|change| {
+            let few = u64::from(work.paper.frames.held_out);
+            let each = u64::from(work.paper.frames.training);
+            let validation = match change.validation {
+                Validation::Few => held.parted(|f| f.number % each < few).0,
+                Validation::All => held.clone(),
+                Validation::Training => TimedFrames::default(),
+            };
+            let parts = Parts { tables: &measured.tables, training: &training, validation: &validation };
+            parts.trial(work, measured, change.clone(), asked.epochs)
+        })
+        .collect()
+}
+
+/// The paper's recipe on more and more labels of each volume; the same validation volumes, all of their labels.
+fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
+    let path = &work.paper.trials.labels;
+    if !path.exists() {
+        entire_io::files::note(&format!(
+            "{} is not there; `make paper-frames DATA=FOLDER` has a teacher write it",
+            path.display()
+        ));
+        return Ok(Vec::new());
+    }
+    let labels = [Table { root: Some(work.data.to_owned()), ..Table::read(path, 0)? }];
+    let held: Vec<String> = {
+        let (held, _) = measured.frames(0).hold_out(GroupBy::Volume, 1);
+        held.frames.iter().map(|f| f.scene.volume.clone()).collect()
+    };
+    let all = TimedFrames::of(&labels[0].frames, measured.clock);
+    let change = Change { validation: Validation::All, ..Change::default() };
+    let mut out = Vec::new();
+    for &(count, epochs) in &work.paper.trials.frames {
+        let chosen = first_of_each(&all, count)?;
+        let (validation, training) = chosen.parted(|f| held.contains(&f.scene.volume));
+        let parts = Parts { tables: &labels, training: &training, validation: &validation };
+        let change = Change { name: count.to_string(), ..change.clone() };
+        out.push(parts.trial(work, measured, change, epochs)?);
+    }
+    Ok(out)
+}
+
+/// So many frames of each volume, the first ones.
+fn first_of_each<'a>(all: &TimedFrames<'a>, count: usize) -> Result<TimedFrames<'a>> {
+    let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut out = TimedFrames::default();
+    for (frame, seconds) in all.frames.iter().zip(&all.seconds) {
+        let n = seen.entry(&frame.scene.volume).or_default();
+        *n += 1;
+        if *n <= count {
+            out.frames.push(frame);
+            out.seconds.push(*seconds);
+        }
+    }
+    if let Some((volume, n)) = seen.iter().find(|(_, n)| **n < count) {
+        bail!("{volume} has {n} labels; {count} are needed");
+    }
+    Ok(out)
+}
+
+/// What a trial learns from.
+struct Parts<'a> {
+    tables: &'a [Table],
+    training: &'a TimedFrames<'a>,
+    validation: &'a TimedFrames<'a>,
+}
+
+impl Parts<'_> {
+    fn trial(&self, work: &Work<'_>, measured: &Measured, change: Change, epochs: usize) -> Result<Trial> {
+        let (shipped, _) = main_encoder(work, SETS, BY_MEMBERS)?;
+        let network = &work.paper.network;
+        let recipe =
+            Recipe { volumenet: Some(shipped), sorted_lobes: change.sorted_lobes, ..network.clone() };
+        let layout = recipe.layout(self.training.timed())?.1;
+        let groups: Vec<(GroupKind, usize)> = layout.sizes().collect();
+        let rows = |tables: &[Table], frames: &TimedFrames<'_>| {
+            let plain = layout.rows(tables, &frames.frames, work.pool, &ProgressBar::hidden())?;
+            let (inputs, width) = changed(&plain, &groups, &change);
+            Ok::<_, anyhow::Error>((Rows { inputs, seconds: frames.seconds.clone() }, width))
+        };
+        let (mut training, width) = rows(self.tables, self.training)?;
+        let (validation, _) = rows(self.tables, self.validation)?;
+        let (test, _) = rows(&measured.tables, &measured.frames(1))?;
+        let mut epochs = epochs;
+        if change.every_order {
+            let orders = every_order(&training, width, &groups)?;
+            epochs = (epochs * training.seconds.len()).div_ceil(orders.seconds.len());
+            training = orders;
+        }
+        Ok(Trial {
+            name: change.name.clone(),
+            change,
+            epochs,
+            width,
+            training,
+            validation,
+            test: test.inputs,
+        })
+    }
+}
+
+/// Where a group stands in a row.
+fn place(groups: &[(GroupKind, usize)], wanted: GroupKind) -> std::ops::Range<usize> {
+    let before: usize = groups.iter().take_while(|g| g.0 != wanted).map(|g| g.1).sum();
+    before..before + groups.iter().find(|g| g.0 == wanted).map_or(0, |g| g.1)
+}
+
+/// Rows as a change has them, and how long one is.
+fn changed(rows: &[f32], groups: &[(GroupKind, usize)], change: &Change) -> (Vec<f32>, usize) {
+    let width: usize = groups.iter().map(|g| g.1).sum();
+    let sides = place(groups, GroupKind::Resolution);
+    let lobes = place(groups, GroupKind::TransferFunction);
+    let mut out = Vec::with_capacity(rows.len());
+    for row in rows.chunks_exact(width) {
+        let mut row = row.to_vec();
+        if change.log_inputs {
+            row[sides.clone()].iter_mut().for_each(|v| *v = v.ln());
+            for lobe in row[lobes.clone()].chunks_exact_mut(PER_LOBE) {
+                lobe[1..].iter_mut().for_each(|v| *v = v.ln());
+            }
+        }
+        if change.one_resolution {
+            let product: f32 = row[sides.clone()].iter().product();
+            row.splice(sides.clone(), [product.powf(1.0 / sides.len().max(1) as f32)]);
+        }
+        out.extend(row);
+    }
+    (out, if change.one_resolution { width - sides.len() + 1 } else { width })
+}
+
+/// Every frame with its Gaussian lobes in each order.
+fn every_order(rows: &Rows, width: usize, groups: &[(GroupKind, usize)]) -> Result<Rows> {
+    let lobes = place(groups, GroupKind::TransferFunction);
+    let count = lobes.len() / PER_LOBE;
+    ensure!((1..=4).contains(&count), "{count} Gaussian lobes; 1 to 4 can be taken in every order");
+    let mut orders: Vec<Vec<usize>> = vec![Vec::new()];
+    for _ in 0..count {
+        let longer = |o: Vec<usize>| {
+            let rest: Vec<usize> = (0..count).filter(|i| !o.contains(i)).collect();
+            rest.into_iter().map(move |i| [o.clone(), vec![i]].concat())
+        };
+        orders = orders.into_iter().flat_map(longer).collect();
+    }
+    let mut out = Rows::default();
+    for (row, seconds) in rows.inputs.chunks_exact(width).zip(&rows.seconds) {
+        for order in &orders {
+            let mut other = row.to_vec();
+            for (to, from) in order.iter().enumerate() {
+                let from = lobes.start + PER_LOBE * from;
+                let to = lobes.start + PER_LOBE * to;
+                other[to..to + PER_LOBE].copy_from_slice(&row[from..from + PER_LOBE]);
+            }
+            out.inputs.extend(other);
+            out.seconds.push(*seconds);
+        }
+    }
+    Ok(out)
+}
+
+impl Trial {
+    fn settings(&self, recipe: &Recipe, run: usize) -> Settings {
+        let mut out = Settings::default();
+        out.epochs = self.epochs;
+        out.batch = self.change.batch.unwrap_or(recipe.batch);
+        out.patience = recipe.patience;
+        out.clip_norm = if self.change.no_clipping { f64::INFINITY } else { recipe.clip };
+        out.target = match self.change.target.unwrap_or(recipe.target) {
+            TargetChoice::Seconds => Target::Seconds,
+            TargetChoice::LogSeconds => Target::LogSeconds,
+        };
+        out.seed = recipe.seed + 100 * (run as u64 - 1);
+        out
+    }
+
+    fn train(&self, recipe: &Recipe, run: usize, pool: &ThreadPool, stop: &AtomicBool) -> Result<Done> {
+        let started = Instant::now();
+        let settings = self.settings(recipe, run);
+        let preset = recipe.preset.as_deref().context("the network of the description has no preset")?;
+        let network = Network::<f32>::random(&preset_widths(preset, self.width)?, settings.seed)?;
+        let go_on = |_: &Progress| {
+            if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let (training, validation) = (self.training.samples(), self.validation.samples());
+        let trained = train(pool, network, None, training, validation, &settings, go_on)?;
+        ensure!(!stop.load(Ordering::Relaxed), "stopped");
+        let mut predicted = trained.predict(pool, &self.test)?;
+        ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.name);
+        // No frame takes less than no time.
+        predicted.iter_mut().for_each(|t| *t = t.max(0.0));
+        Ok(Done { predicted, best_epoch: trained.best_epoch, seconds: started.elapsed().as_secs_f64() })
+    }
+
+    fn identity(&self, work: &Work<'_>, run: usize) -> Result<String> {
+        let settings =
+            format!("{:?} {:?}", self.settings(&work.paper.network, run), work.paper.network.preset);
+        let mut bytes = format!("{MADE_AS} {settings} {}", self.width).into_bytes();
+        for rows in [&self.training, &self.validation] {
+            bytes.extend(rows.inputs.iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend(rows.seconds.iter().flat_map(|v| v.to_le_bytes()));
+        }
+        bytes.extend(self.test.iter().flat_map(|v| v.to_le_bytes()));
+        Ok(format!("{:016x}", fnv1a(&bytes)))
+    }
+}
+
+/// Trains what is missing and writes down how all did.
+fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: &[Trial]) -> Result<()> {
+    let asked = &work.paper.trials;
+    let runs = if panel == Panel::Frames { asked.label_runs } else { asked.runs };
+    let folder = work.out.join("trials");
+    make_folder(&folder)?;
+    let file = |identity: &str| folder.join(format!("{identity}.json"));
+    // The first run of all comes before the second of any.
+    let all: Vec<(&Trial, usize)> = (1..=runs).flat_map(|run| trials.iter().map(move |t| (t, run))).collect();
+    let identities: Vec<String> = all.iter().map(|(t, run)| t.identity(work, *run)).collect::<Result<_>>()?;
+    let todo: Vec<usize> = (0..all.len()).filter(|i| !file(&identities[*i]).exists()).collect();
+    let started = Instant::now();
+    let bar = templated_bar("trials [{bar:30}] {pos}/{len}  {wide_msg}");
+    bar.set_length(todo.len() as u64);
+    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let network = &work.paper.network;
+    let worker = || -> Result<()> {
+        let pool = thread_pool(Some(1))?;
+        while let Some(&i) = todo.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let (trial, run) = all[i];
+            let done = trial.train(network, run, &pool, &stop)?;
+            write_json(&file(&identities[i]), &done)?;
+            bar.set_message(format!("{}, run {run}: {:.0} s", trial.name, done.seconds));
+            bar.inc(1);
+        }
+        Ok(())
+    };
+    let threads = work.pool.current_num_threads().min(todo.len());
+    let ended = side_by_side(threads, &worker, &stop, &|| work.stop());
+    bar.finish_and_clear();
+    ended?;
+    if work.stop() {
+        bail!("{}", work.stopped());
+    }
+    let mark = format!("{:016x}", fnv1a(identities.concat().as_bytes()));
+    if kept(work.out, panel, SETS, mode, &mark)?.is_some() {
+        return Ok(());
+    }
+    let mut results = Results::new(panel, SETS, mode, mark);
+    results.seconds = started.elapsed().as_secs_f64();
+    results.encoder = main_encoder(work, SETS, BY_MEMBERS)?.1;
+    let read = |i: usize| -> Result<Done> {
+        let path: PathBuf = file(&identities[i]);
+        let text = read_text(&path, 64 << 20)?;
+        serde_json::from_str(&text).with_context(|| format!("{} holds no trial", path.display()))
+    };
+    let test = measured.frames(1);
+    let learned = measured.frames(0);
+    let mut judge = Judge::new(&measured.low, runs, TOGETHER, &test, line_of(&measured.low, &learned));
+    let mut unchanged = Vec::new();
+    for (k, trial) in trials.iter().enumerate() {
+        let done: Vec<Done> = (0..runs).map(|run| read(run * trials.len() + k)).collect::<Result<_>>()?;
+        let predicted: Vec<Vec<f64>> = done.iter().map(|d| d.predicted.clone()).collect();
+        judge.add(&trial.name, &predicted);
+        if let Some(row) = judge.rows.last_mut() {
+            let best = done.iter().map(|d| d.best_epoch as f64).sum::<f64>() / runs as f64;
+            row.more.insert("training frames".into(), trial.training.seconds.len() as f64);
+            row.more.insert("validation frames".into(), trial.validation.seconds.len() as f64);
+            row.more.insert("epochs".into(), trial.epochs as f64);
+            row.more.insert("best epoch".into(), best);
+        }
+        if unchanged.is_empty() {
+            unchanged = predicted;
+        }
+    }
+    results.rows.append(&mut judge.rows);
+    // The first of them by data set, beside baselines of that data set alone.
+    for set in work.paper.data_sets.iter().filter(|d| !d.only_tests) {
+        let of = |volume: &str| volume.split('/').any(|part| part == set.name);
+        let chosen: Vec<usize> =
+            (0..test.frames.len()).filter(|i| of(&test.frames[*i].scene.volume)).collect();
+        if chosen.is_empty() || panel == Panel::Frames {
+            continue;
+        }
+        let (part, _) = test.parted(|f| of(&f.scene.volume));
+        let line = line_of(&measured.low, &learned.parted(|f| of(&f.scene.volume)).0);
+        let mut judge = Judge::new(&measured.low, runs, &set.title, &part, line);
+        let pick = |run: &Vec<f64>| chosen.iter().map(|i| run[*i]).collect();
+        judge.add(AS_IT_IS, &unchanged.iter().map(pick).collect::<Vec<Vec<f64>>>());
+        results.rows.append(&mut judge.rows);
+    }
+    if let Some(m) = &measured.tables[0].manifest {
+        (results.device, results.machine) = (m.device.clone(), m.machine.clone());
+    }
+    write(work.out, &results)
+}
+
+/// Runs workers beside one another until all are done or one fails; tells them to stop where that is asked for.
+fn side_by_side(
+    count: usize,
+    worker: &(dyn Fn() -> Result<()> + Sync),
+    stop: &AtomicBool,
+    asked: &dyn Fn() -> bool,
+) -> Result<()> {
+    std::thread::scope(|scope| {
+        let handles: Vec<_> = (0..count).map(|_| scope.spawn(worker)).collect();
+        while handles.iter().any(|h| !h.is_finished()) {
+            if asked() {
+                stop.store(true, Ordering::Relaxed);
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let ended: Vec<Result<()>> =
+            handles.into_iter().map(|h| h.join().unwrap_or_else(|_| bail!("a training panicked"))).collect();
+        if asked() { Ok(()) } else { ended.into_iter().collect() }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GROUPS: [(GroupKind, usize); 3] =
+        [(GroupKind::Camera, 1), (GroupKind::Resolution, 2), (GroupKind::TransferFunction, 6)];
+    const ROW: [f32; 9] = [7.0, 16.0, 64.0, 0.5, 0.01, 0.1, 0.25, 0.02, 0.2];
+
+    #[test]
+    fn a_change_touches_its_inputs_alone() {
+        let of = |change: &Change| changed(&ROW, &GROUPS, change);
+        assert_eq!(of(&Change::default()), (ROW.to_vec(), 9));
+        let (row, width) = of(&Change { one_resolution: true, ..Change::default() });
+        assert_eq!((&row[..3], row.len(), width), (&[7.0, 32.0, 0.5][..], 8, 8));
+        let (row, _) = of(&Change { log_inputs: true, ..Change::default() });
+        let ln = f32::ln;
+        let expected = [7.0, ln(16.0), ln(64.0), 0.5, ln(0.01), ln(0.1), 0.25, ln(0.02), ln(0.2)];
+        assert_eq!(row, expected);
+    }
+
+    #[test]
+    fn lobes_come_in_each_order_once() {
+        let rows = Rows { inputs: ROW.to_vec(), seconds: vec![0.5] };
+        let out = every_order(&rows, 9, &GROUPS).unwrap();
+        assert_eq!(out.seconds, [0.5, 0.5]);
+        assert_eq!(out.inputs[..9], ROW);
+        assert_eq!(out.inputs[9..12], ROW[..3]);
+        assert_eq!(out.inputs[12..], [&ROW[6..], &ROW[3..6]].concat());
+        let three = [(GroupKind::TransferFunction, 9)];
+        let rows = Rows { inputs: (0..9u8).map(f32::from).collect(), seconds: vec![1.0] };
+        let mut orders: Vec<Vec<u32>> = every_order(&rows, 9, &three)
+            .unwrap()
+            .inputs
+            .chunks_exact(9)
+            .map(|r| r.iter().map(|v| *v as u32).collect())
+            .collect();
+        orders.sort();
+        orders.dedup();
+        assert_eq!(orders.len(), 6);
+    }
+
+    #[test]
+    fn workers_end_when_asked_and_errors_are_told() {
+        let stop = AtomicBool::new(false);
+        let waits = || {
+            while !stop.load(Ordering::Relaxed) {
+                std::thread::yield_now();
+            }
+            bail!("stopped")
+        };
+        side_by_side(2, &waits, &stop, &|| true).unwrap();
+        let fails = || bail!("diverged");
+        let error = side_by_side(2, &fails, &AtomicBool::new(false), &|| false).unwrap_err();
+        assert_eq!(error.to_string(), "diverged");
+    }
+}
