@@ -1,29 +1,30 @@
 //! Bars of the paper's study.
 
 use super::description::{BASE_MODE, Panel, Paper, Rule, YT};
-use super::encode::{ALL, Encoder, Record, SHIPPED};
-use super::judge::NETWORK;
-use super::report::{Shown, ours_of};
-use super::results::Results;
+use super::encode::{ALL, SHIPPED};
+use super::judge::{NETWORK, OURS};
+use super::material::Reconstruction;
+use super::results::{Results, Row};
 use super::trials::AS_IT_IS;
 use super::{cases, control, interval};
 use crate::bars::Bar;
-use serde::{Deserialize, Serialize};
 
-/// Errors of an encoder's reconstruction of held-out volumes.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Reconstruction {
-    /// The encoder.
-    pub encoder: Encoder,
-    /// Record of its training.
-    pub record: Record,
+/// A label in the report.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// The paper's label.
+    pub label: String,
+    /// True if there is a table or figure of ours.
+    pub there: bool,
+    /// The command that makes it.
+    pub command: String,
+    /// Our number and the paper's, in words.
+    pub summary: String,
 }
 
-impl Reconstruction {
-    /// Peak signal-to-noise ratio of test volumes of the data set, dB.
-    pub fn psnr(&self) -> Option<f64> {
-        self.record.psnr("test", &self.encoder.set)
-    }
+/// Result of our predictor on a split.
+pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> {
+    results.row(split, OURS)
 }
 
 /// What was found, and its interval over test volumes.
@@ -179,7 +180,7 @@ fn complete(results: &Results) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::interval::{ByVolume, Errors};
-    use super::super::judge::{CONSTANT, LVRP};
+    use super::super::results::{CONSTANT, LVRP};
     use super::super::results::{Fact, Row};
     use super::*;
     use std::path::Path;

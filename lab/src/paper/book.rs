@@ -3,7 +3,8 @@
 use super::description::{Label, Paper};
 use super::material::Material;
 use super::report::{numbers_table, picture};
-use super::sections::{Section, section, trials};
+use super::section::Section;
+use super::sections::{section, trials};
 use anyhow::Result;
 use entire_io::files::{make_folder, write_whole};
 use entire_report::{Column, Table};

@@ -80,7 +80,7 @@ struct Wanted {
 /// The frames of the experiments: a parameter is varied around one test volume of the split by volumes and
 /// one random frame. The varied volumes are the held-out ones.
 fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
-    let Some(parts) = place.split(super::volumes::BY_VOLUMES) else { return Ok(Vec::new()) };
+    let Some(parts) = place.split(super::description::BY_VOLUMES) else { return Ok(Vec::new()) };
     let protocol = protocol(paper, mode, false)?;
     let find = |name: &String| place.jobs.iter().position(|j| super::volumes::name_of(j) == *name);
     let middle = parts.test.first().and_then(find).context("no test volume")?;

@@ -4,7 +4,7 @@
 use super::Work;
 use super::description::Panel;
 use super::results::{Curve, Fact, Results, write};
-use super::sections::Section;
+use super::section::Section;
 use crate::calibration::samples_of;
 use crate::replay::Replayable;
 use crate::trace::Trace;

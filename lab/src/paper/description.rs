@@ -1,6 +1,5 @@
 //! Description of the paper's study: its JSON file.
 
-use super::volumes::{BY_MEMBERS, BY_VOLUMES};
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::files::read_text;
 use entire_io::scenes::SceneDistribution;
@@ -8,6 +7,13 @@ use entire_train::fit::{Recipe, TargetChoice};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+
+/// Random volumes, a tenth each for validation and test: the paper's rule for MAESTROeX.
+pub(super) const BY_VOLUMES: &str = "volumes";
+/// Whole ensemble members: the paper's rule for Nyx and Castro.
+pub(super) const BY_MEMBERS: &str = "members";
+/// Volumes of another kind.
+pub(super) const BY_MODALITY: &str = "modality";
 
 /// Contents of a description file. Paths are relative to the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -2,7 +2,8 @@
 //! other widths for the capacity sweep.
 
 use super::Work;
-use super::volumes::{BY_VOLUMES, Place};
+use super::description::BY_VOLUMES;
+use super::volumes::Place;
 use crate::child;
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::files::{make_folder, read_text, write_json};

@@ -2,10 +2,10 @@
 
 use super::Work;
 use super::collect::{Kind, table_path};
+use super::description::BY_VOLUMES;
 use super::description::{DataSet, Panel};
 use super::encode::{ALL, Encoder};
-use super::judge::Low;
-use super::volumes::{BY_VOLUMES, Parts, Place, places};
+use super::volumes::{Parts, Place, places};
 use crate::study::twins;
 use anyhow::{Context, Result};
 use entire_cli::commands::features;
@@ -14,8 +14,11 @@ use entire_io::dataset::{Clock, Table};
 use entire_io::files::open_model;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_train::split::TimedFrames;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+
+/// Seconds of frames on few voxels, by table and frame number.
+pub(super) type Low = BTreeMap<(usize, u64), f64>;
 
 /// The tables of a data set and mode.
 pub(super) struct Loaded {

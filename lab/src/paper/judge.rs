@@ -2,9 +2,9 @@
 //! with several seeds, the mean of 15 % of the frames, the low-resolution proxy.
 
 use super::Work;
-use super::frames::{Loaded, SplitFrames};
+use super::frames::{Loaded, Low, SplitFrames};
 use super::interval;
-use super::results::Row;
+use super::results::{CONSTANT, LVRP, Row};
 use super::volumes::Place;
 use crate::latency::Bench;
 use crate::study::{Bounds, Line, Runner};
@@ -24,10 +24,6 @@ use std::path::PathBuf;
 pub(super) const NETWORK: &str = "the paper's network";
 /// Our predictor in tables.
 pub(super) const OURS: &str = "ours: analytic × factor";
-/// The mean of 15 % of the frames.
-pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
-/// The low-resolution proxy.
-pub(super) const LVRP: &str = "LVRP";
 
 /// Context of a data set and mode.
 pub(super) struct At<'a> {
@@ -125,9 +121,6 @@ impl At<'_> {
         Bench::new(&volume, shading)
     }
 }
-
-/// Seconds of frames on few voxels, by table and frame number.
-pub(super) type Low = BTreeMap<(usize, u64), f64>;
 
 /// The proxy's line, fitted to the training frames; `None` where too few were rendered on few voxels.
 pub(super) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {

@@ -1,6 +1,5 @@
 //! Inputs of the report, and the one file that keeps all of them.
 
-use super::bars::Reconstruction;
 use super::description::Paper;
 use super::encode::{ALL, Encoder, Provenance, Record, SHIPPED};
 use super::results::{Results, read_all};
@@ -10,6 +9,22 @@ use entire_io::files::{gzip, make_folder_of, read_bytes, read_decompressed, read
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// Errors of an encoder's reconstruction of held-out volumes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Reconstruction {
+    /// The encoder.
+    pub encoder: Encoder,
+    /// Record of its training.
+    pub record: Record,
+}
+
+impl Reconstruction {
+    /// Peak signal-to-noise ratio of test volumes of the data set, dB.
+    pub fn psnr(&self) -> Option<f64> {
+        self.record.psnr("test", &self.encoder.set)
+    }
+}
 
 /// Inputs of the report.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

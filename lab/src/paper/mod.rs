@@ -19,6 +19,7 @@ mod overall;
 pub mod pictures;
 pub mod report;
 mod results;
+mod section;
 mod sections;
 pub mod train;
 pub mod trials;

@@ -1,12 +1,14 @@
 //! Every data set and mode: the network, ours and the baselines, by the paper's rule for its test volumes and by the
 //! other split beside it.
 
+use super::description::{BY_MODALITY, BY_VOLUMES};
 use super::description::{Paper, Rule};
 use super::interval;
-use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
+use super::judge::{NETWORK, OURS};
+use super::results::{CONSTANT, LVRP};
 use super::results::{Results, Row};
-use super::sections::{Section, errors_table, seconds, title, title_of, with_interval};
-use super::volumes::{BY_MODALITY, BY_VOLUMES, in_words};
+use super::section::{Section, errors_table, seconds, title, title_of, with_interval};
+use super::volumes::in_words;
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 
 /// What the paper's rule is, for captions.

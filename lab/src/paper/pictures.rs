@@ -2,10 +2,11 @@
 
 use super::Work;
 use super::collect::protocol;
+use super::description::BY_VOLUMES;
 use super::description::{Panel, RAYCASTER_MODES};
 use super::encode::Encoder;
 use super::results::{Results, kept, write};
-use super::volumes::{BY_VOLUMES, Place};
+use super::volumes::Place;
 use anyhow::{Context, Result, bail};
 use entire_core::scene::Arcball;
 use entire_io::dataset::{Scene, parse_lobes};

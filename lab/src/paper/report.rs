@@ -1,11 +1,10 @@
 //! The report: every table and figure of the paper beside ours, with the command that makes it.
 
-use super::bars::bars;
+use super::bars::{Shown, bars};
 use super::description::{Label, Paper};
-use super::judge::OURS;
 use super::material::Material;
-use super::results::{Results, Row};
-use super::sections::{Section, section, trials};
+use super::section::Section;
+use super::sections::{section, trials};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use entire_io::files::{make_folder, read_bytes, write_json, write_whole};
@@ -14,24 +13,6 @@ use entire_report::{Column, Page, Table};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
-
-/// A label in the report.
-#[derive(Clone, Debug)]
-pub struct Shown {
-    /// The paper's label.
-    pub label: String,
-    /// True if there is a table or figure of ours.
-    pub there: bool,
-    /// The command that makes it.
-    pub command: String,
-    /// Our number and the paper's, in words.
-    pub summary: String,
-}
-
-/// Result of our predictor on a split.
-pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> {
-    results.row(split, OURS)
-}
 
 /// Writes report.html, rows.md, and rows.json; returns the bars. `started` is the start of the work.
 ///

@@ -2,12 +2,16 @@
 
 use super::description::Panel;
 use super::interval::{self, ByVolume};
-use super::judge::{CONSTANT, LVRP};
 use anyhow::{Context, Result};
 use entire_io::files::{make_folder, read_text, write_json};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// The mean of 15 % of the frames.
+pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
+/// The low-resolution proxy.
+pub(super) const LVRP: &str = "LVRP";
 
 /// Errors of a predictor on some frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

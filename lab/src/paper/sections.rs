@@ -2,40 +2,21 @@
 
 use super::cases::NODES;
 use super::control;
+use super::description::BY_VOLUMES;
 use super::description::{Label, Panel, Paper};
 use super::encode::{ALL, SHIPPED};
 use super::interval;
-use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
+use super::judge::{NETWORK, OURS};
 use super::material::Material;
 use super::overall::{distributions, overall};
+use super::results::{CONSTANT, LVRP};
 use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, Row, SORTED};
+use super::section::{Section, errors_table, mode_in_words, over, ratio, seconds, title, with_interval};
 use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;
-use super::volumes::{BY_VOLUMES, in_words};
+use super::volumes::in_words;
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 use std::collections::BTreeSet;
-
-/// Section of the report under a label.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Section {
-    /// Tables with captions.
-    pub(super) tables: Vec<(Table, String)>,
-    /// Charts with captions.
-    pub(super) charts: Vec<(Chart, String)>,
-    /// Pictures' files with captions.
-    pub(super) pictures: Vec<(String, String)>,
-    /// Paragraphs.
-    pub(super) notes: Vec<String>,
-    /// One line for the overview.
-    pub(super) summary: String,
-}
-
-impl Section {
-    /// True if there is a table or figure.
-    pub(super) fn there(&self) -> bool {
-        !self.tables.is_empty() || !self.charts.is_empty() || !self.pictures.is_empty()
-    }
-}
 
 /// Our counterpart of a label, from the available results.
 pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Section {
@@ -82,48 +63,6 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
     s
 }
 
-pub(super) fn title(paper: &Paper, r: &Results) -> String {
-    title_of(paper, &r.set, &r.mode)
-}
-
-/// A data set in a mode, in words.
-pub(super) fn title_of(paper: &Paper, set: &str, mode: &str) -> String {
-    let name = paper.data_set(set).map_or(set, |d| d.title.as_str());
-    format!("{name}, {}", mode_in_words(mode))
-}
-
-fn mode_in_words(mode: &str) -> &str {
-    match mode {
-        "none" => "unshaded",
-        "local" => "local lighting",
-        "scatter" => "single scattering",
-        other => other,
-    }
-}
-
-/// Seconds with four digits that count.
-pub(super) fn seconds(v: f64) -> String {
-    if v == 0.0 || !v.is_finite() {
-        return "0".into();
-    }
-    let digits = (3 - v.abs().log10().floor() as i32).clamp(0, 8) as usize;
-    format!("{v:.digits$}")
-}
-
-fn ratio(v: Option<f64>) -> String {
-    v.map_or("-".into(), |v| format!("{v:.3}"))
-}
-
-/// A ratio with its interval beside it.
-pub(super) fn with_interval(v: Option<f64>, interval: Option<(f64, f64)>) -> String {
-    v.map_or("-".into(), |v| format!("{v:.3} {}", interval::in_brackets(interval)))
-}
-
-/// A row's errors over those of a baseline; nothing stands beside the baseline's own 1.
-fn over(v: Option<f64>, interval: Option<(f64, f64)>, own: bool) -> String {
-    if own { ratio(v) } else { with_interval(v, interval) }
-}
-
 fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> Table) {
     for r in of.iter().filter(|r| !r.rows.is_empty()) {
         let frames = r.frames.get(BY_VOLUMES).map_or(String::new(), |f| {
@@ -143,39 +82,6 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> 
             s.summary = format!("{}: best {} with {} s", title(paper, r), best.name, seconds(best.rmse));
         }
     }
-}
-
-/// Errors of every predictor of a part.
-pub(super) fn errors_table(r: &Results) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("on"),
-        Column::text("predictor"),
-        Column::number("RMSE, s"),
-        Column::number("STD over runs"),
-        Column::number("runs"),
-        Column::number("RMSE/SD"),
-        Column::number("over the mean of 15 %"),
-        Column::number("over LVRP"),
-        Column::number("MdAPE, %"),
-        Column::number("prediction, ms"),
-        Column::number("test frames"),
-    ]);
-    for row in &r.rows {
-        table.row(vec![
-            in_words(&row.split).into(),
-            row.name.as_str().into(),
-            seconds(row.rmse).into(),
-            (row.runs > 1).then(|| seconds(row.rmse_sd)).into(),
-            row.runs.to_string().into(),
-            format!("{:.3}", row.rmse / row.sd).into(),
-            over(row.over_constant, r.over_constant_interval(row), row.name == CONSTANT).into(),
-            over(row.over_lvrp, r.over_lvrp_interval(row), row.name == LVRP).into(),
-            format!("{:.1}", 100.0 * row.mdape).into(),
-            row.latency.map(|l| format!("{:.3}", 1e3 * l)).into(),
-            row.frames.to_string().into(),
-        ]);
-    }
-    table
 }
 
 fn times(paper: &Paper, of: &[&Results], s: &mut Section) {

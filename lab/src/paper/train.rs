@@ -1,11 +1,12 @@
 //! Training and evaluation of the networks of every part of the study.
 
 use super::collect::{DRAWN_ORBIT, EXPERIMENTS, ORBIT, PER_EXPERIMENT};
+use super::description::{BY_MODALITY, BY_VOLUMES};
 use super::description::{Panel, Paper, RAYCASTER_MODES};
 use super::frames::{Loaded, SplitFrames, main_encoder, of_panel, trained};
 use super::judge::{At, Method, NETWORK, OURS, by_proxy};
 use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, write};
-use super::volumes::{BY_MODALITY, BY_VOLUMES, Parts, Place};
+use super::volumes::{Parts, Place};
 use super::{Work, tuning};
 use crate::study::{Runner, clock};
 use anyhow::{Context, Result, bail};
@@ -119,7 +120,7 @@ pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table
         text +=
             &format!(" {:016x} {:016x}", table.hash, table.features.as_ref().map_or(0, FeatureTable::hash));
     }
-    for split in [BY_VOLUMES, super::volumes::BY_MEMBERS] {
+    for split in [BY_VOLUMES, super::description::BY_MEMBERS] {
         let bytes = read_bytes(&main_encoder(work, set, split)?.0)?;
         text += &format!(" {:016x}", fnv1a(&bytes));
     }
@@ -356,7 +357,7 @@ impl At<'_> {
             }
             let proxy = by_proxy(&self.loaded.low, line, &of.frames);
             if let Some(p) = proxy.into_iter().collect::<Option<Vec<f64>>>() {
-                curve(super::judge::LVRP, &p);
+                curve(super::results::LVRP, &p);
             }
         }
         // The orbit, for load balancing.

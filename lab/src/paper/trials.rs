@@ -3,11 +3,12 @@
 //! kept as soon as it is done.
 
 use super::Work;
+use super::description::BY_MEMBERS;
 use super::description::{Change, Panel, TrialTables, Validation};
+use super::frames::Low;
 use super::frames::main_encoder;
-use super::judge::{Judge, Low, line_of};
+use super::judge::{Judge, line_of};
 use super::results::{Results, kept, write};
-use super::volumes::BY_MEMBERS;
 use crate::study::{clock, twins};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::GroupKind;

@@ -4,12 +4,13 @@
 
 use super::Work;
 use super::collect::{Kind, table_path};
+use super::description::BY_VOLUMES;
 use super::description::Panel;
 use super::frames::Loaded;
 use super::judge::{NETWORK, OURS};
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::train::identity;
-use super::volumes::{BY_VOLUMES, Selection, places, roots};
+use super::volumes::{Selection, places, roots};
 use crate::study::{Bounds, Runner};
 use anyhow::{Context, Result, bail};
 use entire_cli::calibrate::calibrate_to_frames;

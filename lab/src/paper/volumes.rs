@@ -1,6 +1,6 @@
 //! The volumes of a data set, and their roles in splits.
 
-use super::description::{DataSet, Paper};
+use super::description::{BY_MEMBERS, BY_VOLUMES, DataSet, Paper};
 use anyhow::{Context, Result, ensure};
 use entire_cli::collection::Job;
 use entire_io::files::fnv1a;
@@ -40,13 +40,6 @@ pub struct Parts {
     /// Tested on.
     pub test: BTreeSet<String>,
 }
-
-/// Random volumes, a tenth each for validation and test: the paper's rule for MAESTROeX.
-pub(super) const BY_VOLUMES: &str = "volumes";
-/// Whole ensemble members: the paper's rule for Nyx and Castro.
-pub(super) const BY_MEMBERS: &str = "members";
-/// Volumes of another kind.
-pub(super) const BY_MODALITY: &str = "modality";
 
 /// A split in words.
 pub(super) fn in_words(split: &str) -> &str {
