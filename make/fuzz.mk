@@ -16,4 +16,4 @@ CASES ?= 20000
 
 .PHONY: test-properties
 test-properties: ## Run the property tests on newly drawn cases, many of them (CASES=20000); `make test` always draws the same
-	PROPTEST_RNG_SEED=$$(date +%s%N) PROPTEST_CASES=$(CASES) $(CARGO) test -p entire-core -p entire-cli --lib --test suite --test hostile_files
+	PROPTEST_RNG_SEED=$$(date +%s%N) PROPTEST_CASES=$(CASES) $(CARGO) test -p entire-core -p entire-steer -p entire-io -p entire-farm -p entire-cli --lib --test suite --test hostile_files

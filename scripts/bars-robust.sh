@@ -82,7 +82,7 @@ kills() {
 # Every single-bit flip of saved states, and filters that are not finite.
 states() {
     local passed failed code=0
-    ${CARGO:-cargo} test --quiet --package entire-core --lib saved_state >"$log" 2>&1 || code=$?
+    ${CARGO:-cargo} test --quiet --package entire-steer --lib saved_state >"$log" 2>&1 || code=$?
     read -r passed failed <<<"$(tests_in "$log")"
     echo "states: $passed tests passed, $failed failed"
     if ((failed == 0 && (passed == 0 || code != 0))); then

@@ -44,7 +44,7 @@ export CARGO_TARGET_DIR
 
 # Miri has no inline assembly, which libm uses for square roots by default.
 core() { # core TARGET-OPTION... -- TEST...
-    timeout "$seconds" "$cargo" +nightly miri test --package entire-core --lib --features libm/force-soft-floats "$@"
+    timeout "$seconds" "$cargo" +nightly miri test --package entire-core --package entire-steer --lib --features libm/force-soft-floats "$@"
 }
 
 as() { # as TRIPLE: the portable tests as that machine runs them

@@ -1,7 +1,7 @@
 //! Writes one chart of every kind, and a page that holds them all: `cargo run -p entire-cli --example charts
 //! -- DIR`.
 
-use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::PathBuf;
 
 /// Frames of a playback with two abrupt switches: a frame time in milliseconds.

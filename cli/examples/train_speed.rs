@@ -5,7 +5,7 @@
 //! (`inputs.bin`, `seconds.bin`, `weights.bin`: little-endian f32, standardized and in the order of the
 //! layers), trains, and prints one JSON object.
 
-use entire_cli::train::{Network, Samples, Settings, train};
+use entire_train::gradient::{Network, Samples, Settings, train};
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -38,13 +38,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         })
         .collect();
 
-    let widths = entire_cli::train::preset_widths(preset, INPUTS)?;
+    let widths = entire_train::gradient::preset_widths(preset, INPUTS)?;
     let network = Network::<f32>::random(&widths, 1)?;
     let write = |name: &str, values: &[f32]| -> std::io::Result<()> {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         std::fs::File::create(Path::new(folder).join(name))?.write_all(&bytes)
     };
-    let standardized = entire_cli::train::Standardization::fit(
+    let standardized = entire_train::gradient::Standardization::fit(
         Samples { inputs: &inputs, seconds: &seconds },
         INPUTS,
         settings.target,

@@ -1,7 +1,9 @@
 //! The command line of `entire`.
 
-use crate::{commands, program, quiet};
+use crate::commands;
+use crate::program;
 use clap::{CommandFactory, Parser, Subcommand};
+use entire_io::quiet;
 use std::ffi::OsString;
 use std::process::ExitCode;
 

@@ -70,7 +70,7 @@ impl Taps {
     }
 }
 
-/// Side lengths of an image whose rays stand `distance` pixels apart, as [`entire_core::control::Plan`] has it.
+/// Side lengths of an image whose rays stand `distance` pixels apart, as [`entire_steer::control::Plan`] has it.
 pub fn sampled_size(size: (u32, u32), distance: f32) -> (u32, u32) {
     let side = |n: u32| ((f64::from(n) / f64::from(distance)) as u32).max(1);
     (side(size.0), side(size.1))
@@ -210,7 +210,7 @@ mod tests {
             [(90, 61, 0xcfc2_94db_c68f_9085), (20, 11, 0x2af2_6f27_4830_acb6), (7, 50, 0x2058_c1e8_bd30_44ec)]
         {
             let picture = resized(&a, width, height).unwrap();
-            assert_eq!(crate::files::fnv1a(&picture.rgba), hash, "{width} x {height}");
+            assert_eq!(entire_io::files::fnv1a(&picture.rgba), hash, "{width} x {height}");
         }
         assert_eq!(resized(&a, 0, 5), None);
     }

@@ -56,7 +56,7 @@ impl Renderer for ScriptedRenderer {
         self.renderings += 1;
         // Sum of uniform hashes: close to normal, the same in every run.
         let normal = (0..12).map(|i| {
-            let h = crate::files::fnv1a(&(self.renderings * 12 + i).to_le_bytes());
+            let h = entire_io::files::fnv1a(&(self.renderings * 12 + i).to_le_bytes());
             (h >> 11) as f64 / (1u64 << 53) as f64
         });
         let noise = (self.noise * (normal.sum::<f64>() - 6.0)).exp();

@@ -9,9 +9,10 @@ mod checks;
 #[path = "../../fuzz/src/records.rs"]
 mod records;
 
-use entire_cli::volume::{Format, hostile::read_any};
-use entire_cli::{dataset, farm, path, volume};
 use entire_core::model::Model;
+use entire_farm as farm;
+use entire_io::volume::{Format, hostile::read_any};
+use entire_io::{dataset, path, volume};
 use libtest_mimic::{Arguments, Failed, Trial};
 use peak_alloc::PeakAlloc;
 use proptest::prelude::*;

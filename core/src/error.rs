@@ -59,6 +59,8 @@ impl fmt::Display for Error {
 
 impl core::error::Error for Error {}
 
+/// Returns an [`Error`] of a kind with a formatted message. The calling crate needs `extern crate alloc`.
+#[macro_export]
 macro_rules! bail {
     ($kind:ident, $($arg:tt)*) => {
         return Err($crate::Error::new($crate::ErrorKind::$kind, alloc::format!($($arg)*)))

@@ -1,70 +1,47 @@
-//! Predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step that keeps
-//! the frame inside its budget.
+//! Inference of the two networks that predict how long a volume-rendered frame takes: VolumeNet turns a volume into
+//! a short feature vector, PredNet turns features, camera, transfer function and resolution into seconds. Beside
+//! them stand the scene types that a frame is described with, and the safetensors model file.
+//!
+//! Sessions, cost models and controllers that pick a ray step are in the crate `entire-steer`.
 //!
 //! # Units
 //!
 //! | quantity | unit |
 //! |---|---|
-//! | time | seconds (`f32`, or `f64` where they are accumulated) |
-//! | ray step | multiples of the *reference step*, which is the volume's smallest voxel spacing |
+//! | time | seconds (`f32`) |
 //! | angles | degrees at the door (`Arcball`), radians inside |
 //! | scene space | origin at the volume's center, unit length = radius of its bounding sphere |
 //! | image sizes | pixels |
 //!
-//! # Steering a render loop
+//! # Predicting
 //!
-//! A [`Session`] knows the volume and the transfer function. Before each frame it plans the ray step, and
-//! after it hears how long the frame took:
-//!
-//! ```
-//! use entire_core::control::ObserveFlags;
-//! use entire_core::features::SummaryOptions;
-//! use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction};
-//! use entire_core::{Frame, GaussianLobe, Session, VolumeSummary, VolumeView};
-//!
-//! let voxels = vec![100u8; 32 * 32 * 32];
-//! let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32])?;
-//! let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.8 };
-//! let table = TransferFunction::Gaussian(vec![lobe]).to_table()?;
-//!
-//! let mut session = Session::untrained();
-//! session.set_volume(VolumeSummary::new(&view, SummaryOptions::default())?, None);
-//! session.set_transfer(&table, None)?;
-//!
-//! let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.0 })?;
-//! let frame = Frame::new(camera, 640, 480)?;
-//! let plan = session.plan(&frame, 0.016)?;
-//! // … draw with plan.step and measure the seconds it took …
-//! let seconds = 0.012;
-//! session.observe(plan.id, seconds, ObserveFlags::default())?;
-//!
-//! // What a frame will take, corrected by what was observed:
-//! let expected = session.predict(&frame)?;
-//! assert!(expected.seconds > 0.0 && expected.upper >= expected.seconds);
-//! # Ok::<(), entire_core::Error>(())
-//! ```
-//!
-//! # Loading a model
-//!
-//! [`predict::load`] makes the predictor that a model file holds; [`Session::new`] steers by it:
+//! [`Model::from_bytes`] reads a model file; [`nn::PredNet`] packs its weights for this CPU and predicts without
+//! allocating:
 //!
 //! ```
-//! use entire_core::control::HybridOptions;
-//! use entire_core::predict::{AnalyticModel, load};
-//! use entire_core::{Model, Session};
+//! use entire_core::Model;
+//! use entire_core::model::{InputGroup, ModelFile};
+//! use entire_core::nn::{DenseParts, Dtype, PredNet, PredNetParts, Target};
 //!
-//! // Bytes of a model file; here those of an analytic model.
-//! let bytes = AnalyticModel::default().to_model_file()?.to_bytes()?;
+//! // Bytes of a model file; here those of one layer: seconds = exp(0.5·a − 0.25·b − 4).
+//! let layer =
+//!     DenseParts { inputs: 2, outputs: 1, weight: vec![0.5, -0.25], bias: vec![-4.0], dtype: Dtype::F32 };
+//! let parts = PredNetParts { layers: vec![layer], input: None, output: None, target: Target::LogSeconds };
+//! let mut file = ModelFile::default();
+//! file.set_prednet(&parts, &[InputGroup { name: "resolution".into(), size: 2 }])?;
+//! let bytes = file.to_bytes()?;
+//!
 //! let model = Model::from_bytes(&bytes)?;
-//! let session = Session::new(load(&model)?, HybridOptions::default());
-//! # let _ = session;
+//! let net = PredNet::new(model.prednet().expect("the file has a PredNet"))?;
+//! let mut scratch = net.scratch(1)?;
+//! let seconds = net.predict(&[2.0, 4.0], &mut scratch);
+//! assert!((seconds - (-4.0f32).exp()).abs() < 1e-6);
 //! # Ok::<(), entire_core::Error>(())
 //! ```
 //!
 //! # Contract
 //!
-//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give.
-//! Hot calls (predict, plan, observe) never allocate, lock or call the system once set-up is done. A
+//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give. A
 //! prediction is a pure function: same model, same inputs, same SIMD level, same bits, with and without the
 //! feature `std`.
 #![cfg_attr(not(any(feature = "std", test)), no_std)]
@@ -72,24 +49,14 @@
 
 extern crate alloc;
 
-mod adapt;
-pub mod calibrate;
-pub mod control;
 mod error;
-pub mod features;
-mod kernels;
-mod memory;
+pub mod kernels;
+pub mod memory;
 pub mod model;
 mod names;
 pub mod nn;
-pub mod numeric;
-pub mod predict;
 pub mod scene;
-pub mod schedule;
 
-pub use control::{Plan, Session};
 pub use error::{Error, ErrorKind, Result};
-pub use features::VolumeSummary;
 pub use model::Model;
-pub use predict::{Prediction, Predictor};
 pub use scene::{Frame, GaussianLobe, VolumeView};

@@ -6,7 +6,7 @@ use alloc::vec::Vec;
 /// The error where the allocator has no such room. Its text stands in the program: there may be no memory for
 /// another.
 #[cold]
-pub(crate) fn no_memory() -> Error {
+pub fn no_memory() -> Error {
     Error::new(
         ErrorKind::OutOfMemory,
         "there is no memory for what the model or the volume needs; give the process more, or use a smaller \
@@ -15,7 +15,7 @@ pub(crate) fn no_memory() -> Error {
 }
 
 /// An empty vector with room for `len` elements.
-pub(crate) fn room<T>(len: usize) -> Result<Vec<T>> {
+pub fn room<T>(len: usize) -> Result<Vec<T>> {
     let mut out = Vec::new();
     match out.try_reserve_exact(len) {
         Ok(()) => Ok(out),
@@ -24,25 +24,25 @@ pub(crate) fn room<T>(len: usize) -> Result<Vec<T>> {
 }
 
 /// `len` times a value.
-pub(crate) fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
+pub fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
     let mut out = room(len)?;
     out.resize(len, value);
     Ok(out)
 }
 
 /// `len` zeros, as fresh memory has them: what is not touched costs nothing.
-pub(crate) fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
+pub fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
     bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())
 }
 
 /// A longer vector of zeros in place of one that has no room for `len` elements; what is not touched of it costs
 /// nothing.
-pub(crate) fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
+pub fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
     if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
 }
 
 /// Takes the longer vector, if there is one, and makes it as long as asked for.
-pub(crate) fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
+pub fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
     match longer {
         Some(longer) => *vector = longer,
         None => vector.resize(len, T::zeroed()),
@@ -51,7 +51,7 @@ pub(crate) fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Op
 
 /// Room for `len` elements in all, and for some more where the vector has grown before: what grows piece by
 /// piece is moved a few times, not once per piece.
-pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
+pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
     match vector.try_reserve(len.saturating_sub(vector.len())) {
         Ok(()) => Ok(()),
         Err(_) => Err(no_memory()),
@@ -59,33 +59,33 @@ pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
 }
 
 /// Makes a vector as long as `len`; new elements are `value`.
-pub(crate) fn resize<T: Clone>(vector: &mut Vec<T>, len: usize, value: T) -> Result<()> {
+pub fn resize<T: Clone>(vector: &mut Vec<T>, len: usize, value: T) -> Result<()> {
     reserve(vector, len)?;
     vector.resize(len, value);
     Ok(())
 }
 
 /// A copy of a slice.
-pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>> {
+pub fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>> {
     let mut out = room(slice.len())?;
     out.extend_from_slice(slice);
     Ok(out)
 }
 
 /// The elements of an iterator that knows how many they are.
-pub(crate) fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>> {
+pub fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>> {
     let mut out = room(elements.len())?;
     out.extend(elements);
     Ok(out)
 }
 
 /// Whether so many bytes can be had: for work in many small pieces, none of which can fail by itself.
-pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
+pub fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
 }
 
 /// Takes another number into a fingerprint: different runs of numbers hardly ever give the same one.
-pub(crate) fn mixed(fingerprint: u64, number: u64) -> u64 {
+pub fn mixed(fingerprint: u64, number: u64) -> u64 {
     let mut z = (fingerprint ^ number).wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

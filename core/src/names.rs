@@ -1,9 +1,12 @@
-//! Names of the variants of an enum: the one table behind `Display` and `&'static str`.
+//! The macro `names!`.
 
+/// Names of the variants of an enum: the one table behind `Display` and `&'static str`.
+#[macro_export]
 macro_rules! names {
     ($type:ty: $($variant:ident $name:literal,)*) => {
         impl $type {
-            pub(crate) const fn name(self) -> &'static str {
+            /// The name.
+            pub const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name,)* }
             }
         }

@@ -5,7 +5,7 @@ mod frame;
 mod idle;
 
 use crate::host::{Host, Options};
-use crate::loading::{Job, Loading};
+use crate::loading::{Job, Loading, Wake};
 use crate::log::Log;
 use crate::present::{Presenter, surface_extensions};
 use crate::refine::Refinement;
@@ -33,13 +33,6 @@ pub(crate) const FULL: TextureId = TextureId::User(u64::MAX - 1);
 
 /// Time within which a second loss of the device is fatal.
 const LOST_AGAIN: Duration = Duration::from_secs(10);
-
-/// Messages of other threads to the event loop.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Wake {
-    /// A load has ended.
-    Loaded,
-}
 
 /// The pictures on the device.
 struct Pictures {

@@ -2,8 +2,8 @@
 
 use crate::recording::Recording;
 use anyhow::{Result, bail};
-use entire_core::Session;
 use entire_core::scene::{Shading, Skipping, VolumeView};
+use entire_steer::Session;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -1,6 +1,6 @@
 //! The window of `entire`: a volume explorer that holds a target frame time.
 //!
-//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_core::Session`], which
+//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_steer::Session`], which
 //! then observes its time; a graph shows the prediction with its bound beside the measured time. The picture
 //! never leaves the device: the compute shader writes it, the interface samples it.
 //!
@@ -31,4 +31,5 @@ mod work_map;
 
 pub use app::run;
 pub use host::{Host, Options, Progress, Steering, VolumeSource};
-pub use recording::{RecordedFrame, RecordedTransfer, Recording};
+pub use recording::{RecordedFrame, Recording};
+pub use transfer::RecordedTransfer;

@@ -1,16 +1,15 @@
 //! Volumes are loaded in the background: read, summarized, uploaded to the device by a separate raycaster,
 //! and drawn once in small size, so that the frame in which they appear takes no longer than others.
 
-use crate::app::Wake;
 use crate::camera::Placement;
 use crate::histogram::Histogram;
 use crate::host::{Host, Progress, Steering, VolumeSource};
 use crate::scene::{Crop, Facts, Part, Scene};
 use crate::transfer::Curve;
 use anyhow::{Context, Result};
-use entire_core::VolumeSummary;
-use entire_core::features::SummaryOptions;
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
+use entire_steer::VolumeSummary;
+use entire_steer::features::SummaryOptions;
 use entire_vk_raycaster::{Renderer, SharedDevice, VulkanOptions, VulkanRaycaster};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -18,6 +17,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Instant;
 use winit::event_loop::EventLoopProxy;
+
+/// Messages of other threads to the event loop.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Wake {
+    /// A load has ended.
+    Loaded,
+}
 
 /// A volume to load.
 #[derive(Clone)]

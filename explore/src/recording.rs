@@ -1,22 +1,12 @@
 //! A person's actions, frame by frame, to be played again.
 
 use crate::camera::Viewpoint;
-use crate::transfer::Curve;
+use crate::transfer::{Curve, RecordedTransfer};
 use anyhow::Result;
-use entire_core::GaussianLobe;
-use entire_core::scene::{Arcball, ControlPoint};
+use entire_core::scene::Arcball;
 
 /// Maximum number of frames of a recording.
 pub(crate) const MOST_FRAMES: usize = 1_000_000;
-
-/// A transfer function.
-#[derive(Clone, Debug, PartialEq)]
-pub enum RecordedTransfer {
-    /// Gaussian lobes in the color ramp of the core.
-    Lobes(Vec<GaussianLobe>),
-    /// Control points, ascending.
-    Points(Vec<ControlPoint>),
-}
 
 /// A frame that was drawn.
 #[derive(Clone, Debug, PartialEq)]

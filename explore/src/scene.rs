@@ -127,7 +127,6 @@ impl Part {
             Scalars::U16(v) => Voxels::U16(copy(v, view, crop)),
             Scalars::I16(v) => Voxels::I16(copy(v, view, crop)),
             Scalars::F32(v) => Voxels::F32(copy(v, view, crop)),
-            other => anyhow::bail!("voxels of type {} cannot be cropped", other.scalar_type()),
         };
         let part = Self { voxels, dims, spacing: view.shape().spacing, range: view.range() };
         let corners = Facts::of(view).corners(Some(crop));

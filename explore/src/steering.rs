@@ -2,11 +2,12 @@
 
 use crate::host::Steering;
 use anyhow::{Context, Result};
-use entire_core::control::ObserveFlags;
-use entire_core::control::{Reason, StepLimits};
-use entire_core::features::Changes;
+use entire_core::GaussianLobe;
 use entire_core::scene::{Frame, Shading, TransferTable};
-use entire_core::{GaussianLobe, Plan, Session, VolumeSummary};
+use entire_steer::control::ObserveFlags;
+use entire_steer::control::{Reason, StepLimits};
+use entire_steer::features::Changes;
+use entire_steer::{Plan, Session, VolumeSummary};
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
@@ -304,8 +305,8 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use entire_core::features::SummaryOptions;
     use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction, VolumeView};
+    use entire_steer::features::SummaryOptions;
 
     struct Untrained;
 

@@ -1,10 +1,18 @@
 //! The transfer function as a person edits it: an opacity curve and a color map.
 
 use crate::histogram::Histogram;
-use crate::recording::RecordedTransfer;
 use anyhow::Result;
 use entire_core::GaussianLobe;
 use entire_core::scene::{COLOR_RAMP, ControlPoint, TABLE_LEN, TransferFunction, TransferTable};
+
+/// A transfer function as recordings hold it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RecordedTransfer {
+    /// Gaussian lobes in the color ramp of the core.
+    Lobes(Vec<GaussianLobe>),
+    /// Control points, ascending.
+    Points(Vec<ControlPoint>),
+}
 
 /// A point of the opacity curve: normalized scalar and opacity of one reference step.
 pub(crate) type OpacityPoint = [f32; 2];

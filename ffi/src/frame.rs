@@ -4,8 +4,8 @@ use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
-use entire_core::features::Setting;
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping};
+use entire_steer::features::Setting;
 use glam::{Mat4, Vec3};
 use std::mem::size_of;
 

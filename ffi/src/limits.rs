@@ -29,7 +29,7 @@ pub const ENTIRE_MAX_TASKS_TIMES_NODES: u64 = 4_294_967_296;
 const _: () = {
     assert!(ENTIRE_MAX_SIDE == entire_core::scene::MAX_VOLUME_EDGE);
     assert!(ENTIRE_MAX_REPEATED_VOXELS as u64 == entire_core::scene::MAX_REPEATED_VOXELS);
-    assert!(ENTIRE_MAX_NODES == entire_core::schedule::MAX_NODES);
+    assert!(ENTIRE_MAX_NODES == entire_steer::schedule::MAX_NODES);
 };
 
 /// Refuses a count over its limit.

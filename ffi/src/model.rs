@@ -16,7 +16,7 @@ use crate::volume::{Volume, entire_volume};
 use entire_core::model::{GroupKind, Model, ModelFile};
 use entire_core::nn::{EncodeScratch, Executor, PredNet, PredNetParts, PredScratch, Target, VolumeNet};
 use entire_core::nn::{Level, Storage};
-use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
+use entire_steer::predict::{AnalyticModel, ModelPredictor, Predictor};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
 use std::io::ErrorKind;

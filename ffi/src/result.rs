@@ -1,7 +1,7 @@
 //! Result codes, and failures that map to them.
 
-use entire_core::predict::{PREDICTED_SECONDS, check_predictions};
 use entire_core::{Error, ErrorKind};
+use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
 

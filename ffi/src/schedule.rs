@@ -6,7 +6,7 @@ use crate::limits::{ENTIRE_MAX_NODES, ENTIRE_MAX_TASKS, ENTIRE_MAX_TASKS_TIMES_N
 use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
-use entire_core::schedule::assign_longest_first;
+use entire_steer::schedule::assign_longest_first;
 
 /// Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
 /// `seconds` holds each task's time on a node of speed 1 and `speeds` each node's speed (2: takes half the

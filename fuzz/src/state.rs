@@ -1,10 +1,10 @@
 //! Saved states of a session: mutations with valid checksums, and invariants of accepted states.
 
 use crate::mutate::{Random, Step};
-use entire_core::control::ObserveFlags;
-use entire_core::control::Session;
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+use entire_steer::control::ObserveFlags;
+use entire_steer::control::Session;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 use std::cell::RefCell;
 
 /// Bytes of the checksum at the end.

@@ -213,7 +213,7 @@ def invalid(machine, test):
     """Number of predictions that are not positive, over all shipped models, tables and random inputs, counted by the
     test."""
     kept = machine.out / "predictions.txt"
-    counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
+    counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("steer/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
     if not kept.exists() or kept.stat().st_mtime < max(f.stat().st_mtime for f in counted):
         if not test:
             return None

@@ -126,7 +126,7 @@ def latency(study, caches):
 
 def lines(before):
     """Lines of code removed since a revision, minus those added."""
-    rooms = ("core", "cli", "lab", "plugins")
+    rooms = ("core", "steer", "io", "train", "farm", "report", "cli", "lab", "plugins")
     done = subprocess.run(["git", "diff", "--numstat", before, "--", *rooms], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     rows = [line.split("\t") for line in done.stdout.splitlines()]
     code = [r for r in rows if r[2].endswith((".rs", ".py", ".cxx", ".h", ".sh"))]

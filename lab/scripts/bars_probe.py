@@ -4,7 +4,7 @@ each; exit status 1 when any is short.
 
 usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT] [--no-build]
 
-Builds core/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with the
+Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with the
 calls of today's example), and asks both in turns, in random order, N rounds long. A scene's time is the smallest of all
 rounds, a figure the mean over its scenes. Ratios are today's over the commit before.
 """
@@ -12,13 +12,12 @@ import argparse
 import json
 import pathlib
 import random
-import shutil
 import subprocess
 
 from bar_lines import Bars
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-EXAMPLE = "core/examples/probe_server"
+EXAMPLE = "steer/examples/probe_server"
 # The part of the example that older versions can build needs a main function.
 MAIN_BEFORE = """//! The calls of a later version.
 
@@ -32,7 +31,7 @@ fn main() {
 # Source by which the earlier revision makes the timed objects, in place of the example's scene.rs.
 SCENE_BEFORE = """//! Makes the timed objects with that version of the crate.
 
-use entire_core::control::Session;
+use entire_steer::control::Session;
 use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeView};
 
 pub(crate) fn volume(scalars: Scalars<'_>, dims: [usize; 3], range: (f32, f32)) -> VolumeView<'_> {
@@ -77,9 +76,14 @@ def asked_for():
 BARS = asked_for()
 
 
+def crate(tree):
+    """The crate that has sessions in a tree: older revisions have them in the core."""
+    return "steer" if (tree / "steer").exists() else "core"
+
+
 def build(where, target):
     subprocess.run(
-        ["cargo", "build", "--release", "--package", "entire-core", "--features", "rayon", "--example", "probe_server",
+        ["cargo", "build", "--release", "--package", f"entire-{crate(where)}", "--features", "rayon", "--example", "probe_server",
          "--target-dir", target], cwd=where, check=True,
     )
 
@@ -93,10 +97,10 @@ def prepare(revision, work):
         subprocess.run(["git", "worktree", "prune"], cwd=ROOT, check=True)
         subprocess.run(["git", "worktree", "add", "--detach", str(tree), commit], cwd=ROOT, check=True)
     subprocess.run(["git", "checkout", "--quiet", "--detach", commit], cwd=tree, check=True)
-    to = tree / EXAMPLE
+    to = tree / crate(tree) / "examples/probe_server"
     to.mkdir(parents=True, exist_ok=True)
-    shutil.copy(ROOT / EXAMPLE / "calls.rs", to / "calls.rs")
-    (to / "scene.rs").write_text(SCENE_BEFORE)
+    for name, text in ("calls.rs", (ROOT / EXAMPLE / "calls.rs").read_text()), ("scene.rs", SCENE_BEFORE):
+        (to / name).write_text(text.replace("entire_steer", f"entire_{crate(tree)}"))
     (to / "main.rs").write_text(MAIN_BEFORE)
     return tree
 

@@ -28,7 +28,7 @@ ROUNDS = 12
 
 def floors():
     """Constant that the log variant of every quantity adds, from the core's schema."""
-    text = (ROOT / "core/src/features/schema.rs").read_text()
+    text = (ROOT / "steer/src/features/schema.rs").read_text()
     return {name: float(floor.replace("_", "")) for name, floor in re.findall(r'"(\w+)", "[^"]*", ([0-9.e_-]+),', text)}
 
 

@@ -22,10 +22,16 @@ ROOT = Path(__file__).resolve().parents[2]
 README_LINES = 90
 FIRST_CODE_LINE = 40
 FILE_LINES = 700
-PUBLIC_ITEMS = 250
+# Crates that a renderer embeds, and the public items that each may have.
+FRONT_CRATES = ("core", "steer")
+PUBLIC_ITEMS = 130
+RUST_LINES = 85_000
+# Of `core` alone, without tests: lines, and crates that it brings, itself included.
+INFERENCE_LINES = 10_000
+INFERENCE_CRATES = 12
 # Crates that only studies use.
 STUDY_CRATES = ("forust-ml", "image-compare")
-SOURCE_ROOMS = ("core", "ffi", "cli", "vk-raycaster", "explore", "plugins", "lab")
+SOURCE_ROOMS = ("core", "steer", "io", "report", "train", "farm", "ffi", "cli", "vk-raycaster", "explore", "plugins", "lab")
 SOURCES = (".rs", ".c", ".cxx", ".cpp", ".h", ".hpp", ".py", ".sh", ".wgsl")
 # Languages of the code blocks that somebody who embeds the library looks for.
 EMBEDDING = ("c", "cpp", "python", "rust")
@@ -153,7 +159,7 @@ def missing_names(pages):
     header = (ROOT / "include/entire/entire.h").read_text(encoding="utf-8")
     known = set(re.findall(r"\w+", header))
     # Modules and packages of other languages.
-    known |= {"entire_vtk", "entire_paraview", "entire_core", "entire_static"}
+    known |= {"entire_vtk", "entire_paraview", "entire_core", "entire_steer", "entire_static"}
     for page in pages:
         code = page.spans() + [line for _, _, lines in page.blocks for line in lines]
         for name in set(re.findall(r"\b(?:entire_[a-z0-9_]*[a-z0-9]|ENTIRE_(?:OBSERVE|CHANGE|UNIT|CAMERA|VOXELS)_\w+)\b", "\n".join(code))):
@@ -287,20 +293,27 @@ def file_lengths():
                 yield sum(1 for _ in lines), path
 
 
-def dependency_tree():
-    done = run("cargo", "tree", "--package", "entire-cli", "--edges", "normal,build", "--prefix", "none")
+def dependency_tree(package, edges, *options):
+    """Names of the crates that a package brings by such edges, itself included."""
+    done = run("cargo", "tree", "--package", package, "--edges", edges, "--prefix", "none", *options)
     if done.returncode != 0:
         raise SystemExit(f"house: cargo tree: {done.stderr.strip()}")
     return {line.split()[0] for line in done.stdout.splitlines() if line.strip()}
 
 
-def public_items():
-    script = ROOT / "lab/scripts/public_items.py"
-    if not script.exists():
-        return None
-    done = run(sys.executable, str(script))
-    counts = re.findall(r"\d+", done.stdout.strip().splitlines()[-1]) if done.stdout.strip() else []
-    return int(counts[-1]) if done.returncode == 0 and counts else None
+def public_items(crate):
+    done = run(sys.executable, "lab/scripts/public_items.py", crate)
+    counts = re.findall(r"\d+", done.stdout)
+    return int(counts[0]) if done.returncode == 0 and counts else None
+
+
+def product_lines(folder):
+    """Lines of a crate's sources before the module of tests that closes a file; files of tests have none."""
+    count = 0
+    for path in tracked(f"{folder}/src"):
+        if path.endswith(".rs") and not path.endswith("tests.rs"):
+            count += len((ROOT / path).read_text(encoding="utf-8").split("\n#[cfg(test)]\nmod tests {")[0].splitlines())
+    return count
 
 
 def build_seconds(revision):
@@ -364,12 +377,18 @@ def main():
         found = list(undocumented_options(documents, helps))
         bars.at_most("options-in-no-document", len(found), 0, found)
     if not options.quick:
-        items = public_items()
-        if items is None:
-            bars.say("public-items-of-core", "-", PUBLIC_ITEMS, False, ["lab/scripts/public_items.py gave no number"])
-        else:
-            bars.at_most("public-items-of-core", items, PUBLIC_ITEMS)
-        tree = dependency_tree()
+        for crate in FRONT_CRATES:
+            items = public_items(crate)
+            if items is None:
+                bars.say(f"public-items-of-{crate}", "-", PUBLIC_ITEMS, False, ["lab/scripts/public_items.py gave no number"])
+            else:
+                bars.at_most(f"public-items-of-{crate}", items, PUBLIC_ITEMS)
+        bars.at_most("lines-of-inference", product_lines("core"), INFERENCE_LINES)
+        linked = dependency_tree("entire-core", "normal,no-proc-macro", "--no-default-features")
+        bars.at_most("crates-of-inference", len(linked), INFERENCE_CRATES, sorted(linked))
+        rust = sum(len((ROOT / path).read_bytes().splitlines()) for path in tracked("*.rs"))
+        bars.at_most("lines-of-rust", rust, RUST_LINES)
+        tree = dependency_tree("entire-cli", "normal,build")
         found = [name for name in STUDY_CRATES if name in tree]
         bars.at_most("study-crates-of-entire", len(found), 0, found)
         if options.measure_build:

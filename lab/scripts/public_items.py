@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Counts the public items of entire-core in its sources.
+"""Counts the public items of a crate in its sources.
 
 An item is a `pub` function or method, struct, enum, trait, constant, type, static, module or macro, outside of tests.
 Re-exports, fields and variants are not counted. Every `pub` item in a private module is reachable, since the workspace
 denies the lint `unreachable_pub`.
 
-Usage: public_items.py [--limit N] [--list]
+Usage: public_items.py CRATE [--limit N] [--list]     CRATE: the crate's folder, such as core
 """
 
 import argparse
@@ -34,15 +34,16 @@ def items(folder):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("crate", help="the crate's folder")
     parser.add_argument("--limit", type=int, help="fail where there are more")
     parser.add_argument("--list", action="store_true", help="print each")
     options = parser.parse_args()
     root = pathlib.Path(__file__).resolve().parents[2]
-    found = list(items(root / "core" / "src"))
+    found = list(items(root / options.crate / "src"))
     if options.list:
         for path, number, kind, name in found:
             print(f"{path.relative_to(root)}:{number} {kind} {name}")
-    print(f"{len(found)} public items in entire-core")
+    print(f"{len(found)} public items in {options.crate}")
     if options.limit is not None and len(found) > options.limit:
         sys.exit(1)
 

@@ -1,7 +1,7 @@
 //! Bars: measured value beside its limit, one line each.
 
 use anyhow::{Result, ensure};
-use entire_cli::report::{Column, Table};
+use entire_report::{Column, Table};
 
 /// A bar.
 #[derive(Clone, Debug, PartialEq)]

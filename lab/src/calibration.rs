@@ -1,9 +1,9 @@
 //! Calibration samples of recorded timing tables.
 
 use anyhow::{Context, Result};
-use entire_cli::dataset::{Clock, TimedFrame, read_tables};
-use entire_cli::inputs;
 use entire_cli::steering::calibrate::Sample;
+use entire_io::dataset::{Clock, TimedFrame, read_tables};
+use entire_train::inputs;
 use indicatif::ProgressBar;
 use std::collections::HashMap;
 use std::path::PathBuf;

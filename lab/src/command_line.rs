@@ -2,7 +2,8 @@
 
 use crate::commands;
 use clap::{CommandFactory, Parser, Subcommand};
-use entire_cli::{program, quiet};
+use entire_cli::program;
+use entire_io::quiet;
 use std::process::ExitCode;
 
 /// Compares predictors and controllers with others, and measures the project's goals (bars).

@@ -1,16 +1,16 @@
 //! Predictors fitted to recorded calibration frames, and the choice of the one that steers a replay.
 
 use anyhow::{Context, Result};
-use entire_cli::fit::standard_features;
-use entire_cli::report::{Column, Table};
 use entire_cli::steering::calibrate::{Quality, Sample};
 use entire_cli::steering::model::SteeringModel;
-use entire_cli::train::{Network, Samples, Settings, train};
-use entire_core::control::Prior;
 use entire_core::model::ModelFile;
 use entire_core::nn::Target;
-use entire_core::predict::{AnalyticModel, FitReport, GroupKind, InputLayout, Measurement, UnitCosts};
 use entire_core::scene::VolumeView;
+use entire_report::{Column, Table};
+use entire_steer::control::Prior;
+use entire_steer::predict::{AnalyticModel, FitReport, GroupKind, InputLayout, Measurement, UnitCosts};
+use entire_train::fit::standard_features;
+use entire_train::gradient::{Network, Samples, Settings, train};
 use serde::Serialize;
 use std::ops::ControlFlow;
 

@@ -2,14 +2,14 @@
 //! caches filled by something else.
 
 use anyhow::Result;
-use entire_cli::scenes::SceneDistribution;
-use entire_cli::volume::Volume;
-use entire_core::features::{
+use entire_core::model::Model;
+use entire_core::scene::{Camera, Frame, GaussianLobe, Shading, TransferFunction, TransferTable};
+use entire_io::scenes::SceneDistribution;
+use entire_io::volume::Volume;
+use entire_steer::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
-use entire_core::model::Model;
-use entire_core::predict::{GroupKind, Inputs, load};
-use entire_core::scene::{Camera, Frame, GaussianLobe, Shading, TransferFunction, TransferTable};
+use entire_steer::predict::{GroupKind, Inputs, load};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -192,7 +192,7 @@ impl Bench {
             }
             warm.push(call(frame)?);
         }
-        let mid = |mut v: Vec<f64>| entire_cli::metrics::median(&mut v).unwrap_or(0.0);
+        let mid = |mut v: Vec<f64>| entire_io::metrics::median(&mut v).unwrap_or(0.0);
         Ok(Latency { cold: mid(cold), warm: mid(warm), transfer: mid(transfers) })
     }
 }

@@ -2,14 +2,14 @@
 
 use crate::study::{Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, Set, Ship, Study, clock, shipped};
 use anyhow::{Context, Result};
-use entire_cli::bound;
-use entire_cli::dataset::{Table, read_tables};
-use entire_cli::files::{make_folder, read_model_file, write_whole};
-use entire_cli::fit::{DtypeChoice, FitContext, predict};
-use entire_cli::metrics::{BoundMetrics, Metrics};
-use entire_cli::split::TimedFrames;
-use entire_core::calibrate::PriorModel;
 use entire_core::model::{GroupKind, Key, ModelFile};
+use entire_io::dataset::{Table, read_tables};
+use entire_io::files::{make_folder, read_model_file, write_whole};
+use entire_io::metrics::{BoundMetrics, Metrics};
+use entire_steer::calibrate::PriorModel;
+use entire_train::bound;
+use entire_train::fit::{DtypeChoice, FitContext, predict};
+use entire_train::split::TimedFrames;
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -162,7 +162,7 @@ fn provenance(
         })
         .collect();
     file.metadata.insert(Key::Provenance.into(), stored.to_string());
-    entire_cli::clock::set(file, clock(&study.clock)?);
+    entire_io::clock::set(file, clock(&study.clock)?);
     file.metadata.remove("entire.study_key");
     if let Some(manifest) = training.iter().find_map(|t| t.manifest.as_ref()) {
         file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
@@ -225,7 +225,7 @@ fn card(
             md,
             "\nScene features, in order: {}. Rays along each side of the probe: {}.",
             model.scene_features().join(", "),
-            entire_core::predict::InputLayout::of_model(&model)?.probe_side
+            entire_steer::predict::InputLayout::of_model(&model)?.probe_side
         );
     }
     let _ = writeln!(md, "\n## Data\n");
@@ -356,7 +356,7 @@ fn card(
             md,
             "\nOne prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with cold \
              caches, {:.1} µs warm{}.",
-            entire_cli::machine::machine(),
+            entire_io::machine::machine(),
             1e6 * l.cold,
             1e6 * l.warm,
             if l.transfer > 0.0 {

@@ -8,7 +8,7 @@
 //! # File format
 //!
 //! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the volumes (file and enlargement), the path
-//! ([`entire_cli::path`]), `hold` (frames per volume of a series; 0 for a single volume), `scales` (image
+//! ([`entire_io::path`]), `hold` (frames per volume of a series; 0 for a single volume), `scales` (image
 //! scale from a frame on), the draw settings, the grid, and per frame the seconds of every repeat at every
 //! step and scale, with the PSNR against the picture at the reference step.
 
@@ -17,18 +17,18 @@ mod format;
 pub use format::{TRACE_FORMAT, Trace, TraceDraw, TracePoint, TraceVolume};
 
 use anyhow::{Context, Result};
-use entire_cli::dataset::Timing;
-use entire_cli::enlarge::enlarge;
-use entire_cli::identity::difference;
-use entire_cli::machine::Provenance;
-use entire_cli::metrics::median;
-use entire_cli::path::{FlightPath, PathFile};
 use entire_cli::pictures::{BEST_PSNR, psnr, resized, scaled_size, ssim};
 use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::sizes::{scale_at, volume_at};
-use entire_cli::volume::Volume;
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::Frame;
+use entire_io::dataset::Timing;
+use entire_io::enlarge::enlarge;
+use entire_io::identity::difference;
+use entire_io::machine::Provenance;
+use entire_io::metrics::median;
+use entire_io::path::{FlightPath, PathFile};
+use entire_io::volume::Volume;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
 use std::time::{Duration, Instant};
@@ -436,7 +436,7 @@ mod tests {
         let file = folder.path().join("v.nrrd");
         let volume = |bytes: &[u8]| {
             std::fs::write(&file, bytes).unwrap();
-            let files = entire_cli::identity::of_volume(&file).unwrap();
+            let files = entire_io::identity::of_volume(&file).unwrap();
             [TraceVolume { file: file.clone(), enlarge: 1, files }]
         };
         let then = volume(b"one");
@@ -483,7 +483,7 @@ mod tests {
 
     #[test]
     fn every_frame_has_steps_and_images_and_no_point_twice() {
-        let path = entire_cli::path::Generated::Orbit;
+        let path = entire_io::path::Generated::Orbit;
         let volume = [0u8; 8];
         let view = entire_core::scene::VolumeView::new(entire_core::scene::Scalars::U8(&volume), [2, 2, 2]);
         let path = path.path(&view.unwrap(), 8).unwrap();
@@ -499,7 +499,7 @@ mod tests {
                 shading: entire_core::scene::Shading::None,
                 skipping: entire_core::scene::Skipping::Blocks,
                 termination: 0.99,
-                clock: entire_cli::dataset::Clock::Wall,
+                clock: entire_io::dataset::Clock::Wall,
             },
             steps: &TRACE_STEPS,
             repeats: 1,

@@ -2,11 +2,11 @@
 //! uses them.
 
 use anyhow::{Result, anyhow, ensure};
-use entire_cli::dataset::Timed;
-use entire_cli::fit::{FitContext, Kind, Recipe, predict};
-use entire_cli::inputs::Layout;
 use entire_core::model::Model;
-use entire_core::predict::{Inputs, load};
+use entire_io::dataset::Timed;
+use entire_steer::predict::{Inputs, load};
+use entire_train::fit::{FitContext, Kind, Recipe, predict};
+use entire_train::inputs::Layout;
 use forust_ml::metric::Metric;
 use forust_ml::objective::ObjectiveType;
 use forust_ml::{GradientBooster, Matrix};
@@ -89,7 +89,7 @@ impl Trees {
     pub fn predict(
         &self,
         context: &FitContext<'_>,
-        frames: &[&entire_cli::dataset::TimedFrame],
+        frames: &[&entire_io::dataset::TimedFrame],
     ) -> Result<Vec<f64>> {
         let rows = self.layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
         let columns = by_columns(&rows, self.layout.width());

@@ -10,12 +10,12 @@
 //! / count, over the frames in which the counted work is not negligible. With `WORST` in the environment it
 //! also prints, for each volume, the frame whose samples were estimated worst.
 
-use entire_cli::scenes::SceneDistribution;
-use entire_cli::volume::Volume;
-use entire_core::features::{
+use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
+use entire_io::scenes::SceneDistribution;
+use entire_io::volume::Volume;
+use entire_steer::features::{
     FrameFeatures, SceneQuantity, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
-use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 
 fn main() {

@@ -10,12 +10,12 @@
 //! their last probe, the mean number of rays (coarser probes on the way included), and the median and the
 //! largest of |step / step of the finest probe − 1|.
 
-use entire_cli::scenes::SceneDistribution;
-use entire_cli::volume::Volume;
-use entire_core::Session;
-use entire_core::control::StepLimits;
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{Camera, Frame, TransferFunction};
+use entire_io::scenes::SceneDistribution;
+use entire_io::volume::Volume;
+use entire_steer::Session;
+use entire_steer::control::StepLimits;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 
 /// The finest probe.
 const FINEST: usize = 16;

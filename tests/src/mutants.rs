@@ -2,11 +2,11 @@
 //! would no longer fit. Every file's length field is right; the data after it are wrong in ways that a reader
 //! must detect.
 
-use entire_core::features::{Changes, FrameFeatures, Setting};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_core::nn::{Executor, PredNet, VolumeNet, VolumeNetParts};
-use entire_core::predict::{Inputs, check_predictions, load};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, VolumeView};
+use entire_steer::features::{Changes, FrameFeatures, Setting};
+use entire_steer::predict::{Inputs, check_predictions, load};
 use serde_json::{Map, Value, json};
 
 /// Limit of the multiplications of an encoding; a larger mutant encoder is built but not run.

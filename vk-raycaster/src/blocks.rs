@@ -1,7 +1,7 @@
 //! Min–max blocks, their emptiness under a transfer function, and the distance of each to the nearest block
 //! of the other kind.
 
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::table::Classifier;
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;

@@ -7,7 +7,8 @@
 
 use crate::blocks::{BLOCK_EDGE, BlockMap, EMPTY_BIT, SkipMap, check_edge};
 use crate::clock::Stopwatch;
-use crate::renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
+use crate::error::{Error, Result};
+use crate::renderer::{FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
 use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, check, is_shaded};
 use crate::table::{Classifier, StepTable};
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};

@@ -55,6 +55,7 @@
 mod blocks;
 mod clock;
 mod cpu;
+mod error;
 mod probe;
 mod renderer;
 mod setup;
@@ -64,10 +65,9 @@ mod vulkan;
 
 pub use blocks::{BLOCK_EDGE, BLOCK_EDGES};
 pub use cpu::CpuRaycaster;
+pub use error::{Error, Result};
 pub use probe::{Agreement, Probe, ProbeOptions, TimestampQuality, probe};
-pub use renderer::{
-    DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
-};
+pub use renderer::{DeviceLimits, FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
 pub use vulkan::{
     LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, Picture, Region, SharedDevice, VoxelFetch, VulkanOptions,

@@ -1,7 +1,8 @@
 //! Measures the costs of a frame's parts on this machine.
 
 use crate::cpu::CpuRaycaster;
-use crate::renderer::{DeviceLimits, Error, FrameTime, Renderer, Result, WorkCounts};
+use crate::error::{Error, Result};
+use crate::renderer::{DeviceLimits, FrameTime, Renderer, WorkCounts};
 use entire_core::scene::{
     Arcball, Camera, ControlPoint, Frame, Scalars, Shading, Skipping, TransferFunction, TransferTable,
     VolumeView,

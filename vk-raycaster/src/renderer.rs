@@ -1,31 +1,7 @@
 //! Interface of all renderers of this crate.
 
+use crate::error::{Error, Result};
 use entire_core::scene::{Frame, TransferTable, VolumeView};
-use std::fmt;
-
-/// An error of a renderer: the call that failed, the cause, and the remedy.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Error {
-    message: String,
-}
-
-/// Shorthand used throughout the crate.
-pub type Result<T> = std::result::Result<T, Error>;
-
-impl Error {
-    /// Makes an error from its text.
-    pub fn new(message: impl Into<String>) -> Self {
-        Self { message: message.into() }
-    }
-}
-
-impl fmt::Display for Error {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.message)
-    }
-}
-
-impl std::error::Error for Error {}
 
 /// An 8-bit RGBA image, rows from top to bottom, colors premultiplied by opacity over black.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! Parameters that a frame hands to its rays: the shader reads them as its uniform block, the CPU version as
 //! a struct.
 
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::voxels::Geometry;
 use entire_core::scene::{Frame, Shading};
 

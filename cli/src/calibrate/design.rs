@@ -5,9 +5,9 @@
 //! of the information matrix over its cost. No candidate has been drawn yet.
 
 use super::pool::Pool;
-use entire_core::numeric::dot;
+use entire_steer::numeric::dot;
 #[cfg(test)]
-use entire_core::numeric::solve;
+use entire_steer::numeric::solve;
 
 /// Exponent of a frame's seconds in the denominator of its gain: 0 ignores the cost, 1 takes the cheapest
 /// information only, which leaves out the long frames that dominate a root mean square. If the number of
@@ -157,9 +157,9 @@ fn log_det(vectors: &[&Vec<f64>]) -> f64 {
 mod tests {
     use super::*;
     use crate::calibrate::pool::Candidate;
-    use crate::dataset::TimedFrame;
-    use entire_core::calibrate::PriorModel;
-    use entire_core::predict::COSTS;
+    use entire_io::dataset::TimedFrame;
+    use entire_steer::calibrate::PriorModel;
+    use entire_steer::predict::COSTS;
 
     fn pool(rows: &[[f32; 2]]) -> Pool {
         let candidate = |row: &[f32; 2]| Candidate {

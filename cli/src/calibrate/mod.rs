@@ -3,7 +3,7 @@
 //!
 //! [`pool`] draws candidate frames and computes their features; [`design`] chooses among them; [`measuring`]
 //! renders them, discards warm-ups, repeats in passes and compares pictures; [`others`] measures the load of
-//! other programs; [`entire_core::calibrate::PriorModel`] fits. [`place`] is the location of the machine's
+//! other programs; [`entire_steer::calibrate::PriorModel`] fits. [`place`] is the location of the machine's
 //! model.
 
 pub mod design;
@@ -13,18 +13,18 @@ pub mod place;
 pub mod pool;
 pub mod report;
 
-use crate::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed};
-use crate::fit::FitContext;
-use crate::fit::analytic::{counts, expected_costs};
-use crate::inputs::{Layout, work_of};
-use crate::volume::Reading;
 use anyhow::{Context, Result, ensure};
-use entire_core::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
-use entire_core::features::PROBE_SIDE;
 use entire_core::model::ModelFile;
 use entire_core::nn::Executor;
-use entire_core::predict::UnitCosts;
 use entire_core::scene::{Shading, Skipping};
+use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed};
+use entire_io::volume::Reading;
+use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
+use entire_steer::features::PROBE_SIDE;
+use entire_steer::predict::UnitCosts;
+use entire_train::fit::FitContext;
+use entire_train::fit::{counts, expected_costs};
+use entire_train::inputs::{Layout, work_of};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use measuring::{Measured, Measuring, PictureError};

@@ -1,11 +1,11 @@
 //! Location of the machine's model: the user's data folder, one file per shading mode.
 
 use crate::collection::Job;
-use crate::dataset::Clock;
-use crate::files::read_model_file;
 use anyhow::{Context, Result};
 use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
+use entire_io::dataset::Clock;
+use entire_io::files::read_model_file;
 use std::path::{Path, PathBuf};
 
 /// The user's data folder: `XDG_DATA_HOME` where it is an absolute path; else `LOCALAPPDATA` on Windows and
@@ -35,7 +35,7 @@ pub fn file_of(shading: Shading) -> Option<PathBuf> {
 pub fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Option<Clock>)>> {
     let Some(path) = file_of(shading).filter(|p| p.is_file()) else { return Ok(None) };
     let (file, model) = read_model_file(&path)?;
-    let clock = crate::clock::of(&model);
+    let clock = entire_io::clock::of(&model);
     Ok(Some((path, file, clock)))
 }
 

@@ -2,19 +2,19 @@
 
 use super::Settings;
 use crate::collection::Job;
-use crate::dataset::{Scene, Table, TimedFrame};
-use crate::files::open_volume;
-use crate::identity::{self, Identity};
-use crate::inputs::{Layout, measure, work_of};
-use crate::scenes::{DEFAULT_RADII, SceneDistribution};
-use crate::volume::Reading;
 use anyhow::{Result, ensure};
-use entire_core::calibrate::PriorModel;
-use entire_core::features::PROBE_SIDE;
 use entire_core::model::ModelFile;
-use entire_core::numeric::dot;
-use entire_core::predict::{COST_QUANTITIES, COSTS};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
+use entire_io::dataset::{Scene, Table, TimedFrame};
+use entire_io::files::open_volume;
+use entire_io::identity::{self, Identity};
+use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
+use entire_io::volume::Reading;
+use entire_steer::calibrate::PriorModel;
+use entire_steer::features::PROBE_SIDE;
+use entire_steer::numeric::dot;
+use entire_steer::predict::{COST_QUANTITIES, COSTS};
+use entire_train::inputs::{Layout, measure, work_of};
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -158,7 +158,7 @@ impl Pool {
         let expected = match (&factor, &layout) {
             (Some(model), Some(layout)) => {
                 let rows: Vec<f32> = candidates.iter().flat_map(|c| c.row.iter().copied()).collect();
-                crate::fit::predict_rows(model, &rows, layout.width())?
+                entire_train::fit::predict_rows(model, &rows, layout.width())?
             }
             _ => candidates.iter().map(|c| dot(prior.costs(), &c.work)).collect(),
         };

@@ -2,16 +2,16 @@
 
 use super::measuring::PictureError;
 use super::others::BackgroundLoad;
-use crate::bound;
-use crate::dataset::{Clock, NoiseFloor};
-use crate::identity::Identity;
-use crate::machine;
-use crate::metrics::{Metrics, bootstrap_by_group};
 use anyhow::{Context, Result};
-use entire_core::calibrate::{Chosen, FittedQuality, Observed};
 use entire_core::model::{Key, ModelFile};
-use entire_core::predict::{Quality, UpperBound};
 use entire_core::scene::Shading;
+use entire_io::dataset::{Clock, NoiseFloor};
+use entire_io::identity::Identity;
+use entire_io::machine;
+use entire_io::metrics::{Metrics, bootstrap_by_group};
+use entire_steer::calibrate::{Chosen, FittedQuality, Observed};
+use entire_steer::predict::{Quality, UpperBound};
+use entire_train::bound;
 use serde::Serialize;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
@@ -108,7 +108,7 @@ impl Report {
             measured.push(f.seconds);
             groups.push(f.group);
         }
-        let metrics = Metrics::new(&predicted, &measured).context("there are no frames to judge by")?;
+        let metrics = Metrics::new(&predicted, &measured).context("there are no test frames")?;
         let volumes: BTreeSet<u64> = observed.iter().map(|f| f.group).collect();
         Ok(Self {
             shading: shading.into(),

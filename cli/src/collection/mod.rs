@@ -2,8 +2,8 @@
 //!
 //! The protocol is the paper's (section "Data collection"): the renderer takes one volume at a time, renders
 //! all its frames, each several times, then takes the next; loading is not timed. Scenes come from
-//! [`crate::scenes::SceneDistribution`] and depend only on the seed, the volume and their number. Every
-//! repeat is a row of the table (see [`crate::dataset`]); readers take the medians.
+//! [`entire_io::scenes::SceneDistribution`] and depend only on the seed, the volume and their number. Every
+//! repeat is a row of the table (see [`entire_io::dataset`]); readers take the medians.
 
 mod passes;
 mod protocol;
@@ -13,9 +13,9 @@ mod tests;
 pub use passes::{collect_passes, pass_files};
 pub use protocol::{Job, Protocol, differences};
 
-use crate::dataset::{Scene, Timing, Writer};
-use crate::volume::Volume;
 use anyhow::{Context, Result};
+use entire_io::dataset::{Scene, Timing, Writer};
+use entire_io::volume::Volume;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::path::Path;

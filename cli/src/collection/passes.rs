@@ -1,9 +1,9 @@
 //! Several passes over the volumes, so that repeats of a frame are minutes apart.
 
 use super::{Job, Outcome, Protocol, collect};
-use crate::dataset::{Scene, Table, Timing, Writer};
-use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
+use entire_io::dataset::{Scene, Table, Timing, Writer};
+use entire_io::volume::Volume;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;

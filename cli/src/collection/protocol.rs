@@ -1,13 +1,13 @@
 //! Protocol of a collection, as a manifest stores it.
 
-use crate::dataset::{MANIFEST_FORMAT, Manifest, Scene, parse_shading, parse_skipping};
-use crate::enlarge::{enlarge, resample};
-use crate::identity::{self, Identity};
-use crate::machine;
-use crate::scenes::SceneDistribution;
-use crate::volume::{Reading, Volume};
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
+use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, parse_shading, parse_skipping};
+use entire_io::enlarge::{enlarge, resample};
+use entire_io::identity::{self, Identity};
+use entire_io::machine;
+use entire_io::scenes::SceneDistribution;
+use entire_io::volume::{Reading, Volume};
 use entire_vk_raycaster::Renderer;
 use serde::Deserialize;
 use serde_json::json;

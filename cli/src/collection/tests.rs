@@ -1,12 +1,12 @@
 //! Collections that are stopped, continued and repeated, with a renderer whose clock follows a script.
 
 use super::*;
-use crate::dataset::{COLUMNS, Clock, MANIFEST_FORMAT, Manifest, Table};
-use crate::scenes::SceneDistribution;
 use crate::scripted::ScriptedRenderer;
-use crate::volume::{Reading, VolumeData};
 use anyhow::bail;
 use entire_core::scene::{Shading, Skipping};
+use entire_io::dataset::{COLUMNS, Clock, MANIFEST_FORMAT, Manifest, Table};
+use entire_io::scenes::SceneDistribution;
+use entire_io::volume::{Reading, VolumeData};
 use serde_json::json;
 use std::cell::Cell;
 use std::collections::BTreeMap;

@@ -4,17 +4,17 @@ use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
-use crate::dataset::{Clock, MANIFEST_FORMAT, Manifest, Writer, left_out, read_tables};
-use crate::device::{self, Device};
-use crate::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
-use crate::interrupt;
-use crate::machine;
-use crate::options::{SkipOption, VolumeArgs, thread_pool};
-use crate::progress::templated_bar;
 use crate::steering::race::shipped_files;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::scene::Shading;
+use entire_io::dataset::{Clock, MANIFEST_FORMAT, Manifest, Writer, left_out, read_tables};
+use entire_io::device::{self, Device};
+use entire_io::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
+use entire_io::interrupt;
+use entire_io::machine;
+use entire_io::options::{SkipOption, VolumeArgs, thread_pool};
+use entire_io::progress::templated_bar;
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -190,7 +190,7 @@ pub fn run(options: &Options) -> Result<()> {
     let threads = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
-    let clock = crate::clock::waited_for(options.clock, renderer.as_ref());
+    let clock = entire_io::clock::waited_for(options.clock, renderer.as_ref());
     say_prior_clock(options, clock)?;
     let mut table = options.table.as_deref().map(Writer::create).transpose()?;
     let mut written = 0;
@@ -279,8 +279,8 @@ fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
 /// When it cannot be read.
 fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     let Some(path) = &options.prior else { return Ok(()) };
-    let theirs = crate::clock::of(&open_model(path)?);
-    if let Some(text) = crate::clock::started_from(&path.display().to_string(), theirs, clock) {
+    let theirs = entire_io::clock::of(&open_model(path)?);
+    if let Some(text) = entire_io::clock::started_from(&path.display().to_string(), theirs, clock) {
         note(&text);
     }
     Ok(())
@@ -291,7 +291,7 @@ fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let threads = thread_pool(options.threads)?;
-    let clock = crate::clock::concrete(options.clock, tables.iter().flat_map(|t| &t.frames))?;
+    let clock = entire_io::clock::concrete(options.clock, tables.iter().flat_map(|t| &t.frames))?;
     say_prior_clock(options, clock)?;
     for &shading in options.shade.modes() {
         let out = out_of(options, shading)?;

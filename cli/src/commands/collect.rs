@@ -1,17 +1,17 @@
 //! `entire collect`: render many random frames of volumes and write their times to a table.
 
 use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
-use crate::dataset::{Clock, Manifest, Table, Writer, noise_floor};
-use crate::device;
-use crate::files::{open_volume, read_model_file};
-use crate::identity::{self, Identity};
-use crate::interrupt;
-use crate::machine;
-use crate::options::{RenderArgs, VolumeArgs};
-use crate::progress::progress_bar;
-use crate::scenes::{DEFAULT_RADII, SceneDistribution};
-use crate::teacher::Teacher;
 use anyhow::{Context, Result, bail, ensure};
+use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
+use entire_io::device;
+use entire_io::files::{open_volume, read_model_file};
+use entire_io::identity::{self, Identity};
+use entire_io::interrupt;
+use entire_io::machine;
+use entire_io::options::{RenderArgs, VolumeArgs};
+use entire_io::progress::progress_bar;
+use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
+use entire_train::teacher::Teacher;
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
 use std::collections::HashMap;
@@ -190,7 +190,7 @@ pub fn run(options: &Options) -> Result<()> {
             check(&jobs, "run from the folder that its volume names start from")?;
             for job in &jobs {
                 if let Some(what) = manifest.changed(&job.name(), &job.path)? {
-                    crate::files::note(&format!(
+                    entire_io::files::note(&format!(
                         "{} is not the file that {shown} was collected from: {what}",
                         job.path.display()
                     ));
@@ -235,14 +235,14 @@ pub fn run(options: &Options) -> Result<()> {
                 differences.join("; ")
             );
             if old.files.is_empty() {
-                crate::files::note(&format!(
+                entire_io::files::note(&format!(
                     "{} has no checksums of the volume files; they are taken as unchanged",
                     Manifest::path_for(&options.out).display()
                 ));
             }
             runs = old.other.get("runs").and_then(|r| r.as_array().cloned()).unwrap_or_default();
             if old.commit != manifest.commit {
-                crate::files::note(&format!(
+                entire_io::files::note(&format!(
                     "the table was begun by version {}, this is {}",
                     old.commit, manifest.commit
                 ));

@@ -1,9 +1,9 @@
 //! `entire encode`: turn a volume into its feature vector.
 
-use crate::files::{digits, open_model, open_volume};
-use crate::options::{VolumeArgs, thread_pool};
 use anyhow::{Context, Result, bail};
 use entire_core::nn::{Executor, VolumeNet};
+use entire_io::files::{digits, open_model, open_volume};
+use entire_io::options::{VolumeArgs, thread_pool};
 use std::io::Write;
 use std::path::PathBuf;
 

@@ -3,10 +3,10 @@
 #[cfg(feature = "explore")]
 mod host;
 
-use crate::options::{ShadeOption, SkipOption, VolumeArgs, parse_size};
-use crate::path::parse_target;
 use crate::steering::contenders::ControllerKind;
 use anyhow::{Context, Result, bail};
+use entire_io::options::{ShadeOption, SkipOption, VolumeArgs, parse_size};
+use entire_io::path::parse_target;
 use std::path::PathBuf;
 
 /// View a volume in an interactive window that holds a target frame time.
@@ -83,7 +83,7 @@ fn open(_: &Options, _: f64) -> Result<()> {
 #[cfg(feature = "explore")]
 fn open(options: &Options, target: f64) -> Result<()> {
     let model = match &options.model {
-        Some(file) => Some((file.display().to_string(), crate::files::open_model(file)?)),
+        Some(file) => Some((file.display().to_string(), entire_io::files::open_model(file)?)),
         None => None,
     };
     let window = entire_explore::Options {

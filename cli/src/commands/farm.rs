@@ -1,17 +1,17 @@
 //! `entire farm`: render an image database on an engine.
 
-use crate::farm::database::{self, Database};
-use crate::farm::dispatch::Order;
-use crate::farm::drive;
-use crate::farm::engine::{Bundle, Engine, HyperQueue, Local, Places, Slurm};
-use crate::farm::job::Job;
-use crate::farm::planner::{Planner, Sent, Setting, State};
-use crate::farm::show::{duration, parse_duration};
-use crate::farm::worker::Worker;
-use crate::farm::{openjd, predict, report, survey};
-use crate::files::write_whole;
-use crate::machine;
 use anyhow::{Context, Result, ensure};
+use entire_farm::database::{self, Database};
+use entire_farm::dispatch::Order;
+use entire_farm::drive;
+use entire_farm::engine::{Bundle, Engine, HyperQueue, Local, Places, Slurm};
+use entire_farm::job::Job;
+use entire_farm::planner::{Planner, Sent, Setting, State};
+use entire_farm::show::{duration, parse_duration};
+use entire_farm::worker::Worker;
+use entire_farm::{openjd, predict, report, survey};
+use entire_io::files::write_whole;
+use entire_io::machine;
 use std::path::PathBuf;
 
 /// Engine that runs the tasks.
@@ -155,7 +155,7 @@ pub fn run(options: &Options) -> Result<()> {
     if options.dry_run {
         return dry_run(&job, base, options);
     }
-    let driving = drive::Options {
+    let driving = entire_farm::options::Options {
         resume: options.resume,
         retry_quarantined: options.retry_quarantined,
         verify: options.verify,
@@ -228,7 +228,7 @@ fn slots(options: &Options) -> usize {
 }
 
 fn engine(places: &Places, options: &Options, run: u64) -> Result<Box<dyn Engine>> {
-    use crate::farm::engine::{HyperQueueOptions, SlurmOptions};
+    use entire_farm::engine::{HyperQueueOptions, SlurmOptions};
     Ok(match options.engine {
         EngineOption::Local => Box::new(Local::start(places.clone(), slots(options), run)?),
         EngineOption::Hyperqueue => {

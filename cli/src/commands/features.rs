@@ -1,14 +1,14 @@
 //! `entire features`: scene features of the frames of timing tables, stored beside them.
 
-use crate::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
-use crate::dataset::{Table, TimedFrame};
-use crate::files::open_model;
-use crate::inputs::measure;
-use crate::options::thread_pool;
-use crate::progress::{INPUTS_BAR, templated_bar};
 use anyhow::{Context, Result, ensure};
-use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNet;
+use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
+use entire_io::dataset::{Table, TimedFrame};
+use entire_io::files::open_model;
+use entire_io::options::thread_pool;
+use entire_io::progress::{INPUTS_BAR, templated_bar};
+use entire_steer::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneQuantity};
+use entire_train::inputs::measure;
 use std::path::PathBuf;
 
 /// Compute the scene features of collected frames and keep them beside the tables.
@@ -109,4 +109,90 @@ pub fn run(options: &Options) -> Result<()> {
         println!("{} frames, {columns_count} columns in {}", numbers.len(), out.display());
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Options, run};
+    use entire_core::model::GroupKind;
+    use entire_core::scene::{Arcball, Shading, Skipping};
+    use entire_io::dataset::{Scene, Table, TimedFrame, Timing, Writer, parse_lobes, read_tables};
+    use entire_io::options::thread_pool;
+    use entire_steer::features::{PROBE_SIDE, SceneFeature, SceneQuantity};
+    use entire_train::inputs::Layout;
+    use indicatif::ProgressBar;
+
+    #[test]
+    fn kept_features_give_what_the_volumes_give() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 14 12 10\nencoding: raw\n\n".to_vec();
+        bytes.extend((0..14 * 12 * 10).map(|i| (i * 13 % 241) as u8));
+        std::fs::write(folder.path().join("v.nrrd"), bytes).unwrap();
+        let csv = folder.path().join("t.csv");
+        let mut writer = Writer::create(&csv).unwrap();
+        let skipping = [Skipping::None, Skipping::Blocks, Skipping::Distance];
+        let shading = [Shading::None, Shading::Local, Shading::Scatter];
+        for i in 0..12u16 {
+            let f = f32::from(i);
+            let scene = Scene {
+                volume: "v.nrrd".into(),
+                member: String::new(),
+                time_step: None,
+                // The last frames are of the same file enlarged.
+                dims: if i < 8 { [14, 12, 10] } else { [28, 24, 20] },
+                camera: Arcball { rx: 7.0 * f - 40.0, ry: 31.0 * f, dz: 0.8 + 0.2 * f },
+                fov_y_degrees: 45.0,
+                width: 20 + 11 * u32::from(i),
+                height: 30 + 7 * u32::from(i),
+                step: 0.5 + 0.25 * f,
+                shading: shading[usize::from(i % 3)],
+                skipping: skipping[usize::from(i / 3 % 3)],
+                termination: 0.95,
+                lobes: parse_lobes("0.8 0.01 0.9;0.3 0.05 0.4").unwrap(),
+            };
+            let repeat = Timing { wall: Some(0.1), ..Timing::default() };
+            writer.append(u64::from(i), &scene, &[repeat]).unwrap();
+        }
+        drop(writer);
+        run(&Options {
+            data: vec![csv.clone()],
+            volumenet: Vec::new(),
+            probe_sides: vec![5, PROBE_SIDE, 5],
+            root: None,
+            threads: Some(1),
+        })
+        .unwrap();
+        let tables = read_tables(std::slice::from_ref(&csv)).unwrap();
+        let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
+        let without = [Table { features: None, ..tables[0].clone() }];
+        let pool = thread_pool(Some(1)).unwrap();
+        let groups =
+            [GroupKind::Camera, GroupKind::SceneFeatures, GroupKind::Resolution, GroupKind::TransferFunction];
+        for side in [PROBE_SIDE, 5] {
+            for log in [false, true] {
+                let features: Vec<SceneFeature> =
+                    SceneQuantity::ALL.iter().map(|&quantity| SceneFeature { quantity, log }).collect();
+                let layout = Layout::new(&groups, features, 2, None)
+                    .unwrap()
+                    .with_probe_side(side)
+                    .with_sorted_lobes(log);
+                let kept = layout.rows_beside(&tables, &frames).unwrap();
+                assert_eq!(layout.rows_beside(&without, &frames), None);
+                let measured = layout.rows(&without, &frames, &pool, &ProgressBar::hidden()).unwrap();
+                assert_eq!((kept.len(), measured.len()), (12 * layout.width(), 12 * layout.width()));
+                let lobes = &kept[layout.width() - 6..layout.width()];
+                let ascending = [0.3, 0.05, 0.4, 0.8, 0.01, 0.9];
+                assert_eq!(lobes, if log { ascending } else { [0.8, 0.01, 0.9, 0.3, 0.05, 0.4] });
+                for (i, (a, b)) in kept.iter().zip(&measured).enumerate() {
+                    // Quantities are kept in single precision, bit for bit; a logarithm is taken of the
+                    // rounded one.
+                    let close = (a - b).abs() <= f32::EPSILON * b.abs().max(1.0);
+                    assert!(
+                        if log { close } else { a.to_bits() == b.to_bits() },
+                        "{side} {log} {i}: {a} {b}"
+                    );
+                }
+            }
+        }
+    }
 }

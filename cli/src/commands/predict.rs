@@ -1,12 +1,12 @@
 //! `entire predict`: predict seconds for rows of model inputs.
 
 use crate::calibrate::place::machine_file;
-use crate::files::{digits, note, open_model};
-use crate::options::ShadeOption;
 use anyhow::{Context, Result, bail};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
-use entire_core::predict::{PREDICTED_SECONDS, check_predictions};
+use entire_io::files::{digits, note, open_model};
+use entire_io::options::ShadeOption;
+use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -47,10 +47,10 @@ pub fn run(options: &Options) -> Result<()> {
     let seconds = if options.inputs == Path::new("-") {
         predict(&net, &model, std::io::stdin().lock()).context("standard input")
     } else {
-        let stream = crate::volume::Stream::open(&options.inputs)?;
+        let stream = entire_io::volume::Stream::open(&options.inputs)?;
         predict(&net, &model, stream).with_context(|| format!("{}", options.inputs.display()))
     }?;
-    if let Some(clock) = crate::clock::of(&model) {
+    if let Some(clock) = entire_io::clock::of(&model) {
         note(&format!("{} predicts {} seconds", path.display(), clock.name()));
     }
     let mut out = BufWriter::new(std::io::stdout().lock());

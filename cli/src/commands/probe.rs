@@ -1,7 +1,7 @@
 //! `entire probe`: the rates of this machine for rays, samples and skips.
 
-use crate::device::{self, Device};
 use anyhow::{Context, Result};
+use entire_io::device::{self, Device};
 use entire_vk_raycaster::{Probe, ProbeOptions, WorkCounts, probe};
 use serde_json::json;
 use std::fmt::Write as _;

@@ -1,15 +1,15 @@
 //! `entire render`: render one frame and time it.
 
-use crate::device;
-use crate::files::{open_volume, parse_list, parse_numbers, write_whole};
-use crate::metrics::median;
-use crate::options::{RenderArgs, VolumeArgs, parse_size};
-use crate::path::camera;
-use crate::report::encode_png;
 use anyhow::{Context, Result};
 use entire_core::scene::{
     Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
+use entire_io::device;
+use entire_io::files::{open_volume, parse_list, parse_numbers, write_whole};
+use entire_io::metrics::median;
+use entire_io::options::{RenderArgs, VolumeArgs, parse_size};
+use entire_io::path::camera;
+use entire_report::encode_png;
 use entire_vk_raycaster::Rendered;
 use serde_json::json;
 use std::io::Write;

@@ -1,9 +1,9 @@
 //! `entire schedule`: assignment of tasks to nodes, in order, and the predicted end.
 
-use crate::farm::list::lower_bound;
-use crate::farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
-use crate::files::{write_json, write_whole};
 use anyhow::{Result, bail};
+use entire_farm::list::lower_bound;
+use entire_farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
+use entire_io::files::{write_json, write_whole};
 use serde_json::json;
 use std::path::PathBuf;
 

@@ -1,24 +1,24 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
-use crate::dataset::{Clock, Scene, Writer};
-use crate::device;
-use crate::enlarge::enlarge;
-use crate::files::{note, open_model, open_volume, write_json};
-use crate::interrupt;
-use crate::machine::Provenance;
-use crate::options::{
-    RenderArgs, VolumeArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
-};
-use crate::path::{FlightPath, Generated, parse_target};
 use crate::pictures::scaled_size;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
 use crate::steering::report::{Story, table, write};
-use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
-use entire_core::control::StepLimits;
 use entire_core::scene::VolumeView;
+use entire_io::dataset::{Clock, Scene, Writer};
+use entire_io::device;
+use entire_io::enlarge::enlarge;
+use entire_io::files::{note, open_model, open_volume, write_json};
+use entire_io::interrupt;
+use entire_io::machine::Provenance;
+use entire_io::options::{
+    RenderArgs, VolumeArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
+};
+use entire_io::path::{FlightPath, Generated, parse_target};
+use entire_io::volume::Volume;
+use entire_steer::control::StepLimits;
 use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
@@ -164,8 +164,8 @@ pub fn run(options: &Options) -> Result<()> {
     let model = options.model.as_deref().map(open_model).transpose()?;
     let named = options.model.as_ref().map(|p| p.display().to_string());
     let given = named.as_deref().zip(model.as_ref());
-    let clock = crate::clock::agreed(options.clock, given)?;
-    if let Some(text) = crate::clock::unstated(clock, given) {
+    let clock = entire_io::clock::agreed(options.clock, given)?;
+    if let Some(text) = entire_io::clock::unstated(clock, given) {
         note(&text);
     }
     let (machines, clock) = match model {

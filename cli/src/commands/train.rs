@@ -1,23 +1,25 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
 use crate::calibrate::report::law_text;
-use crate::dataset::{
+use anyhow::{Context, Result, ensure};
+use entire_core::model::Key;
+use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
-use crate::files::{check_model_out, note, read_model_file, write_whole};
-use crate::fit::{
+use entire_io::files::{check_model_out, note, read_model_file, write_whole};
+use entire_io::interrupt;
+use entire_io::machine;
+use entire_io::metrics::Metrics;
+use entire_io::options::thread_pool;
+use entire_io::progress::{INPUTS_BAR, templated_bar};
+use entire_steer::calibrate::{FittedQuality, fit_quality};
+use entire_steer::predict::{UPPER_LEVEL, UpperBound};
+use entire_train::bound;
+use entire_train::fit::{
     DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows,
 };
-use crate::inputs::Layout;
-use crate::metrics::Metrics;
-use crate::options::thread_pool;
-use crate::progress::{INPUTS_BAR, templated_bar};
-use crate::split::{GroupBy, Part, Split};
-use crate::{bound, interrupt, machine};
-use anyhow::{Context, Result, ensure};
-use entire_core::calibrate::{FittedQuality, fit_quality};
-use entire_core::model::Key;
-use entire_core::predict::{UPPER_LEVEL, UpperBound};
+use entire_train::inputs::Layout;
+use entire_train::split::{GroupBy, Part, Split};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -149,7 +151,7 @@ pub struct Options {
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
     /// Only frames with this shading: none, local or scatter.
-    #[arg(long, value_parser = crate::dataset::parse_shading)]
+    #[arg(long, value_parser = entire_io::dataset::parse_shading)]
     pub shade: Option<entire_core::scene::Shading>,
     /// Use only this many training frames, chosen by the seed.
     #[arg(long, value_name = "FRAMES")]
@@ -299,7 +301,7 @@ pub fn run(options: &Options) -> Result<()> {
         "date": machine::now(),
     });
     trained.fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
-    crate::clock::set(&mut trained.fitted.file, clock);
+    entire_io::clock::set(&mut trained.fitted.file, clock);
     if let Some(fitted) = &pictures {
         fitted.quality.store(&mut trained.fitted.file)?;
     }
@@ -363,7 +365,7 @@ fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let base = match &options.fine_tune {
         Some(path) => {
             let (_, model) = read_model_file(path)?;
-            crate::clock::of(&model).map(|clock| (path.display().to_string(), clock))
+            entire_io::clock::of(&model).map(|clock| (path.display().to_string(), clock))
         }
         None => None,
     };
@@ -373,7 +375,7 @@ fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
         .filter(|f| options.shade.is_none_or(|s| f.scene.shading == s))
         .collect();
     let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
-    crate::clock::for_training(options.clock, base, frames.iter().copied())
+    entire_io::clock::for_training(options.clock, base, frames.iter().copied())
 }
 
 impl Options {

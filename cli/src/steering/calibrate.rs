@@ -2,15 +2,15 @@
 
 use super::play::DrawSettings;
 use super::rivals::StepResponse;
-use crate::dataset::Timing;
-use crate::metrics::median;
-use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
-use entire_core::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_core::predict::{InputLayout, Inputs};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction, VolumeView,
 };
+use entire_io::dataset::Timing;
+use entire_io::metrics::median;
+use entire_io::scenes::SceneDistribution;
+use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use entire_steer::predict::{InputLayout, Inputs};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 

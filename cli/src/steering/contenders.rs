@@ -1,52 +1,13 @@
 //! The controllers that commands can name.
 
-use super::play::Contender;
+use super::play::{ActsOn, Contender};
 use super::rivals::{
     Algorithm1, Filament, Fixed, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
 };
 use clap::ValueEnum;
-use entire_core::control::Prior;
-use entire_core::control::{Controller, Hybrid, HybridOptions, Session, StepLimits};
-use entire_core::predict::Predictor;
-
-/// Quantity that a controller sets. Its decision's `step` is the ray step, or an image's share of the work.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ActsOn {
-    /// The ray step.
-    RayStep,
-    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, each side
-    /// divided by √s.
-    ImageResolution {
-        /// Largest s by the rule's published constants; the smallest is 1.
-        coarsest: f32,
-    },
-}
-
-impl ActsOn {
-    /// For tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::RayStep => "ray step",
-            Self::ImageResolution { .. } => "image resolution",
-        }
-    }
-
-    /// Limits of the quantity, where the ray step has these limits.
-    pub const fn limits(self, of_step: StepLimits) -> StepLimits {
-        match self {
-            Self::RayStep => of_step,
-            Self::ImageResolution { coarsest } => StepLimits { finest: 1.0, coarsest },
-        }
-    }
-
-    /// Ray step and image sample distance (pixels between rays along each side) of a decision.
-    pub fn drawn(self, chosen: f32) -> (f32, f32) {
-        match self {
-            Self::RayStep => (chosen, 1.0),
-            Self::ImageResolution { .. } => (1.0, chosen.sqrt()),
-        }
-    }
-}
+use entire_steer::control::Prior;
+use entire_steer::control::{Controller, Hybrid, HybridOptions, Session};
+use entire_steer::predict::Predictor;
 
 /// A controller by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, ValueEnum)]
@@ -183,6 +144,7 @@ pub fn contender(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use entire_steer::control::StepLimits;
 
     #[test]
     fn names_are_those_of_the_options() {

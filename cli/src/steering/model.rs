@@ -4,8 +4,9 @@ use super::calibrate::{Quality, Sample};
 use anyhow::{Context, Result};
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet};
-use entire_core::predict::{GroupKind, Predictor, load};
 use entire_core::scene::VolumeView;
+use entire_steer::predict::{GroupKind, Predictor, load};
+use serde::Serialize;
 use std::sync::Arc;
 
 /// A model from which any number of contenders can get a predictor.
@@ -69,5 +70,27 @@ impl SteeringModel {
             ));
         }
         Quality::of(&pairs).context("there is no frame to judge the model by")
+    }
+}
+
+/// The predictor of a comparison, for output.
+#[derive(Clone, Debug, Serialize)]
+pub struct Steers {
+    /// What it is.
+    pub title: String,
+    /// Its errors on the random frames of the volume, which it was not fitted to.
+    pub on_this_volume: Quality,
+}
+
+impl Steers {
+    /// The predictor and its errors, in a sentence.
+    pub fn sentence(&self) -> String {
+        let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
+        format!(
+            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this volume, which it was not fitted to",
+            self.title,
+            100.0 * median_error,
+            100.0 * p95_error
+        )
     }
 }

@@ -1,19 +1,57 @@
 //! Playing a path: every frame under every controller.
 
-use super::contenders::ActsOn;
 use super::metrics::{Metrics, Played};
 use super::sizes::{scale_at, volume_at};
-use crate::dataset::{Clock, Timing};
-use crate::options::RenderArgs;
-use crate::path::FlightPath;
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
-use entire_core::control::ObserveFlags;
-use entire_core::control::{Quality, Reason, Session, StepLimits};
-use entire_core::features::{Changes, VolumeSummary};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
+use entire_io::dataset::{Clock, Timing};
+use entire_io::options::RenderArgs;
+use entire_io::path::FlightPath;
+use entire_steer::control::ObserveFlags;
+use entire_steer::control::{Quality, Reason, Session, StepLimits};
+use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
+
+/// The quantity that a controller changes. Its decision's `step` is the ray step, or an image's share of the work.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ActsOn {
+    /// The ray step.
+    RayStep,
+    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, each side
+    /// divided by √s.
+    ImageResolution {
+        /// Largest s by the rule's published constants; the smallest is 1.
+        coarsest: f32,
+    },
+}
+
+impl ActsOn {
+    /// For tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::RayStep => "ray step",
+            Self::ImageResolution { .. } => "image resolution",
+        }
+    }
+
+    /// Limits of the quantity, where the ray step has these limits.
+    pub const fn limits(self, of_step: StepLimits) -> StepLimits {
+        match self {
+            Self::RayStep => of_step,
+            Self::ImageResolution { coarsest } => StepLimits { finest: 1.0, coarsest },
+        }
+    }
+
+    /// Ray step and image sample distance (pixels between rays along each side) of a decision.
+    pub fn drawn(self, chosen: f32) -> (f32, f32) {
+        match self {
+            Self::RayStep => (chosen, 1.0),
+            Self::ImageResolution { .. } => (1.0, chosen.sqrt()),
+        }
+    }
+}
 
 /// Settings of drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -345,14 +383,14 @@ pub fn play(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
     use crate::scripted::ScriptedRenderer;
     use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
-    use entire_core::control::Prior;
-    use entire_core::features::SummaryOptions;
-    use entire_core::predict::{Inputs, Prediction, Predictor, Source};
     use entire_core::scene::{Scalars, TransferFunction};
+    use entire_io::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
+    use entire_steer::control::Prior;
+    use entire_steer::features::SummaryOptions;
+    use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
     /// A predictor that knows the script's law up to a bias.
     struct Insider {

@@ -1,26 +1,25 @@
 //! A whole comparison: random scenes at several steps, a target, and a path under every controller.
 
-use super::calibrate::{Quality, Sample, measure, response};
+use super::calibrate::{Sample, measure, response};
 use super::contenders::{ControllerKind, contender};
-use super::model::SteeringModel;
+use super::model::{SteeringModel, Steers};
 use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
 use crate::calibrate::place::machine_model;
-use crate::dataset::Clock;
-use crate::metrics::median;
-use crate::path::FlightPath;
-use crate::progress::progress_bar;
-use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result};
-use entire_core::control::Prior;
-use entire_core::control::StepLimits;
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::{Model, ModelFile};
-use entire_core::predict::AnalyticModel;
 use entire_core::scene::{Shading, VolumeView};
+use entire_io::dataset::Clock;
+use entire_io::metrics::median;
+use entire_io::path::FlightPath;
+use entire_io::progress::progress_bar;
+use entire_io::scenes::SceneDistribution;
+use entire_steer::control::Prior;
+use entire_steer::control::StepLimits;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::predict::AnalyticModel;
 use entire_vk_raycaster::Renderer;
-use serde::Serialize;
 use std::path::PathBuf;
 
 /// Settings of a comparison of controllers.
@@ -57,29 +56,6 @@ pub struct Race<'a> {
     pub model: &'a SteeringModel,
     /// Knowledge of the predictor that a controller starts from.
     pub prior: Prior,
-}
-
-/// The predictor of a comparison, for output.
-#[derive(Clone, Debug, Serialize)]
-pub struct Steers {
-    /// Name of the predictor.
-    pub title: String,
-    /// Its errors on the random frames of the volume, which it was not fitted to.
-    pub on_this_volume: Quality,
-}
-
-impl Steers {
-    /// The predictor and its errors, in a sentence.
-    pub fn sentence(&self) -> String {
-        let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
-        format!(
-            "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this \
-             volume, which it was not fitted to",
-            self.title,
-            100.0 * median_error,
-            100.0 * p95_error
-        )
-    }
 }
 
 /// Chooses the predictor: the given model, else the machine's, else the shipped one, whose scale every frame
@@ -127,7 +103,7 @@ pub fn steering_model(
 pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(String, ModelFile)>, Clock)> {
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
     let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
-        crate::files::note(&format!(
+        entire_io::files::note(&format!(
             "{} is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
              --shade {} --clock {}` makes a model of that clock)",
             path.display(),
@@ -155,7 +131,7 @@ pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     if !path.is_file() {
         return Ok(None);
     }
-    let (file, _) = crate::files::read_model_file(&path)?;
+    let (file, _) = entire_io::files::read_model_file(&path)?;
     Ok(Some((path, file)))
 }
 
@@ -178,7 +154,7 @@ pub fn shipped_files(shading: Shading) -> Result<Vec<(PathBuf, ModelFile)>> {
     others.sort();
     let mut out = vec![first];
     for path in others {
-        let (file, _) = crate::files::read_model_file(&path)?;
+        let (file, _) = entire_io::files::read_model_file(&path)?;
         out.push((path, file));
     }
     Ok(out)

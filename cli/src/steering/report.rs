@@ -1,16 +1,16 @@
 //! Output of a playback: tables, CSV, JSON, and the page.
 
 use super::calibrate::{Sample, response_pairs};
-use super::contenders::{ActsOn, ControllerKind};
+use super::contenders::ControllerKind;
 use super::metrics::{Metrics, SWITCH_FRAMES};
-use super::play::{DrawSettings, Playback, Record};
-use super::race::Steers;
+use super::model::Steers;
+use super::play::{ActsOn, DrawSettings, Playback, Record};
 use super::rivals::StepResponse;
-use crate::files::{make_folder, write_json, write_whole};
-use crate::machine::Provenance;
 use crate::pictures::BEST_PSNR;
-use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
 use anyhow::Result;
+use entire_io::files::{make_folder, write_json, write_whole};
+use entire_io::machine::Provenance;
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
 use serde_json::{Value, json};
 use std::path::Path;
 

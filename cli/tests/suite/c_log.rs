@@ -2,7 +2,7 @@
 //!
 //! Run by `make test-ffi`, which runs the example and names its table in `ENTIRE_C_LOG`.
 
-use entire_cli::dataset::{Clock, Table};
+use entire_io::dataset::{Clock, Table};
 use std::path::PathBuf;
 
 #[test]

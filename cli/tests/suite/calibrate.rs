@@ -2,10 +2,10 @@
 
 use crate::support::*;
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
-use entire_cli::dataset::{Clock, read_tables};
 use entire_core::model::{Model, ModelFile};
-use entire_core::predict::{Quality, load};
 use entire_core::scene::Shading;
+use entire_io::dataset::{Clock, read_tables};
+use entire_steer::predict::{Quality, load};
 use std::path::Path;
 use std::process::{Command, Output};
 

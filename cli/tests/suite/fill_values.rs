@@ -1,7 +1,7 @@
 //! Fill values, and bytes that use a small part of their range.
 
 use crate::support::{entire, float_nrrd, picture, render, stderr, succeeds};
-use entire_cli::volume::{Fill, Range, Reading, Volume, VolumeData};
+use entire_io::volume::{Fill, Range, Reading, Volume, VolumeData};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 

@@ -2,7 +2,7 @@
 //! fixtures/right-values.csv, which `lab/scripts/readers/differential.py --write` makes with pynrrd,
 //! SimpleITK, nibabel and VTK.
 
-use entire_cli::volume::{Fill, Reading, Volume, VolumeData};
+use entire_io::volume::{Fill, Reading, Volume, VolumeData};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

@@ -2,12 +2,12 @@
 //! ordinary and hostile: never zero, negative or NaN at the predictor, and no more such outputs of the
 //! networks than are known.
 
-use entire_cli::dataset::{Table, TimedFrame};
-use entire_cli::fit::predict_rows;
-use entire_cli::inputs::Layout;
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Executor, Normalization, PredNet};
-use entire_core::predict::{PREDICTED_SECONDS, check_predictions};
+use entire_io::dataset::{Table, TimedFrame};
+use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
+use entire_train::fit::predict_rows;
+use entire_train::inputs::Layout;
 use indicatif::ProgressBar;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

@@ -1,14 +1,14 @@
 //! The encoders in `models/` give the same features as PyTorch, the predictors the errors on their cards.
 
-use entire_cli::dataset::{Clock, Table};
-use entire_cli::fit::{FitContext, predict};
-use entire_cli::inputs::Layout;
-use entire_cli::metrics::Metrics;
-use entire_cli::split::TimedFrames;
-use entire_cli::volume::Volume;
 use entire_core::model::{Key, Model};
 use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
-use entire_core::predict::ModelPredictor;
+use entire_io::dataset::{Clock, Table};
+use entire_io::metrics::Metrics;
+use entire_io::volume::Volume;
+use entire_steer::predict::ModelPredictor;
+use entire_train::fit::{FitContext, predict};
+use entire_train::inputs::Layout;
+use entire_train::split::TimedFrames;
 use std::path::Path;
 
 /// Features by `lab/volumenet/encode.py --double`.

@@ -246,7 +246,7 @@ fn example_paths_are_paths() {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|e| e == "json") {
-            entire_cli::path::FlightPath::open(&path).unwrap();
+            entire_io::path::FlightPath::open(&path).unwrap();
             seen += 1;
         }
     }

@@ -1,11 +1,11 @@
 //! Training against finite differences, against PyTorch, and as a whole.
 
-use entire_cli::train::{
+use entire_core::nn::Target;
+use entire_steer::predict::LONGEST_FRAME;
+use entire_train::gradient::{
     Loss, Network, Progress, Samples, Settings, Standardization, Stop, Trainer, cosine_learning_rate,
     preset_widths, train,
 };
-use entire_core::nn::Target;
-use entire_core::predict::LONGEST_FRAME;
 use proptest::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::ops::ControlFlow;

@@ -1,10 +1,10 @@
 //! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known law.
 
-use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
-use entire_core::predict::Quality;
 use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
+use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
+use entire_steer::predict::Quality;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::{Path, PathBuf};

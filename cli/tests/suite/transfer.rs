@@ -1,10 +1,10 @@
 //! A model of one renderer is calibrated to another with a few frames.
 
 use entire_cli::calibrate::calibrate_to_frames;
-use entire_cli::dataset::{Clock, Table, Timed};
-use entire_cli::fit::{FitContext, Kind, Recipe, predict};
-use entire_cli::metrics::Metrics;
-use entire_cli::split::TimedFrames;
+use entire_io::dataset::{Clock, Table, Timed};
+use entire_io::metrics::Metrics;
+use entire_train::fit::{FitContext, Kind, Recipe, predict};
+use entire_train::split::TimedFrames;
 use std::path::Path;
 
 /// Tables of data/timings, numbered in their order.

@@ -1,6 +1,6 @@
 //! Every reader on files of other libraries (see fixtures/make_volumes.py).
 
-use entire_cli::volume::{Reading, Volume, VolumeData};
+use entire_io::volume::{Reading, Volume, VolumeData};
 use std::path::{Path, PathBuf};
 
 fn fixtures() -> PathBuf {
@@ -493,8 +493,8 @@ fn byte_order_marks_are_no_part_of_the_text() {
         assert_right(name);
     }
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports/bom");
-    entire_cli::farm::job::Job::open(&folder.join("job.toml")).unwrap();
-    entire_cli::path::PathFile::open(&folder.join("path.json")).unwrap().resolve().unwrap();
+    entire_farm::job::Job::open(&folder.join("job.toml")).unwrap();
+    entire_io::path::PathFile::open(&folder.join("path.json")).unwrap().resolve().unwrap();
     // The same if the ending does not determine the format.
     let other = tempfile::tempdir().unwrap();
     for name in ["a0.mhd", "a.nhdr", "../vti-bom-Appended.vti"] {
@@ -622,7 +622,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
         refused_report(name, "need 1920 bytes, the data has 3840; check sizes and type in the header");
     }
     let folder = tempfile::tempdir().unwrap();
-    let gz = entire_cli::files::gzip;
+    let gz = entire_io::files::gzip;
     let raw = b"123456".to_vec();
     let nii = |behind: usize| {
         let whole = std::fs::read(fixtures().join("nibabel_one_int16_big.nii")).unwrap();
@@ -650,7 +650,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
 fn names_in_capitals_are_known() {
     let folder = tempfile::tempdir().unwrap();
     let raw = b"123456";
-    let gz = entire_cli::files::gzip(raw).unwrap();
+    let gz = entire_io::files::gzip(raw).unwrap();
     for (name, bytes) in [
         ("a_1x2x3_uint8.RAW", &raw[..]),
         ("b_1X2X3_UINT8.Raw", raw),

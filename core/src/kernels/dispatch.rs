@@ -8,7 +8,7 @@ use super::simd::Kernel;
 impl Level {
     /// Runs a kernel with this level's instructions.
     #[inline]
-    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {
             #[cfg(target_arch = "x86_64")]
             Isa::Avx512 => {
@@ -24,10 +24,10 @@ impl Level {
         }
     }
 
-    /// Runs a kernel that lives on [`Simd::dot4`]: AVX-512 only together with VNNI, since without it twice
+    /// Runs a kernel that lives on [`Simd::dot4`](super::Simd::dot4): AVX-512 only together with VNNI, since without it twice
     /// the width gains nothing.
     #[inline]
-    pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
+    pub fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {
             #[cfg(target_arch = "x86_64")]
             Isa::Avx512 if self.has_vnni() => {

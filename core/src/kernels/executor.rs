@@ -24,7 +24,7 @@ pub enum Executor<'a> {
 
 impl Executor<'_> {
     /// Number of threads that work is split for.
-    pub(crate) fn threads(&self) -> usize {
+    pub fn threads(&self) -> usize {
         match self {
             Self::Serial => 1,
             #[cfg(feature = "rayon")]

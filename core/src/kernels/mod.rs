@@ -23,4 +23,4 @@ pub use executor::Executor;
 pub use helper::Helper;
 pub use level::{Isa, Level};
 pub use mlp::Storage;
-pub(crate) use simd::{Kernel, Simd};
+pub use simd::{Kernel, Simd};

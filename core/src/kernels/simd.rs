@@ -8,9 +8,11 @@ use super::activation::{SELU_ALPHA, SELU_SCALE};
 
 /// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it
 /// calls: what is not inlined is compiled without the level's instructions.
-pub(crate) trait Kernel {
+pub trait Kernel {
+    /// What the work gives back.
     type Output;
 
+    /// Does the work.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
@@ -19,7 +21,7 @@ pub(crate) trait Kernel {
 ///
 /// Pointers need no alignment beyond that of their element.
 #[allow(dead_code, reason = "one vocabulary for all kernels, whichever of them are compiled in")]
-pub(crate) trait Simd: Copy + 'static {
+pub trait Simd: Copy + 'static {
     /// A vector of `LANES` f32.
     type F: Copy;
     /// A vector of `LANES` i32.
@@ -37,6 +39,7 @@ pub(crate) trait Simd: Copy + 'static {
     fn prefetch(self, p: *const f32);
     /// As [`prefetch`](Self::prefetch), into the first-level cache.
     fn prefetch_near(self, p: *const f32);
+    /// The same number in every lane.
     fn splat(self, x: f32) -> Self::F;
     /// # Safety
     /// `p` must be valid for reading `LANES` numbers.
@@ -53,8 +56,11 @@ pub(crate) trait Simd: Copy + 'static {
     /// `p` must be valid for reading `LANES` words.
     unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F);
 
+    /// a + b.
     fn add(self, a: Self::F, b: Self::F) -> Self::F;
+    /// a − b.
     fn sub(self, a: Self::F, b: Self::F) -> Self::F;
+    /// a·b.
     fn mul(self, a: Self::F, b: Self::F) -> Self::F;
     /// a·b + c, rounded once where the instruction set has it.
     fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
@@ -78,7 +84,9 @@ pub(crate) trait Simd: Copy + 'static {
         -self.largest(self.sub(self.splat(0.0), v))
     }
 
+    /// Zero in every lane.
     fn zero_i(self) -> Self::I;
+    /// Integers as floats, rounded to nearest.
     fn to_f(self, v: Self::I) -> Self::F;
     /// The same four bytes in every lane.
     fn splat_bytes(self, bytes: u32) -> Self::I;
@@ -88,6 +96,7 @@ pub(crate) trait Simd: Copy + 'static {
     /// Adds to each 32-bit lane of `sum` the four products of unsigned bytes of `a` with signed bytes of `w`.
     /// Never saturates.
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I;
+    /// a + b, wrapping.
     fn add_i(self, a: Self::I, b: Self::I) -> Self::I;
     /// Rounds to the nearest integers, clamps to 0…255 and stores `LANES` bytes.
     /// # Safety
@@ -134,6 +143,7 @@ pub(crate) trait Simd: Copy + 'static {
     fn lt(self, a: Self::F, b: Self::F) -> Self::M;
     /// a ≤ b; not where either is NaN.
     fn le(self, a: Self::F, b: Self::F) -> Self::M;
+    /// Lanes that both choose.
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M;
     /// a without b.
     fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M;
@@ -143,10 +153,13 @@ pub(crate) trait Simd: Copy + 'static {
     fn lane_bits(self, m: Self::M) -> u32;
     /// `yes` in the chosen lanes, `no` in the others.
     fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F;
+    /// As [`select`](Self::select), for integers.
     fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I;
+    /// The same integer in every lane.
     fn splat_i(self, x: i32) -> Self::I;
     /// a + b in the chosen lanes, a in the others.
     fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I;
+    /// a·b, wrapping.
     fn mul_i(self, a: Self::I, b: i32) -> Self::I;
     /// Rounds towards zero; what no i32 holds gives anything.
     fn trunc(self, v: Self::F) -> Self::I;
@@ -154,7 +167,9 @@ pub(crate) trait Simd: Copy + 'static {
     fn as_f(self, v: Self::I) -> Self::F;
     /// The words at `index`, taken as unsigned; beyond the end, the last one. There must be one.
     fn gather(self, from: &[u32], index: Self::I) -> Self::I;
+    /// Bits of a that are also in b.
     fn and_i(self, a: Self::I, b: i32) -> Self::I;
+    /// Bits of either, not of both.
     fn xor_i(self, a: Self::I, b: Self::I) -> Self::I;
     /// Which lanes are not zero.
     fn nonzero(self, a: Self::I) -> Self::M;

@@ -199,7 +199,7 @@ impl ModelFile {
     }
 
     /// Names the scene features, in order.
-    pub(crate) fn set_scene_features<S: ToString>(&mut self, names: &[S]) -> Result<&mut Self> {
+    pub fn set_scene_features<S: ToString>(&mut self, names: &[S]) -> Result<&mut Self> {
         let names: Vec<String> = names.iter().map(ToString::to_string).collect();
         let text = json(&names)?;
         self.metadata.insert(Key::SceneFeatures.into(), text);

@@ -36,21 +36,21 @@ pub enum Key {
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
     /// for analytic models `low` and `high` (the range of their work), and for learned factors `input_low` and
-    /// `input_high` (one number per input, within which inputs are held: [`InputRange`](crate::predict::InputRange)).
+    /// `input_high` (one number per input, within which inputs are held: `InputRange` of `entire-steer`).
     /// Optional.
     Calibration,
     /// `entire.unit_costs`: JSON object of seconds by name behind the input `estimated_seconds`: `frame` and
-    /// those of [`COST_QUANTITIES`](crate::features::COST_QUANTITIES); names that are missing cost nothing.
+    /// those of `COST_QUANTITIES` of `entire-steer`; names that are missing cost nothing.
     UnitCosts,
     /// `entire.probe_side`: rays along each side of the probe behind the scene features, 1 to
-    /// [`MAX_PROBE_SIDE`](crate::features::MAX_PROBE_SIDE) in decimal;
-    /// [`PROBE_SIDE`](crate::features::PROBE_SIDE) where it is missing.
+    /// `MAX_PROBE_SIDE` of `entire-steer` in decimal;
+    /// `PROBE_SIDE` of `entire-steer` where it is missing.
     ProbeSide,
     /// `entire.lobe_order`: the order in which a model takes Gaussian lobes: `center` for ascending centers.
     /// Without it, lobes go in as they are given. A sum of lobes does not depend on their order; a network
     /// that always sees the same order need not learn so.
     LobeOrder,
-    /// `entire.quality`: JSON object of the four numbers of [`Quality`](crate::predict::Quality): what coarser
+    /// `entire.quality`: JSON object of the four numbers of `Quality` of `entire-steer`: what coarser
     /// steps and smaller images cost the pictures of the renderer that [`Key::Renderer`] names. Optional.
     Quality,
 }
@@ -93,7 +93,6 @@ impl From<Key> for String {
 /// The input groups that this version supplies. `Display` writes a group's name as model files have it,
 /// `FromStr` reads it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
 pub enum GroupKind {
     /// `volume_features`: VolumeNet's output.
     VolumeFeatures,

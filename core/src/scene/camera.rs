@@ -150,12 +150,12 @@ impl Camera {
     }
 
     /// Whether rays are parallel.
-    pub(crate) fn is_parallel(&self) -> bool {
+    pub fn is_parallel(&self) -> bool {
         matches!(self.lens, Lens::Parallel { .. })
     }
 
     /// Height that is seen at a depth, bounding-sphere radii.
-    pub(crate) fn height_at(&self, depth: f32) -> f32 {
+    pub fn height_at(&self, depth: f32) -> f32 {
         match self.lens {
             Lens::Perspective { fov_y } => 2.0 * libm::tanf(0.5 * fov_y) * depth,
             Lens::Parallel { scale } => 2.0 * scale,
@@ -163,7 +163,7 @@ impl Camera {
     }
 
     /// The eye in scene space.
-    pub(crate) fn eye(&self) -> Vec3 {
+    pub fn eye(&self) -> Vec3 {
         let r = Mat3::from_mat4(self.view);
         -(r.transpose() * self.view.w_axis.truncate())
     }
@@ -195,7 +195,7 @@ impl Camera {
     /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centers at
     /// halves, y down: origin and unit direction in scene space.
     #[cfg(test)]
-    pub(crate) fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
+    fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
         let (origin, direction) = self.ray_basis(width, height);
         let u = 2.0 * px / width as f32 - 1.0;
         let v = 1.0 - 2.0 * py / height as f32;

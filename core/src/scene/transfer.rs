@@ -109,7 +109,7 @@ pub struct TransferTable {
 
 impl TransferTable {
     /// A number that the same table has again, and hardly another.
-    pub(crate) fn fingerprint(&self) -> u64 {
+    pub fn fingerprint(&self) -> u64 {
         let unit = u64::from(self.unit_distance.to_bits());
         let pairs = self.rgba.iter().flat_map(|[r, g, b, a]| [(r, g), (b, a)]);
         pairs.fold(unit, |sum, (a, b)| mixed(sum, u64::from(a.to_bits()) << 32 | u64::from(b.to_bits())))
@@ -154,7 +154,7 @@ impl TransferTable {
     }
 
     /// The distance over which the opacities hold, in multiples of the reference step.
-    pub(crate) fn unit_distance(&self) -> f32 {
+    pub fn unit_distance(&self) -> f32 {
         self.unit_distance
     }
 

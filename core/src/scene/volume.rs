@@ -14,7 +14,6 @@ pub const MAX_REPEATED_VOXELS: u64 = 1 << 27;
 
 /// The scalar types that volumes come in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
 pub enum ScalarType {
     /// Unsigned bytes.
     U8,
@@ -35,7 +34,6 @@ names! { ScalarType:
 
 /// Borrowed voxels.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub enum Scalars<'a> {
     /// Unsigned bytes.
     U8(&'a [u8]),
@@ -105,7 +103,8 @@ pub struct Shape {
 }
 
 impl Shape {
-    pub(crate) fn new(dims: [usize; 3], spacing: Vec3) -> Self {
+    /// The sizes of a grid of voxels with a spacing.
+    pub fn new(dims: [usize; 3], spacing: Vec3) -> Self {
         let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
         let bounding_radius = bounding_radius(extent);
         Self {
@@ -238,7 +237,7 @@ impl<'a> VolumeView<'a> {
     }
 
     /// Voxels along x, y, z.
-    pub(crate) fn dims(&self) -> [usize; 3] {
+    pub fn dims(&self) -> [usize; 3] {
         self.dims
     }
 
@@ -254,7 +253,7 @@ impl<'a> VolumeView<'a> {
     }
 
     /// Voxel spacing along x, y, z.
-    pub(crate) fn spacing(&self) -> Vec3 {
+    pub fn spacing(&self) -> Vec3 {
         self.spacing
     }
 
@@ -265,7 +264,7 @@ impl<'a> VolumeView<'a> {
 
     /// Element index of a voxel. Panics in debug builds when out of bounds.
     #[inline]
-    pub(crate) fn index(&self, x: usize, y: usize, z: usize) -> usize {
+    pub fn index(&self, x: usize, y: usize, z: usize) -> usize {
         debug_assert!(x < self.dims[0] && y < self.dims[1] && z < self.dims[2]);
         x * self.strides[0] + y * self.strides[1] + z * self.strides[2]
     }
@@ -292,7 +291,7 @@ impl<'a> VolumeView<'a> {
 
 /// As [`VolumeView::normalize`] over a range.
 #[inline]
-pub(crate) fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
+pub fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
     let width = hi - lo;
     if width <= 0.0 || value.is_nan() {
         return 0.0;
@@ -306,8 +305,8 @@ pub(crate) fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
     t.clamp(0.0, 1.0)
 }
 
-/// The checks of [`VolumeView::with_spacing`], for everything that has a spacing.
-pub(crate) fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
+/// The checks of [`VolumeView::with`], for everything that has a spacing.
+pub fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
     if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
         bail!(
             InvalidArgument,
@@ -329,7 +328,7 @@ pub(crate) fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
 }
 
 /// Refuses sizes over [`MAX_VOLUME_EDGE`].
-pub(crate) fn check_edges(dims: [usize; 3]) -> Result<()> {
+pub fn check_edges(dims: [usize; 3]) -> Result<()> {
     if dims.iter().any(|&n| n > MAX_VOLUME_EDGE) {
         bail!(
             SizeMismatch,
@@ -350,13 +349,13 @@ fn normalized(v: Vec3) -> (Vec3, i32) {
 }
 
 /// Radius of the sphere around a box of a given size.
-pub(crate) fn bounding_radius(extent: Vec3) -> f32 {
+fn bounding_radius(extent: Vec3) -> f32 {
     let (scaled, exponent) = normalized(extent);
     libm::ldexpf(0.5 * scaled.length(), exponent)
 }
 
 /// Ratios of a spacing that are the same bits in any unit of length which is a power of two times another.
-pub(crate) fn ratios(spacing: Vec3) -> Vec3 {
+pub fn ratios(spacing: Vec3) -> Vec3 {
     normalized(spacing).0
 }
 

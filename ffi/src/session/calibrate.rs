@@ -8,8 +8,8 @@ use crate::handle::{borrow, share};
 use crate::model::{entire_model, give_model};
 use crate::reserve;
 use crate::result::entire_result;
-use entire_core::calibrate::{HeldOut, Picture};
 use entire_core::nn::Executor;
+use entire_steer::calibrate::{HeldOut, Picture};
 use std::mem::size_of;
 
 /// Part of the frames that a calibration held out in turn to estimate its error: one of the

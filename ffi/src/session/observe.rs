@@ -5,7 +5,7 @@ use crate::abi::{check_pointer, write};
 use crate::guard::changing;
 use crate::result::Failure;
 use crate::result::entire_result;
-use entire_core::control::{ObserveFlags, Verdict};
+use entire_steer::control::{ObserveFlags, Verdict};
 
 const _: () = {
     assert!(ENTIRE_VERDICT_LEARNED == Verdict::Learned as u32);

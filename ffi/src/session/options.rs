@@ -4,8 +4,8 @@ use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
 use crate::result::Failure;
 use crate::result::entire_result;
-use entire_core::control::{HybridOptions, StepLimits};
-use entire_core::features::PROBE_SIDE;
+use entire_steer::control::{HybridOptions, StepLimits};
+use entire_steer::features::PROBE_SIDE;
 use std::mem::size_of;
 
 /// Options of a session. Fill with entire_session_options_init, then set what differs.

@@ -6,8 +6,8 @@ use crate::frame::{entire_frame, entire_setting};
 use crate::guard::changing;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, is_frame_time, no_prediction};
-use entire_core::control::{Plan, Reason, Session};
-use entire_core::predict::Source;
+use entire_steer::control::{Plan, Reason, Session};
+use entire_steer::predict::Source;
 use std::mem::size_of;
 
 /// Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
@@ -290,7 +290,7 @@ pub unsafe extern "C" fn entire_session_choose(
                 ));
             }
             let given = slice(settings, setting_count, "settings")?;
-            let mut settings = [entire_core::features::Setting::from(&frame); ENTIRE_MAX_SETTINGS];
+            let mut settings = [entire_steer::features::Setting::from(&frame); ENTIRE_MAX_SETTINGS];
             for (slot, setting) in settings.iter_mut().zip(given) {
                 *slot = setting.checked()?;
             }

@@ -8,9 +8,9 @@ use crate::reserve;
 use crate::result::entire_result;
 use crate::transfer::{UnitDistance, entire_transfer_function};
 use crate::volume::entire_volume;
-use entire_core::control::{Quality, StepLimits};
-use entire_core::features::Changes;
 use entire_core::scene::TransferFunction;
+use entire_steer::control::{Quality, StepLimits};
+use entire_steer::features::Changes;
 
 /// Change flag: a pipeline was built, or the device changed.
 pub const ENTIRE_CHANGE_FIRST: u32 = 1;

@@ -6,7 +6,7 @@ use crate::guard::{changing, reading};
 use crate::limits::{ENTIRE_MAX_STATE_BYTES, at_most};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
-use entire_core::predict::Clock;
+use entire_steer::predict::Clock;
 use std::ffi::c_char;
 
 /// Names the renderer whose frames are observed and the clock that times them, such as

@@ -1,7 +1,7 @@
 //! `include/entire/entire.h` equals the header that cbindgen makes from this crate's source.
 //! `UPDATE_HEADER=1` (`make header`) writes it.
 
-use entire_core::control::{HybridOptions, StepLimits};
+use entire_steer::control::{HybridOptions, StepLimits};
 use std::path::{Path, PathBuf};
 
 fn header_path() -> PathBuf {

@@ -4,14 +4,14 @@
 //! Run by `make test-ffi`, which builds the program against the installed library and names it in
 //! `ENTIRE_C_PARITY`.
 
-use entire_core::control::{HybridOptions, Session};
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::Model;
 use entire_core::nn::{Executor, PredNet, VolumeNet};
-use entire_core::predict;
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeOptions, VolumeView,
 };
+use entire_steer::control::{HybridOptions, Session};
+use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::predict;
 use std::io::Write;
 use std::process::{Command, Stdio};
 

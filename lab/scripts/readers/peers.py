@@ -2,7 +2,7 @@
 """The independent readers that differential.py compares with, each read in a child process with limits.
 
 `pip install pynrrd SimpleITK nibabel vtk numpy` brings all of them. Voxels become what the command's readers make of
-them by the table at the top of cli/src/volume/mod.rs, so that checksums can be compared.
+them by the table at the top of io/src/volume/mod.rs, so that checksums can be compared.
 """
 import importlib
 import json

@@ -4,9 +4,9 @@ use crate::bars;
 use crate::farm::{Comparison, Fitting, compare, second_measurement, tasks_of_trace};
 use crate::trace::Trace;
 use anyhow::{Result, bail};
-use entire_cli::farm::read_tasks;
-use entire_cli::files::write_whole;
-use entire_core::features::PROBE_SIDE;
+use entire_farm::read_tasks;
+use entire_io::files::write_whole;
+use entire_steer::features::PROBE_SIDE;
 use std::path::PathBuf;
 
 /// Compare methods of load balancing on a render farm of 2 to 64 nodes, by measured times.

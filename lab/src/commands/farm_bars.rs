@@ -3,12 +3,12 @@
 use crate::bars;
 use crate::farm::{bars as studies, stand_in};
 use anyhow::{Result, ensure};
-use entire_cli::farm::dispatch::Order;
-use entire_cli::farm::list::lower_bound;
-use entire_cli::farm::load::Loads;
-use entire_cli::farm::planner::Setting;
-use entire_cli::farm::simulate::{World, simulate};
-use entire_cli::farm::{By, read_tasks, times, volume_numbers};
+use entire_farm::dispatch::Order;
+use entire_farm::list::lower_bound;
+use entire_farm::load::Loads;
+use entire_farm::planner::Setting;
+use entire_farm::simulate::{World, simulate};
+use entire_farm::{By, read_tasks, times, volume_numbers};
 use std::path::PathBuf;
 
 /// Measure the goals of render farms that need no engine.

@@ -3,13 +3,13 @@
 use crate::farm::bars;
 use crate::farm::sort_last::{Composited, Compositing, Scene, measure};
 use anyhow::{Context, Result, ensure};
-use entire_cli::device::{Device, open};
-use entire_cli::farm::load::Loads;
-use entire_cli::farm::simulate::{World, simulate};
-use entire_cli::files::open_volume;
-use entire_cli::metrics::median;
-use entire_cli::volume::Reading;
 use entire_core::scene::{Arcball, GaussianLobe, TransferFunction};
+use entire_farm::load::Loads;
+use entire_farm::simulate::{World, simulate};
+use entire_io::device::{Device, open};
+use entire_io::files::open_volume;
+use entire_io::metrics::median;
+use entire_io::volume::Reading;
 use serde::Deserialize;
 use std::path::PathBuf;
 

@@ -9,10 +9,10 @@ use crate::paper::{
 use anyhow::{Result, ensure};
 use clap::{Subcommand, ValueEnum};
 use description::Panel;
-use entire_cli::device::{self, Device};
-use entire_cli::interrupt;
-use entire_cli::options::thread_pool;
 use entire_cli::steering::contenders::ControllerKind;
+use entire_io::device::{self, Device};
+use entire_io::interrupt;
+use entire_io::options::thread_pool;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -277,7 +277,7 @@ fn balance(work: &Work<'_>) -> Result<()> {
                 trace: None,
                 calibration: Vec::new(),
                 training: Vec::new(),
-                probe_side: entire_core::features::PROBE_SIDE,
+                probe_side: entire_steer::features::PROBE_SIDE,
                 save_tasks: None,
                 dispatch: 0.0,
                 window: 64,
@@ -308,7 +308,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
             .map(|e| e.path())
     });
     if !calibration.exists() || !folder.is_dir() || network.is_none() {
-        entire_cli::files::note(&format!(
+        entire_io::files::note(&format!(
             "use case 1 needs recorded paths in {RECORDED} (make steer-traces) and the network of {set}; it \
              is skipped"
         ));

@@ -3,18 +3,18 @@
 
 use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
-use entire_cli::dataset::{Clock, Scene, Timing, Writer};
-use entire_cli::device;
-use entire_cli::files::make_folder_of;
-use entire_cli::interrupt;
-use entire_cli::options::{RenderArgs, parse_hold, parse_scale, parse_size};
-use entire_cli::path::{Generated, PathFile};
-use entire_cli::progress::progress_bar;
 use entire_cli::steering::calibrate::measure;
 use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::race::calibration_scenes;
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
+use entire_io::dataset::{Clock, Scene, Timing, Writer};
+use entire_io::device;
+use entire_io::files::make_folder_of;
+use entire_io::interrupt;
+use entire_io::options::{RenderArgs, parse_hold, parse_scale, parse_size};
+use entire_io::path::{Generated, PathFile};
+use entire_io::progress::progress_bar;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 use std::path::PathBuf;
 
 /// Record time and picture quality of every frame of a path at a grid of ray steps.
@@ -112,7 +112,7 @@ pub fn run(options: &Options) -> Result<()> {
         .volumes
         .iter()
         .map(|file| {
-            let files = entire_cli::identity::of_volume(file)?;
+            let files = entire_io::identity::of_volume(file)?;
             let named = TraceVolume { file: file.clone(), enlarge: options.enlarge, files };
             let volume = named.open()?;
             Ok((named, volume))

@@ -4,11 +4,11 @@ use crate::stress::report::{matrix, page};
 use crate::stress::{SCENES, Verdict, bars, bars_on_device, harmless, run as play, run_real};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use entire_cli::dataset::Clock;
-use entire_cli::device::{self, Device};
-use entire_cli::files::{make_folder, write_json};
-use entire_cli::progress::progress_bar;
 use entire_cli::steering::contenders::ControllerKind;
+use entire_io::dataset::Clock;
+use entire_io::device::{self, Device};
+use entire_io::files::{make_folder, write_json};
+use entire_io::progress::progress_bar;
 use serde_json::json;
 use std::path::PathBuf;
 

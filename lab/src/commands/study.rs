@@ -4,10 +4,10 @@ use crate::ship::ship;
 use crate::study::report::{fits_table, main_table, write};
 use crate::study::{Runner, bars, by_rule, read};
 use anyhow::{Result, ensure};
-use entire_cli::dataset::Clock;
-use entire_cli::interrupt;
-use entire_cli::options::thread_pool;
-use entire_cli::progress::templated_bar;
+use entire_io::dataset::Clock;
+use entire_io::interrupt;
+use entire_io::options::thread_pool;
+use entire_io::progress::templated_bar;
 use std::path::PathBuf;
 
 /// Train and test every predictor of a study; write one report with accuracy against latency.
@@ -74,7 +74,7 @@ pub fn run(options: &Options) -> Result<()> {
     let found = runner.run(&study)?;
     bar.finish_and_clear();
     for (set, what, why) in &found.left_out {
-        entire_cli::files::note(&format!("{set}, {what}: left out ({why})"));
+        entire_io::files::note(&format!("{set}, {what}: left out ({why})"));
     }
     write(&options.out, &study, &found)?;
     if let Some(folder) = &options.ship {

@@ -5,17 +5,17 @@ use super::search::{Problem, best_of};
 use super::tables::{HELD_OUT, tasks};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
-use entire_cli::farm::dispatch::Order;
-use entire_cli::farm::job::Job;
-use entire_cli::farm::learn::{CONSTANT_SD_WITH_MODEL, Shape};
-use entire_cli::farm::list::lower_bound;
-use entire_cli::farm::load::Loads;
-use entire_cli::farm::planner::{Planner, Setting};
-use entire_cli::farm::simulate::{World, simulate};
-use entire_cli::farm::{Task, predict, volume_numbers};
-use entire_cli::farm::{database, drive};
-use entire_cli::metrics::median;
-use entire_core::schedule::assign_longest_first;
+use entire_farm::dispatch::Order;
+use entire_farm::job::Job;
+use entire_farm::learn::{CONSTANT_SD_WITH_MODEL, Shape};
+use entire_farm::list::lower_bound;
+use entire_farm::load::Loads;
+use entire_farm::planner::{Planner, Setting};
+use entire_farm::simulate::{World, simulate};
+use entire_farm::{Task, predict, volume_numbers};
+use entire_farm::{database, drive};
+use entire_io::metrics::median;
+use entire_steer::schedule::assign_longest_first;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::Path;
@@ -147,7 +147,7 @@ pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> 
 /// When the folder cannot be written.
 pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let volumes = folder.join("volumes");
-    entire_cli::files::make_folder(&volumes)?;
+    entire_io::files::make_folder(&volumes)?;
     for i in 0..100 {
         std::fs::write(volumes.join(format!("v{i}.raw")), vec![0u8; 1000 + i])?;
     }

@@ -3,16 +3,16 @@
 use crate::bars::Bar;
 use crate::trace::Trace;
 use anyhow::{Context, Result};
-use entire_cli::farm::list::lower_bound;
-use entire_cli::farm::{
+use entire_farm::list::lower_bound;
+use entire_farm::{
     AffinityTask, By, Farm, Method, Task, plan, play, simulate_affinity, simulate_queue, times,
     volume_numbers,
 };
-use entire_cli::files::make_folder;
-use entire_cli::machine::Provenance;
-use entire_cli::metrics::median;
-use entire_cli::report::{Axis, Chart, Column, Mark, Page, Series, Table};
-use entire_core::schedule::{assign_longest_first, longest_first};
+use entire_io::files::make_folder;
+use entire_io::machine::Provenance;
+use entire_io::metrics::median;
+use entire_report::{Axis, Chart, Column, Mark, Page, Series, Table};
+use entire_steer::schedule::{assign_longest_first, longest_first};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

@@ -9,9 +9,9 @@
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
 use entire_cli::steering::calibrate::Sample;
-use entire_core::features::{FrameFeatures, SceneQuantity, Setting};
-use entire_core::numeric::solve;
 use entire_core::scene::{Arcball, Camera};
+use entire_steer::features::{FrameFeatures, SceneQuantity, Setting};
+use entire_steer::numeric::solve;
 
 /// Number of a frame's terms, before their squares.
 const TERMS: usize = 10;
@@ -123,8 +123,8 @@ impl Factor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use entire_core::features::{SummaryOptions, TransferSummary, VolumeSummary};
     use entire_core::scene::{Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+    use entire_steer::features::{SummaryOptions, TransferSummary, VolumeSummary};
 
     fn samples(law: impl Fn(f64, f64) -> f64) -> Vec<Sample> {
         let voxels: Vec<u8> = (0..24 * 24 * 24).map(|i| (i * 7 % 251) as u8).collect();

@@ -7,11 +7,11 @@
 //! messages · latency + bytes · seconds per byte, both fitted to measured times or given.
 
 use anyhow::{Result, bail, ensure};
-use entire_core::features::{
+use entire_core::scene::{Arcball, Camera, Frame, Scalars, TransferTable, VolumeOptions, VolumeView};
+use entire_steer::features::{
     FrameFeatures, PROBE_SIDE, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
-use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
-use entire_core::scene::{Arcball, Camera, Frame, Scalars, TransferTable, VolumeOptions, VolumeView};
+use entire_steer::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use entire_vk_raycaster::Renderer;
 
 /// Bytes of a pixel that is sent: four floats.
@@ -133,7 +133,6 @@ fn behind(scalars: Scalars<'_>, at: usize) -> Result<(Scalars<'_>, u64)> {
         Scalars::U16(v) => (Scalars::U16(&v[at..]), 2),
         Scalars::I16(v) => (Scalars::I16(&v[at..]), 2),
         Scalars::F32(v) => (Scalars::F32(&v[at..]), 4),
-        _ => bail!("a volume of {:?} cannot be cut", scalars.scalar_type()),
     })
 }
 
@@ -257,7 +256,7 @@ pub fn measure(
         let predicted = model.predict(&Inputs {
             features,
             setting: *setting,
-            changes: entire_core::features::Changes::default(),
+            changes: entire_steer::features::Changes::default(),
             camera: *camera,
             volume_features: None,
             lobes: None,

@@ -2,9 +2,9 @@
 //! the session protocol of `entire farm`.
 
 use anyhow::{Context, Result};
-use entire_cli::farm::read_tasks;
-use entire_cli::farm::record::Order;
-use entire_cli::report::encode_png;
+use entire_farm::read_tasks;
+use entire_farm::record::Order;
+use entire_report::encode_png;
 use entire_vk_raycaster::Image;
 use serde::Deserialize;
 use std::collections::HashMap;

@@ -1,11 +1,11 @@
 //! Tasks from timing tables: measured frames, predicted by a model that was trained on other volumes.
 
 use anyhow::{Context, Result, ensure};
-use entire_cli::dataset::{Clock, read_tables, timed};
-use entire_cli::farm::Task;
-use entire_cli::files::open_model;
-use entire_cli::fit::{FitContext, predict};
-use entire_cli::options::thread_pool;
+use entire_farm::Task;
+use entire_io::dataset::{Clock, read_tables, timed};
+use entire_io::files::open_model;
+use entire_io::options::thread_pool;
+use entire_train::fit::{FitContext, predict};
 use std::path::Path;
 
 /// Tables of held-out volumes, each with a model (`data/timings/study.json`).

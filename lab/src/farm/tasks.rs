@@ -5,13 +5,13 @@ use crate::calibration::samples_of;
 use crate::fitted::Calibrated;
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
-use entire_cli::farm::Task;
-use entire_cli::metrics::median;
 use entire_cli::steering::calibrate::{Quality, Sample};
 use entire_cli::steering::model::SteeringModel;
-use entire_core::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
-use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use entire_core::scene::{Scalars, Skipping, VolumeView};
+use entire_farm::Task;
+use entire_io::metrics::median;
+use entire_steer::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
+use entire_steer::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use std::path::PathBuf;
 
 /// Frames that the predictor of tasks is fitted to.

@@ -7,7 +7,7 @@ pub mod report;
 pub mod steps;
 
 use anyhow::{Context, Result};
-use entire_cli::files::{read_text, write_json};
+use entire_io::files::{read_text, write_json};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

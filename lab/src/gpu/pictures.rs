@@ -1,11 +1,11 @@
 //! Pictures of a device beside those of the CPU version.
 
 use anyhow::{Context, Result};
-use entire_cli::device::{self, Device};
-use entire_cli::files::{open_volume, write_whole};
-use entire_cli::report::encode_png;
-use entire_cli::volume::Reading;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Shading, Skipping, TransferFunction};
+use entire_io::device::{self, Device};
+use entire_io::files::{open_volume, write_whole};
+use entire_io::volume::Reading;
+use entire_report::encode_png;
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -2,10 +2,10 @@
 
 use super::Outcomes;
 use super::pictures::Difference;
-use entire_cli::dataset::{Clock, NoiseFloor, TimedFrame};
-use entire_cli::machine::Provenance;
-use entire_cli::metrics::median;
-use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Series, Table};
+use entire_io::dataset::{Clock, NoiseFloor, TimedFrame};
+use entire_io::machine::Provenance;
+use entire_io::metrics::median;
+use entire_report::{Axis, Cell, Chart, Column, Mark, Page, Series, Table};
 use serde::Deserialize;
 use serde_json::Value;
 

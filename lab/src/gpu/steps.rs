@@ -4,7 +4,7 @@ use super::{Outcome, State};
 use crate::child;
 use anyhow::{Context, Result, ensure};
 use entire_cli::calibrate::place::{TRAINING_MEMBERS, held_out_in, volumes_in};
-use entire_cli::interrupt;
+use entire_io::interrupt;
 use nix::sys::signal::Signal;
 use std::fs::File;
 use std::path::{Path, PathBuf};

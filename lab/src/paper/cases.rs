@@ -4,9 +4,9 @@ use super::description::{Orbit, Panel};
 use super::judge::{NETWORK, OURS};
 use super::results::{Fact, MEASURED, ORBIT_CHART, Results, read_all, write};
 use anyhow::Result;
-use entire_cli::farm::{Method, Plan, Task, plan};
-use entire_cli::files::{fnv1a, make_folder_of, write_whole};
-use entire_cli::metrics::percentile;
+use entire_farm::{Method, Plan, Task, plan};
+use entire_io::files::{fnv1a, make_folder_of, write_whole};
+use entire_io::metrics::percentile;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -5,14 +5,14 @@ use super::description::{Panel, Paper, RAYCASTER_MODES};
 use super::volumes::Place;
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::collection::{Job, Protocol, differences, time_scene};
-use entire_cli::dataset::{Manifest, Scene, Writer, parse_shading};
-use entire_cli::files::make_folder;
-use entire_cli::identity;
-use entire_cli::machine;
-use entire_cli::progress::templated_bar;
-use entire_cli::scenes::SceneDistribution;
-use entire_cli::volume::{Reading, Volume};
 use entire_core::scene::{Arcball, Skipping};
+use entire_io::dataset::{Manifest, Scene, Writer, parse_shading};
+use entire_io::files::make_folder;
+use entire_io::identity;
+use entire_io::machine;
+use entire_io::progress::templated_bar;
+use entire_io::scenes::SceneDistribution;
+use entire_io::volume::{Reading, Volume};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -129,7 +129,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     Ok(out)
 }
 
-/// A table in the making.
+/// A log file in the making.
 struct Open {
     writer: Writer,
     manifest: Manifest,

@@ -1,9 +1,9 @@
 //! Description of the paper's study: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
-use entire_cli::files::read_text;
-use entire_cli::fit::Recipe;
-use entire_cli::scenes::SceneDistribution;
+use entire_io::files::read_text;
+use entire_io::scenes::SceneDistribution;
+use entire_train::fit::Recipe;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -5,7 +5,7 @@ use super::Work;
 use super::volumes::{BY_VOLUMES, Place};
 use crate::child;
 use anyhow::{Context, Result, bail, ensure};
-use entire_cli::files::{make_folder, read_text, write_json};
+use entire_io::files::{make_folder, read_text, write_json};
 use nix::sys::signal::Signal;
 use serde::{Deserialize, Serialize};
 use serde_json::json;

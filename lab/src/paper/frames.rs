@@ -8,11 +8,11 @@ use super::volumes::{BY_VOLUMES, Parts, Place, places};
 use crate::study::twins;
 use anyhow::{Context, Result};
 use entire_cli::commands::features;
-use entire_cli::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
-use entire_cli::dataset::{Clock, Table};
-use entire_cli::files::open_model;
-use entire_cli::split::TimedFrames;
-use entire_core::features::{PROBE_SIDE, SceneQuantity};
+use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
+use entire_io::dataset::{Clock, Table};
+use entire_io::files::open_model;
+use entire_steer::features::{PROBE_SIDE, SceneQuantity};
+use entire_train::split::TimedFrames;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

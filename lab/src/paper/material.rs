@@ -5,7 +5,7 @@ use super::description::Paper;
 use super::encode::{ALL, Encoder};
 use super::results::{Results, read_all};
 use anyhow::{Context, Result};
-use entire_cli::files::{gzip, make_folder_of, read_bytes, read_decompressed, write_whole};
+use entire_io::files::{gzip, make_folder_of, read_bytes, read_decompressed, write_whole};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -7,11 +7,11 @@ use super::encode::Encoder;
 use super::results::{Results, kept, write};
 use super::volumes::{BY_VOLUMES, Place};
 use anyhow::{Context, Result, bail};
-use entire_cli::dataset::{Scene, parse_lobes};
-use entire_cli::files::{fnv1a, make_folder, write_whole};
-use entire_cli::report::encode_png;
-use entire_cli::volume::Volume;
 use entire_core::scene::Arcball;
+use entire_io::dataset::{Scene, parse_lobes};
+use entire_io::files::{fnv1a, make_folder, write_whole};
+use entire_io::volume::Volume;
+use entire_report::encode_png;
 use entire_vk_raycaster::Renderer;
 use std::process::Command;
 
@@ -45,7 +45,7 @@ pub fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> R
         }
         let mut results = Results::new(Panel::Pictures, set, mode, mark);
         results.device = renderer.device();
-        results.machine = entire_cli::machine::machine();
+        results.machine = entire_io::machine::machine();
         let protocol = protocol(work.paper, mode, false)?;
         let first = &place.jobs[0].member;
         let of_member: Vec<usize> =

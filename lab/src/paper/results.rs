@@ -2,7 +2,7 @@
 
 use super::description::Panel;
 use anyhow::{Context, Result};
-use entire_cli::files::{make_folder, read_text, write_json};
+use entire_io::files::{make_folder, read_text, write_json};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -126,8 +126,8 @@ impl Results {
             curves: Vec::new(),
             facts: Vec::new(),
             pictures: Vec::new(),
-            made: entire_cli::machine::now(),
-            program: entire_cli::machine::version(),
+            made: entire_io::machine::now(),
+            program: entire_io::machine::version(),
             seconds: 0.0,
         }
     }

@@ -9,7 +9,7 @@ use super::material::Material;
 use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, Row, SORTED};
 use super::tuning::MACHINES;
 use super::volumes::{BY_MODALITY, BY_VOLUMES};
-use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
+use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 use std::collections::BTreeSet;
 
 /// Section of the report under a label.

@@ -9,16 +9,16 @@ use super::volumes::{BY_MODALITY, BY_VOLUMES, Parts, Place};
 use super::{Work, tuning};
 use crate::study::{Runner, clock};
 use anyhow::{Context, Result, bail};
-use entire_cli::dataset::Table;
-use entire_cli::dataset::feature_table::{FeatureTable, code_column, encoder_id};
-use entire_cli::files::{fnv1a, open_model, read_bytes};
-use entire_cli::fit::{FitContext, Recipe};
-use entire_cli::metrics::percentile;
-use entire_cli::progress::templated_bar;
-use entire_cli::split::TimedFrames;
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet};
-use entire_core::predict::GroupKind;
+use entire_io::dataset::Table;
+use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id};
+use entire_io::files::{fnv1a, open_model, read_bytes};
+use entire_io::metrics::percentile;
+use entire_io::progress::templated_bar;
+use entire_steer::predict::GroupKind;
+use entire_train::fit::{FitContext, Recipe};
+use entire_train::split::TimedFrames;
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -60,7 +60,7 @@ pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     bar.set_length(todo.iter().map(|t| t.2.len() as u64).sum::<u64>() + u64::from(wanted(Panel::Tuning)));
     for (place, mode, panels) in &todo {
         let Some(loaded) = Loaded::read(work, place, mode, clock)? else {
-            entire_cli::files::note(&format!(
+            entire_io::files::note(&format!(
                 "no frames of {} in mode {mode}; collect them first",
                 place.set.name
             ));
@@ -484,7 +484,7 @@ impl At<'_> {
         let model = open_model(path)?;
         let net = VolumeNet::new(model.volumenet().context("no VolumeNet")?)?;
         let job = self.place.jobs.first().context("no volume")?;
-        let volume = entire_cli::volume::Volume::open(self.place.root.join(&job.path))?;
+        let volume = entire_io::volume::Volume::open(self.place.root.join(&job.path))?;
         let (mut scratch, mut code) = (net.scratch(), vec![0.0; net.feature_len()]);
         let mut times = Vec::new();
         for _ in 0..5 {
@@ -492,7 +492,7 @@ impl At<'_> {
             net.encode(&volume.view(), &mut scratch, Executor::Serial, &mut code)?;
             times.push(started.elapsed().as_secs_f64());
         }
-        entire_cli::metrics::median(&mut times).context("no time")
+        entire_io::metrics::median(&mut times).context("no time")
     }
 
     fn finalists(&self, results: &mut Results) -> Result<()> {
@@ -502,7 +502,7 @@ impl At<'_> {
         let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, self.proxy(&frames.training), true);
         for (size, features, preset) in &self.paper().finalists {
             let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
-                entire_cli::files::note(&format!(
+                entire_io::files::note(&format!(
                     "{} has no VolumeNet {size}³F{features}; train it with `entire-lab paper encode`",
                     self.place.set.name
                 ));

@@ -3,7 +3,7 @@
 use super::description::{DataSet, Paper};
 use anyhow::{Context, Result, ensure};
 use entire_cli::collection::Job;
-use entire_cli::files::fnv1a;
+use entire_io::files::fnv1a;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -167,7 +167,7 @@ pub fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<P
         match Place::find(set, data)? {
             Some(place) => found.push(place),
             None => {
-                entire_cli::files::note(&format!("{} is not in {}; it is skipped", set.name, data.display()))
+                entire_io::files::note(&format!("{} is not in {}; it is skipped", set.name, data.display()))
             }
         }
     }

@@ -3,10 +3,10 @@
 use super::{Replayable, Trial, replay};
 use crate::bars::Bar;
 use anyhow::Result;
-use entire_cli::steering::contenders::ActsOn;
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::play::Contender;
-use entire_core::control::{Hybrid, HybridOptions, Prior, Session, StepLimits};
-use entire_core::predict::{AnalyticModel, Predictor};
+use entire_steer::control::{Hybrid, HybridOptions, Prior, Session, StepLimits};
+use entire_steer::predict::{AnalyticModel, Predictor};
 use std::ops::Range;
 
 /// Frames between the starts of two sessions.

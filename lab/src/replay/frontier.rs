@@ -2,8 +2,8 @@
 
 use super::Replayable;
 use crate::trace::{TRACE_SCALES, TracePoint};
-use entire_cli::metrics::median;
-use entire_core::calibrate::{FittedQuality, Picture, fit_quality};
+use entire_io::metrics::median;
+use entire_steer::calibrate::{FittedQuality, Picture, fit_quality};
 
 /// Mean structural similarity of the settings that each rule picks among those that meet the target, on
 /// traces that the quality law was not fitted to.

@@ -19,12 +19,12 @@ pub use trials::{Outcome, Trial, play, trials, trials_of_all};
 
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
-use entire_cli::path::FlightPath;
-use entire_cli::steering::contenders::ActsOn;
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::play::Contender;
-use entire_core::control::ObserveFlags;
-use entire_core::control::{Reason, StepLimits};
-use entire_core::features::{Changes, VolumeSummary};
+use entire_io::path::FlightPath;
+use entire_steer::control::ObserveFlags;
+use entire_steer::control::{Reason, StepLimits};
+use entire_steer::features::{Changes, VolumeSummary};
 use serde::Serialize;
 use std::ops::Range;
 use std::sync::Arc;

@@ -2,8 +2,9 @@
 
 use super::Replayable;
 use clap::ValueEnum;
-use entire_cli::files::note;
-use entire_cli::steering::contenders::{ActsOn, ControllerKind};
+use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::play::ActsOn;
+use entire_io::files::note;
 
 /// A controller in a replay.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,13 +5,14 @@ use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial
 use crate::fitted::Calibrated;
 use crate::fitted::candidates_table;
 use anyhow::Result;
-use entire_cli::files::{write_json, write_whole};
-use entire_cli::machine::Provenance;
-use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table};
 use entire_cli::steering::calibrate::Sample;
-use entire_cli::steering::contenders::{ActsOn, ControllerKind};
+use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::report::{ResponseCurve, color};
 use entire_cli::steering::rivals::StepResponse;
+use entire_io::files::{write_json, write_whole};
+use entire_io::machine::Provenance;
+use entire_report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -182,7 +182,7 @@ impl Tally {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use entire_core::control::Reason;
+    use entire_steer::control::Reason;
 
     fn frame(seconds: f64, step: f64) -> Replayed {
         Replayed {

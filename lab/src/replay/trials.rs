@@ -3,11 +3,11 @@
 use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
 use crate::fitted::Calibrated;
 use anyhow::Result;
-use entire_cli::metrics::median;
 use entire_cli::steering::contenders::contender;
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::control::Prior;
-use entire_core::control::StepLimits;
+use entire_io::metrics::median;
+use entire_steer::control::Prior;
+use entire_steer::control::StepLimits;
 
 /// One trace with one target or a series of targets.
 pub struct Trial {

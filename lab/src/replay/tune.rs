@@ -18,7 +18,7 @@ use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
 use crate::fitted::Calibrated;
 use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
-use entire_core::control::{CorrectionConstants, HybridConstants, HybridOptions, StepLimits};
+use entire_steer::control::{CorrectionConstants, HybridConstants, HybridOptions, StepLimits};
 use rayon::prelude::*;
 use serde::Serialize;
 

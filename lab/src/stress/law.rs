@@ -3,10 +3,10 @@
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::control::Prior;
-use entire_core::control::{Controller, Observed, PlanRequest, Reason, SceneMark, StepLimits};
-use entire_core::features::Changes;
-use entire_core::predict::{CostTerms, LONGEST_FRAME, Source, TERMS};
+use entire_steer::control::Prior;
+use entire_steer::control::{Controller, Observed, PlanRequest, Reason, SceneMark, StepLimits};
+use entire_steer::features::Changes;
+use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source, TERMS};
 
 const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;

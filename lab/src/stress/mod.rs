@@ -10,8 +10,8 @@ pub mod report;
 pub mod world;
 
 use crate::bars::Bar;
-use entire_cli::dataset::Clock;
 use entire_cli::steering::contenders::ControllerKind;
+use entire_io::dataset::Clock;
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::Serialize;
 

@@ -1,10 +1,10 @@
 //! The matrix of scenes and methods, with all failures.
 
 use super::{SCENES, Verdict};
-use entire_cli::machine::Provenance;
-use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::report::color;
+use entire_io::machine::Provenance;
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 
 fn of(verdicts: &[Verdict], scene: usize, method: ControllerKind) -> Option<&Verdict> {
     verdicts.iter().find(|v| v.scene == scene && v.method == method.name())

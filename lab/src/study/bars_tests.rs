@@ -3,8 +3,8 @@
 use super::report::fits_table;
 use super::rule::by_rule;
 use super::*;
-use entire_cli::dataset::NoiseFloor;
-use entire_cli::metrics::Metrics;
+use entire_io::dataset::NoiseFloor;
+use entire_io::metrics::Metrics;
 
 fn study_of(predictors: &str, limits: &str) -> Study {
     serde_json::from_str(&format!(

@@ -1,14 +1,14 @@
 //! Baselines: the mean of some frames of each volume, and a low-resolution proxy.
 
+use super::data::OnSet;
 use super::findings::judge;
-use super::runner::OnSet;
 use super::{CONSTANT, Findings, PROXY, Set};
 use crate::latency::Latency;
 use anyhow::{Result, ensure};
-use entire_cli::dataset::{Clock, Scene, Table, TimedFrame};
-use entire_cli::evaluation::probe_means;
-use entire_cli::metrics::median;
-use entire_cli::split::TimedFrames;
+use entire_io::dataset::{Clock, Scene, Table, TimedFrame};
+use entire_io::metrics::median;
+use entire_train::evaluation::probe_means;
+use entire_train::split::TimedFrames;
 use std::collections::BTreeMap;
 
 /// The mean time of a share of each volume's frames, as the prediction of all of them.

@@ -1,14 +1,14 @@
 //! Cache of a study's models: a model is used again if all its inputs are the same.
 
 use anyhow::{Context, Result};
-use entire_cli::bound;
-use entire_cli::dataset::Table;
-use entire_cli::dataset::feature_table::FeatureTable;
-use entire_cli::files::{fnv1a, read_bytes, read_model_file, write_whole};
-use entire_cli::fit::Recipe;
-use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
-use entire_core::predict::UpperBound;
+use entire_io::dataset::Table;
+use entire_io::dataset::feature_table::FeatureTable;
+use entire_io::files::{fnv1a, read_bytes, read_model_file, write_whole};
+use entire_steer::predict::UpperBound;
+use entire_train::bound;
+use entire_train::fit::Recipe;
+use entire_train::split::TimedFrames;
 use std::path::{Path, PathBuf};
 
 /// The metadata key under which a stored model keeps the hash of its inputs.

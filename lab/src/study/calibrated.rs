@@ -1,15 +1,15 @@
 //! Error of a predictor that is calibrated to a hundred frames of other data, on other volumes of that data.
 
+use super::data::OnSet;
 use super::findings::CalibratedResult;
-use super::runner::OnSet;
 use super::{CALIBRATION_FRAMES, Findings};
 use anyhow::Result;
 use entire_cli::calibrate::calibrate_to_frames;
-use entire_cli::fit::predict;
-use entire_cli::metrics::Metrics;
-use entire_cli::split::TimedFrames;
-use entire_core::calibrate::PriorModel;
 use entire_core::model::ModelFile;
+use entire_io::metrics::Metrics;
+use entire_steer::calibrate::PriorModel;
+use entire_train::fit::predict;
+use entire_train::split::TimedFrames;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -72,7 +72,7 @@ fn halves<'a>(all: &TimedFrames<'a>) -> Option<[TimedFrames<'a>; 2]> {
 mod tests {
     use super::super::tests::table;
     use super::*;
-    use entire_cli::dataset::Clock;
+    use entire_io::dataset::Clock;
 
     #[test]
     fn no_volume_is_adapted_to_and_judged_by() {

@@ -1,9 +1,10 @@
 //! The frames of a set: for training, for upper bounds, and for testing.
 
-use super::Set;
+use super::{Set, Study};
 use anyhow::{Result, ensure};
-use entire_cli::dataset::{Clock, Table, read_tables};
-use entire_cli::split::{GroupBy, TimedFrames};
+use entire_io::dataset::{Clock, Table, read_tables};
+use entire_train::fit::{FitContext, Recipe};
+use entire_train::split::{GroupBy, TimedFrames};
 use std::collections::BTreeSet;
 use std::ops::Range;
 
@@ -135,5 +136,28 @@ impl<'a> SetData<'a> {
     /// The frames of the training tables.
     pub(super) fn of_training_tables(&self, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
         frames.parted(|f| f.table < self.training_tables).0
+    }
+}
+
+/// Context of a set: its frames, and the inputs of fitting.
+#[derive(Clone, Copy)]
+pub(super) struct OnSet<'a> {
+    /// The study.
+    pub(super) study: &'a Study,
+    /// The set.
+    pub(super) set: &'a Set,
+    /// Its frames.
+    pub(super) data: &'a SetData<'a>,
+    /// Context of fitting.
+    pub(super) context: &'a FitContext<'a>,
+}
+
+impl<'a> OnSet<'a> {
+    /// Training frames of a recipe. The paper's inputs do not contain the step.
+    ///
+    /// # Errors
+    /// For unknown inputs.
+    pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
+        Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
     }
 }

@@ -1,9 +1,9 @@
 //! Description of a study: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
-use entire_cli::dataset::Clock;
-use entire_cli::files::read_text;
-use entire_cli::fit::{DtypeChoice, Recipe};
+use entire_io::dataset::Clock;
+use entire_io::files::read_text;
+use entire_train::fit::{DtypeChoice, Recipe};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

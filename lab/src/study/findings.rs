@@ -1,13 +1,13 @@
 //! Results of a study: errors, latencies and curves, by set, split and predictor.
 
 use crate::latency::Latency;
-use entire_cli::bound;
-use entire_cli::dataset::{NoiseFloor, TimedFrame};
-use entire_cli::evaluation::by_kind;
-use entire_cli::metrics::{BoundMetrics, Metrics, intervals_by_group, percentile};
-use entire_cli::split::GroupBy;
-use entire_cli::split::TimedFrames;
-use entire_core::predict::UpperBound;
+use entire_io::dataset::{NoiseFloor, TimedFrame};
+use entire_io::metrics::{BoundMetrics, Metrics, intervals_by_group, percentile};
+use entire_steer::predict::UpperBound;
+use entire_train::bound;
+use entire_train::evaluation::by_kind;
+use entire_train::split::GroupBy;
+use entire_train::split::TimedFrames;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

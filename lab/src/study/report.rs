@@ -4,10 +4,10 @@ use super::bars::{DISTILLED, PAPER, bars, models};
 use super::rule::{SENTENCE, by_rule};
 use super::{CALIBRATION_FRAMES, CONSTANT, Findings, Intervals, PROXY, SplitResult, Study};
 use anyhow::Result;
-use entire_cli::files::{make_folder, write_json, write_whole};
-use entire_cli::machine;
-use entire_cli::metrics::BoundMetrics;
-use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_io::files::{make_folder, write_json, write_whole};
+use entire_io::machine;
+use entire_io::metrics::BoundMetrics;
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::Path;
 
 /// Definition of the intervals.

@@ -4,8 +4,8 @@
 use super::description::{SELECTED, main_panel};
 use super::{Findings, Named, Study};
 use entire_core::model::Model;
-use entire_core::predict::{AnalyticModel, InputLayout, UnitCosts};
 use entire_core::scene::Shading;
+use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 
 /// Ratio of two errors of cross-validation above which the larger predictor is worth its size.
 const WORTH: f64 = 0.95;

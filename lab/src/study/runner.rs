@@ -4,26 +4,26 @@ use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
 use super::cache::{STUDY_KEY, identity, kept, path_of};
 use super::calibrated::calibrated;
-use super::data::{Folds, Learned, SetData, SetTables};
+use super::data::{Folds, OnSet, SetData, SetTables};
 use super::description::main_panel;
 use super::findings::judge;
 use super::rule::{by_rule, numbers};
-use super::{Findings, Fit, Intervals, Named, Set, Study, clock};
+use super::{Findings, Fit, Intervals, Named, Study, clock};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Result, ensure};
-use entire_cli::bound;
-use entire_cli::dataset::{TimedFrame, noise_floor};
-use entire_cli::enlarge::enlarge;
-use entire_cli::files::{make_folder, write_whole};
-use entire_cli::fit::{FitContext, Recipe, predict, predict_stored};
-use entire_cli::inputs::Layout;
-use entire_cli::metrics::Metrics;
-use entire_cli::split::{GroupBy, TimedFrames};
-use entire_cli::volume::Volume;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Storage;
-use entire_core::predict::UpperBound;
+use entire_io::dataset::{TimedFrame, noise_floor};
+use entire_io::enlarge::enlarge;
+use entire_io::files::{make_folder, write_whole};
+use entire_io::metrics::Metrics;
+use entire_io::volume::Volume;
+use entire_steer::predict::UpperBound;
+use entire_train::bound;
+use entire_train::fit::{FitContext, Recipe, predict, predict_stored};
+use entire_train::inputs::Layout;
+use entire_train::split::{GroupBy, TimedFrames};
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
@@ -99,29 +99,6 @@ impl StudyPredictor {
     }
 }
 
-/// Context of a set: its frames, and the inputs of fitting.
-#[derive(Clone, Copy)]
-pub(super) struct OnSet<'a> {
-    /// The study.
-    pub(super) study: &'a Study,
-    /// The set.
-    pub(super) set: &'a Set,
-    /// Its frames.
-    pub(super) data: &'a SetData<'a>,
-    /// Context of fitting.
-    pub(super) context: &'a FitContext<'a>,
-}
-
-impl<'a> OnSet<'a> {
-    /// Training frames of a recipe. The paper's inputs do not contain the step.
-    ///
-    /// # Errors
-    /// For unknown inputs.
-    pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
-        Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
-    }
-}
-
 /// Context of a study besides its description.
 pub struct Runner<'a> {
     /// Threads.
@@ -170,7 +147,7 @@ impl Runner<'_> {
             file.metadata.insert(
                 Key::Provenance.into(),
                 json!({ "what": fitted.what, "settings": fitted.settings, "outcome": fitted.outcome,
-                    "training_frames": training.frames.len(), "program": entire_cli::machine::version() })
+                    "training_frames": training.frames.len(), "program": entire_io::machine::version() })
                 .to_string(),
             );
         }

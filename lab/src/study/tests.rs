@@ -4,14 +4,14 @@ use super::baselines::low_resolution;
 use super::cache::identity;
 use super::runner::{Bounds, Crossed};
 use super::*;
-use entire_cli::bound;
-use entire_cli::dataset::feature_table::FeatureTable;
-use entire_cli::dataset::{Clock, Scene, Table, TimedFrame, Timing, Writer, parse_lobes};
-use entire_cli::fit::{FitContext, Recipe};
-use entire_cli::metrics::Metrics;
-use entire_cli::options::thread_pool;
-use entire_cli::split::TimedFrames;
 use entire_core::scene::{Arcball, Shading, Skipping};
+use entire_io::dataset::feature_table::FeatureTable;
+use entire_io::dataset::{Clock, Scene, Table, TimedFrame, Timing, Writer, parse_lobes};
+use entire_io::metrics::Metrics;
+use entire_io::options::thread_pool;
+use entire_train::bound;
+use entire_train::fit::{FitContext, Recipe};
+use entire_train::split::TimedFrames;
 use serde_json::json;
 
 /// A frame of a volume that does not exist.

@@ -2,12 +2,12 @@
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use entire_cli::dataset::Clock;
-use entire_cli::files::{gzip, read_decompressed, write_whole};
-use entire_cli::identity::Identity;
-use entire_cli::options::{ShadeOption, SkipOption};
-use entire_cli::path::PathFile;
 use entire_core::scene::{Shading, Skipping};
+use entire_io::dataset::Clock;
+use entire_io::files::{gzip, read_decompressed, write_whole};
+use entire_io::identity::Identity;
+use entire_io::options::{ShadeOption, SkipOption};
+use entire_io::path::PathFile;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

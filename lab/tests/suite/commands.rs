@@ -79,7 +79,7 @@ fn tune_says_what_recorded_paths_cost() {
     assert!(said.contains("train-orbit") && said.contains("no other value of any constant"), "{said}");
     let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(found["paths"], serde_json::json!(["train-orbit", "train-series"]));
-    use entire_core::control::{CorrectionConstants, HybridConstants};
+    use entire_steer::control::{CorrectionConstants, HybridConstants};
     let mut names = HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES);
     assert!(names.all(|n| found["constants"][n].is_f64()), "{found}");
     for path in 0..2 {

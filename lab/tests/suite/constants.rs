@@ -1,7 +1,7 @@
 //! The constants of the controller: their table in the book, and assumptions about recorded paths.
 
-use entire_core::control::{CorrectionConstants, HybridConstants};
 use entire_lab::trace::{Curve, Trace};
+use entire_steer::control::{CorrectionConstants, HybridConstants};
 use std::path::Path;
 
 #[test]

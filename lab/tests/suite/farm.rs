@@ -59,7 +59,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         assert!(cells[1].parse::<f64>().unwrap() > 0.0 && cells[2].parse::<f64>().unwrap() > 0.0, "{row}");
     }
     // The saved task list can be planned and compared.
-    assert_eq!(entire_cli::farm::read_tasks(Path::new(&list)).unwrap().len(), 16);
+    assert_eq!(entire_farm::read_tasks(Path::new(&list)).unwrap().len(), 16);
     let output = lab(&["farm", &list, "--report", &report, "--bars"]);
     let text = String::from_utf8_lossy(&output.stdout);
     assert_eq!(text.lines().filter(|l| l.starts_with("bar farm-")).count(), 4, "{text}");

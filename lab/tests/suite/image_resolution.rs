@@ -1,12 +1,13 @@
 //! Rules that act on image resolution get times of smaller images, rules that act on the ray step those of
 //! steps.
 
-use entire_cli::steering::contenders::{ActsOn, ControllerKind, contender};
+use entire_cli::steering::contenders::{ControllerKind, contender};
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::control::{Prior, StepLimits};
-use entire_core::predict::AnalyticModel;
 use entire_lab::replay::{Player, Replayable, Replayed, replay};
 use entire_lab::trace::{Trace, TracePoint};
+use entire_steer::control::{Prior, StepLimits};
+use entire_steer::predict::AnalyticModel;
 use std::path::Path;
 
 /// A trace without smaller images.

@@ -3,18 +3,18 @@
 
 use clap::Parser;
 use entire_cli::commands::train;
-use entire_cli::dataset::{Scene, Timing, Writer};
-use entire_cli::files::open_model;
-use entire_cli::steering::contenders::ActsOn;
+use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::play::Contender;
-use entire_cli::volume::Volume;
-use entire_core::control::{Session, StepLimits};
-use entire_core::features::PROBE_SIDE;
-use entire_core::predict::load;
+use entire_io::dataset::{Scene, Timing, Writer};
+use entire_io::files::open_model;
+use entire_io::volume::Volume;
 use entire_lab::calibration::samples_of;
 use entire_lab::fitted::fit_network;
 use entire_lab::replay::{Replayable, Tally, replay};
 use entire_lab::trace::Trace;
+use entire_steer::control::{Session, StepLimits};
+use entire_steer::features::PROBE_SIDE;
+use entire_steer::predict::load;
 use std::path::Path;
 
 /// Options of `entire train` on a command line.

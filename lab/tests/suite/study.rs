@@ -1,7 +1,7 @@
 //! `entire-lab study` end to end on a small part of the committed timing tables.
 
-use entire_cli::dataset::feature_table::FeatureTable;
-use entire_cli::dataset::{Table, Writer};
+use entire_io::dataset::feature_table::FeatureTable;
+use entire_io::dataset::{Table, Writer};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -8,11 +8,11 @@ use crate::lock::Guarded;
 use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::calibrate::{Calibrated, Calibration as Core, Picture, Shown};
-use entire_core::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary};
 use entire_core::nn::Executor;
-use entire_core::predict::Inputs;
 use entire_core::scene::Skipping;
+use entire_steer::calibrate::{Calibrated, Calibration as Core, Picture, Shown};
+use entire_steer::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary};
+use entire_steer::predict::Inputs;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 

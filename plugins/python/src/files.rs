@@ -19,7 +19,7 @@ use std::path::PathBuf;
 ///     Names the file that cannot be written.
 #[pyfunction]
 pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResult<()> {
-    detached(py, || entire_cli::files::write_whole(&path, data))
+    detached(py, || entire_io::files::write_whole(&path, data))
         .map_err(|error| PyOSError::new_err(format!("{error:#}")))
 }
 
@@ -42,7 +42,7 @@ pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResul
 ///     If the machine was not calibrated for the mode; the text has the command.
 #[pyfunction]
 pub(crate) fn machine_file(shading: &str) -> PyResult<PathBuf> {
-    let shading = entire_cli::dataset::parse_shading(shading)
+    let shading = entire_io::dataset::parse_shading(shading)
         .map_err(|error| PyValueError::new_err(format!("{error:#}")))?;
     entire_cli::calibrate::place::machine_file(shading)
         .map_err(|error| PyFileNotFoundError::new_err(format!("{error:#}")))

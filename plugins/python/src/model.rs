@@ -7,7 +7,7 @@ use crate::volume::{Data, Volume};
 use entire_core::model::{GroupKind, Model as File, ModelFile};
 use entire_core::nn::Executor;
 use entire_core::nn::{EncodeScratch, PredNet, VolumeNet};
-use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
+use entire_steer::predict::{AnalyticModel, ModelPredictor, Predictor};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};

@@ -1,7 +1,7 @@
 //! Answers of a session.
 
-use entire_core::control::Plan as CorePlan;
-use entire_core::predict::{Prediction as CorePrediction, Source};
+use entire_steer::control::Plan as CorePlan;
+use entire_steer::predict::{Prediction as CorePrediction, Source};
 use pyo3::prelude::*;
 
 /// Settings of a frame to draw, and its expected time.

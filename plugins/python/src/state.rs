@@ -5,10 +5,10 @@ use crate::history::{Entry, History};
 use crate::plan::Plan;
 use crate::transfer::{Transfer, TransferFunction};
 use crate::volume::Data;
-use entire_core::control::{ObserveFlags, Verdict};
-use entire_core::control::{PENDING_PLANS, Plan as CorePlan, Session as Core};
-use entire_core::features::Changes;
 use entire_core::scene::{Camera as CoreCamera, Frame};
+use entire_steer::control::{ObserveFlags, Verdict};
+use entire_steer::control::{PENDING_PLANS, Plan as CorePlan, Session as Core};
+use entire_steer::features::Changes;
 use pyo3::prelude::*;
 use std::sync::Arc;
 

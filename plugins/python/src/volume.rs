@@ -3,9 +3,9 @@
 use crate::detach::{calling, detached};
 use crate::errors::raise;
 use crate::lock::Guarded;
-use entire_core::features::{SummaryOptions, SummarySeries, VolumeSummary};
 use entire_core::nn::Executor;
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
+use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
 use glam::Vec3;
 use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};

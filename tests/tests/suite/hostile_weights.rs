@@ -2,11 +2,11 @@
 //! shipped ones.
 
 use entire_core::ErrorKind;
-use entire_core::features::{Changes, FrameFeatures, Setting};
 use entire_core::model::{InputGroup, Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Executor, PredNet, PredNetParts, Target};
-use entire_core::predict::{Inputs, Prediction, check_predictions, load};
 use entire_core::scene::{Arcball, Camera, Frame};
+use entire_steer::features::{Changes, FrameFeatures, Setting};
+use entire_steer::predict::{Inputs, Prediction, check_predictions, load};
 use std::path::Path;
 
 fn model(first: f32, last: [f32; 4], target: Target) -> Model {

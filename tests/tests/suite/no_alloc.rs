@@ -1,13 +1,13 @@
 //! Hot calls allocate nothing after set-up: counted by the global allocator, on every level and storage
 //! format.
 
-use entire_core::control::{ObserveFlags, Session};
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::nn::Level;
 use entire_core::nn::{
     DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Storage, Target,
 };
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+use entire_steer::control::{ObserveFlags, Session};
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

@@ -1,9 +1,9 @@
 //! The coarse ray probe's estimates against the exact counts of the CPU version, on the volumes in `data/`.
 
-use entire_cli::scenes::SceneDistribution;
-use entire_cli::volume::Volume;
-use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
 use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
+use entire_io::scenes::SceneDistribution;
+use entire_io::volume::Volume;
+use entire_steer::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::path::{Path, PathBuf};
 

@@ -1,11 +1,11 @@
 //! The same scene in any unit of length: the same prediction, from 1e-30 to 1e30.
 
-use entire_core::control::Session;
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, TransferFunction, TransferTable,
     VolumeOptions, VolumeView,
 };
+use entire_steer::control::Session;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 use glam::Vec3;
 
 const DIMS: [usize; 3] = [24, 20, 36];

@@ -4,7 +4,8 @@ use super::picture::{Picture, Region};
 use super::recording::{IMAGE_BYTES, Output, Tile, record_tile, tiles};
 use super::{Cast, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_counts, brick_order};
 use crate::clock::Stopwatch;
-use crate::renderer::{Error, FrameTime, Image, Rendered, Result, WorkCounts};
+use crate::error::{Error, Result};
+use crate::renderer::{FrameTime, Image, Rendered, WorkCounts};
 use crate::setup::FAR;
 use entire_core::scene::Frame;
 

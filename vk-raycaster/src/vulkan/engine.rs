@@ -6,7 +6,7 @@ mod waiting;
 use super::gpu::{Gpu, NamedCall};
 use super::recording::{Command, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
 use super::resources::{Buffer, Image, Owned, Shape};
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::setup::FrameSetup;
 use ash::vk;
 use gpu_allocator::MemoryLocation;

@@ -1,6 +1,6 @@
 //! Loader, instance, device, queue and allocator.
 
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::ffi::{CStr, CString, c_char, c_void};

@@ -15,9 +15,8 @@ mod upload;
 
 use crate::blocks::{BLOCK_EDGE, BlockMap, SkipMap, check_edge};
 use crate::clock::Stopwatch;
-use crate::renderer::{
-    DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
-};
+use crate::error::{Error, Result};
+use crate::renderer::{DeviceLimits, FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
 use crate::setup::{FAR, FrameSetup, check};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};

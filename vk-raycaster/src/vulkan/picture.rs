@@ -2,7 +2,7 @@
 
 use super::resources::{Image, Shape};
 use super::shared::SharedDevice;
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
 use entire_core::scene::Frame;
 

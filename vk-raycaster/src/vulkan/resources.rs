@@ -1,7 +1,7 @@
 //! Device objects that free themselves.
 
 use super::gpu::{Gpu, NamedCall};
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};

@@ -2,7 +2,7 @@
 
 use super::gpu::Gpu;
 use super::{VulkanOptions, VulkanRaycaster};
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 

@@ -4,7 +4,7 @@ use super::VoxelFetch;
 use super::engine::{MAX_BRICKS, texel_bytes};
 use super::gpu::Gpu;
 use super::resources::Shape;
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::table::StepTable;
 use crate::voxels::{PreparedVolume, Voxels};
 use ash::vk;

@@ -2,11 +2,11 @@
 
 use super::{LONG, Measuring};
 use crate::calibrate::pool::Candidate;
-use crate::dataset::Timing;
 use crate::pictures::{resized, rmse, scaled_size, ssim};
 use anyhow::{Context, Result};
-use entire_core::calibrate::Picture;
 use entire_core::scene::Frame;
+use entire_io::dataset::Timing;
+use entire_steer::calibrate::Picture;
 use entire_vk_raycaster::Image;
 use serde::Serialize;
 use std::collections::BTreeSet;

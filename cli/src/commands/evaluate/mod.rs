@@ -2,23 +2,23 @@
 
 mod report;
 
-use crate::bound;
-use crate::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
-use crate::evaluation::{
-    PROBE_SHARE, WarmLatency, by_kind, in_session, noise_by_kind, probe_means, warm_latency,
-};
-use crate::files::{fnv1a, note, parse_model, read_model_bytes};
-use crate::fit::{predict_rows, rows_by_network};
-use crate::inputs::Layout;
-use crate::machine;
-use crate::metrics::{Metrics, bootstrap_by_group};
-use crate::options::thread_pool;
-use crate::progress::{INPUTS_BAR, templated_bar};
-use crate::split::{GroupBy, Part, Split};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{Key, Model};
 use entire_core::nn::{Level, PredNet, Storage};
-use entire_core::predict::UpperBound;
+use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
+use entire_io::files::{fnv1a, note, parse_model, read_model_bytes};
+use entire_io::machine;
+use entire_io::metrics::{Metrics, bootstrap_by_group};
+use entire_io::options::thread_pool;
+use entire_io::progress::{INPUTS_BAR, templated_bar};
+use entire_steer::predict::UpperBound;
+use entire_train::bound;
+use entire_train::evaluation::{
+    PROBE_SHARE, WarmLatency, by_kind, in_session, noise_by_kind, probe_means, warm_latency,
+};
+use entire_train::fit::{predict_rows, rows_by_network};
+use entire_train::inputs::Layout;
+use entire_train::split::{GroupBy, Part, Split};
 use indicatif::ProgressBar;
 use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
 use std::collections::BTreeMap;
@@ -46,7 +46,7 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub clock: Clock,
     /// Only frames with this shading: none, local or scatter.
-    #[arg(long, value_parser = crate::dataset::parse_shading)]
+    #[arg(long, value_parser = entire_io::dataset::parse_shading)]
     pub shade: Option<entire_core::scene::Shading>,
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
@@ -123,9 +123,9 @@ pub fn run(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let named = || models.iter().map(|m| (m.name.as_str(), &m.model));
-    let clock = crate::clock::agreed(options.clock, named())?;
+    let clock = entire_io::clock::agreed(options.clock, named())?;
     let mut frames = timed(&tables, clock, options.shade)?;
-    let said = [crate::clock::unstated(clock, named()), left_out(&tables, clock, options.shade)];
+    let said = [entire_io::clock::unstated(clock, named()), left_out(&tables, clock, options.shade)];
     said.into_iter().flatten().for_each(|text| note(&text));
     if options.unseen {
         for m in models.iter().filter(|m| m.split.is_none()) {

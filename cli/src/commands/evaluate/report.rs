@@ -1,12 +1,12 @@
 //! Printed and written output of `entire evaluate`.
 
-use crate::dataset::{NoiseFloor, TimedFrame};
-use crate::evaluation::WarmLatency;
-use crate::files::{make_folder, write_whole};
-use crate::metrics::{BoundMetrics, Metrics};
-use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
-use crate::split::GroupBy;
 use anyhow::Result;
+use entire_io::dataset::{NoiseFloor, TimedFrame};
+use entire_io::files::{make_folder, write_whole};
+use entire_io::metrics::{BoundMetrics, Metrics};
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_train::evaluation::WarmLatency;
+use entire_train::split::GroupBy;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;

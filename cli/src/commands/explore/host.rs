@@ -1,24 +1,24 @@
 //! Services of this program to the window: readers of volumes, predictors, controllers, path files.
 
 use crate::calibrate::place::machine_model;
-use crate::dataset::Clock;
-use crate::files::{write_json, write_whole};
-use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::model::SteeringModel;
 use crate::steering::play::RAYCASTER;
 use crate::steering::race::shipped_file;
 use crate::steering::rivals::StepResponse;
-use crate::volume::Reading;
-use crate::volume::{Volume, Watcher};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use entire_core::Session;
-use entire_core::control::Prior;
 use entire_core::model::Model;
-use entire_core::predict::AnalyticModel;
 use entire_core::scene::{Arcball, Shading, VolumeView};
 use entire_explore::{Host, Progress, RecordedTransfer, Recording, Steering, VolumeSource};
+use entire_io::dataset::Clock;
+use entire_io::files::{write_json, write_whole};
+use entire_io::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
+use entire_io::volume::Reading;
+use entire_io::volume::{Volume, Watcher};
+use entire_steer::Session;
+use entire_steer::control::Prior;
+use entire_steer::predict::AnalyticModel;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -161,7 +161,7 @@ impl Host for ExplorerHost {
                 }
             }
         };
-        let clock = crate::clock::of(&model);
+        let clock = entire_io::clock::of(&model);
         let model = Some(SteeringModel::new(title, model, volume)?);
         Ok(Arc::new(Predicts { model, calibrated, clock, left_out }))
     }
@@ -301,10 +301,10 @@ mod tests {
         let voxels = [0u8; 512];
         let view = VolumeView::new(Scalars::U8(&voxels), [8; 3]).unwrap();
         let mut file = AnalyticModel::default().to_model_file().unwrap();
-        crate::clock::set(&mut file, Clock::Cpu);
+        entire_io::clock::set(&mut file, Clock::Cpu);
         let model = file.to_model().unwrap();
         let mut predicts = Predicts {
-            clock: crate::clock::of(&model),
+            clock: entire_io::clock::of(&model),
             model: Some(SteeringModel::new("m".into(), model, &view).unwrap()),
             calibrated: false,
             left_out: Some(takes_no_part(Path::new("here.safetensors"), Some(Clock::Device))),

@@ -1,8 +1,8 @@
 //! The paper's Algorithm 1 and its baselines there: OLP and PID.
 
 use super::StepResponse;
-use entire_core::control::Verdict;
-use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
+use entire_steer::control::Verdict;
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason};
 
 fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decision {
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }

@@ -1,6 +1,6 @@
 //! The controller without steering: one step for every frame.
 
-use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
 
 /// Always the same step.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,5 +1,5 @@
 //! The controllers that the hybrid is compared with: a fixed step, the paper's Algorithm 1 with its
-//! baselines, and the reactive rules of other renderers. They implement [`entire_core::control::Controller`]
+//! baselines, and the reactive rules of other renderers. They implement [`entire_steer::control::Controller`]
 //! and are offered by `entire steer --controllers`; no product steers by them.
 
 mod algorithm1;

@@ -3,13 +3,13 @@
 //! VTK's rule for GPU ray casting acts on the distance of samples along rays: its decision's step is the ray
 //! step. The others scale image resolution, by a fraction f of each side or an image sample distance d: their
 //! decision's step is s = 1 / f² = d², for an image with 1 / s of the pixels at an unchanged ray step.
-//! [`ActsOn`](crate::steering::contenders::ActsOn) states the quantity and the range of s. `entire steer`
+//! [`ActsOn`](crate::steering::play::ActsOn) states the quantity and the range of s. `entire steer`
 //! draws such images; `entire-lab replay` uses their recorded times and pictures. Where only the ray step can
 //! be set, s is taken as the ray step, assuming work ∝ 1 / step: in the window (`entire explore`), on stress
 //! scenes, and on traces without smaller images, which the tables then mention.
 
-use entire_core::control::Verdict;
-use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
+use entire_steer::control::Verdict;
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason};
 
 fn reactive(step: f32) -> Decision {
     Decision { step, seconds: f32::NAN, upper: f32::NAN, out_of_range: f32::NAN, reason: Reason::Reactive }

@@ -2,9 +2,9 @@
 //! controller.
 
 use super::*;
-use entire_core::control::{Controller, Hybrid, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
-use entire_core::features::Changes;
-use entire_core::predict::{CostTerms, Source, TERMS};
+use entire_steer::control::{Controller, Hybrid, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
+use entire_steer::features::Changes;
+use entire_steer::predict::{CostTerms, Source, TERMS};
 
 /// A deterministic source of noise.
 struct Noise(u64);

@@ -5,12 +5,12 @@
 //! cargo run --release -p entire-examples --bin steered_loop
 //! ```
 
-use entire_core::control::ObserveFlags;
-use entire_core::control::{Session, StepLimits};
-use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, Skipping, TransferFunction, VolumeOptions, VolumeView,
 };
+use entire_steer::control::ObserveFlags;
+use entire_steer::control::{Session, StepLimits};
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::error::Error;
 

@@ -5,12 +5,8 @@
 //! JSON for each: `{"dims", "type", "spacing", "range", "crc32", "notes"}`, `{"refused"}` or `{"panic"}`.
 //! `differential.py` runs it.
 
-#![allow(dead_code, reason = "the command's readers can do more than this program asks for")]
-
-#[path = "../../../../cli/src/volume/mod.rs"]
-pub mod volume;
-
 use anyhow::{Result, bail};
+use entire_io::volume;
 use serde_json::{Value, json};
 use std::io::{BufRead, Write};
 use std::path::Path;

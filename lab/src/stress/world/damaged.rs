@@ -6,13 +6,13 @@ use super::{Machine, fitted};
 use anyhow::Result;
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::control::Prior;
-use entire_core::features::{
+use entire_core::model::Model;
+use entire_core::scene::{Arcball, Camera, Frame, TransferFunction};
+use entire_steer::control::Prior;
+use entire_steer::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
-use entire_core::model::Model;
-use entire_core::predict::{Inputs, load};
-use entire_core::scene::{Arcball, Camera, Frame, TransferFunction};
+use entire_steer::predict::{Inputs, load};
 
 /// Plays it.
 pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {

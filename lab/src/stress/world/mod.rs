@@ -7,17 +7,17 @@ mod scenes;
 use super::{Noise, Seen, Verdict, judge};
 use anyhow::{Context, Result, bail};
 use damaged::damaged;
-use entire_cli::dataset::Clock;
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::play::Contender;
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::control::StepLimits;
-use entire_core::control::{ObserveFlags, Prior};
-use entire_core::features::{
+use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
+use entire_io::dataset::Clock;
+use entire_steer::control::StepLimits;
+use entire_steer::control::{ObserveFlags, Prior};
+use entire_steer::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
-use entire_core::predict::{AnalyticModel, Measurement, UnitCosts};
-use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
+use entire_steer::predict::{AnalyticModel, Measurement, UnitCosts};
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
 
@@ -73,7 +73,7 @@ impl Machine<'_> {
         match self {
             Self::Scripted(_) => Ok(law(pixels(frame), &rendered.counts.context("the twin counts")?)),
             Self::Real(_, clock) => {
-                entire_cli::dataset::Timing::new(rendered.time, rendered.counts).seconds(*clock).with_context(
+                entire_io::dataset::Timing::new(rendered.time, rendered.counts).seconds(*clock).with_context(
                     || format!("the renderer has no {} clock; choose another with --clock", clock.name()),
                 )
             }
@@ -265,7 +265,7 @@ fn typical(machine: &mut Machine<'_>, world: &World, views: &[VolumeView<'_>]) -
         )?;
         times.push(truth(machine, &shot, &frame, FINEST)?);
     }
-    entire_cli::metrics::median(&mut times).context("a scene without frames")
+    entire_io::metrics::median(&mut times).context("a scene without frames")
 }
 
 /// The step that meets the target, interpolated on the grid.

@@ -1,7 +1,7 @@
 //! Translation of a recording to a command buffer: one Vulkan call, or a few, for each command.
 
 use super::{Engine, Shader, Slot};
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::vulkan::gpu::NamedCall;
 use crate::vulkan::recording::{Command, Hazard, Target};
 use crate::vulkan::resources::{COLOR_RANGE, Image, Shape};

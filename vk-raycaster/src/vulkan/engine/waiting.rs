@@ -1,7 +1,7 @@
 //! Waits for submissions with a time limit: devices may be lost or hang.
 
 use super::{Engine, with_pass};
-use crate::renderer::{Error, Result};
+use crate::error::{Error, Result};
 use crate::vulkan::gpu::NamedCall;
 use ash::vk;
 

@@ -1,0 +1,306 @@
+//! A job's database on the disk: finished tasks, from the journal and from later answers of workers.
+
+use super::cinema::{self, Row};
+use super::job::Job;
+use super::journal::Journal;
+use super::learn::{CONSTANT_SD_WITH_MODEL, CONSTANT_SD_WITHOUT_MODEL, Shape};
+use super::load::Loads;
+use super::options::Options;
+use super::planner::{Planner, Setting};
+use super::record::{Answer, BARE_JOURNAL_FORMAT, Entry, JOURNAL_FORMAT, Line, Order, parse_id, run_number};
+use super::spool;
+use anyhow::{Context, Result, ensure};
+use entire_io::files::{make_folder, note, write_whole};
+use entire_io::identity::{self, Identity};
+use std::collections::{BTreeMap, HashMap, HashSet};
+
+/// A job's database, open for writing: journal and finished tasks.
+pub struct Database<'a> {
+    pub(super) job: &'a Job,
+    pub(super) journal: Journal,
+    pub(super) numbers: HashMap<u64, u32>,
+    /// Results of finished tasks.
+    pub(super) done: HashMap<u32, Row>,
+    pub(super) quarantined: HashMap<u32, String>,
+    pub(super) run: u64,
+}
+
+impl<'a> Database<'a> {
+    /// Opens the database of a job: makes its folders, locks it, reads its journal, and adds the tasks that
+    /// workers have finished since the last driver ended.
+    ///
+    /// # Errors
+    /// When it was begun before and `resume` is not set, another driver is running, or a file cannot be read
+    /// or written.
+    pub fn open(job: &'a Job, options: &Options) -> Result<Self> {
+        let state = job.state();
+        for folder in ["spool", "orders", "cancel", "logs", "parts", "quarantine"] {
+            make_folder(&state.join(folder))?;
+        }
+        let numbers = job.numbers();
+        ensure!(
+            numbers.len() == job.len(),
+            "two tasks have the same id; give one of their volumes another name in the job"
+        );
+        let (mut done, mut quarantined) = (HashMap::new(), HashMap::new());
+        let (mut begun, mut inputs, mut gone) = (false, None, HashSet::new());
+        let number = |task: &str| parse_id(task).and_then(|id| numbers.get(&id).copied());
+        let journal = Journal::open(&state, |entry| {
+            match entry {
+                Entry::Run { format, .. } => {
+                    begun = true;
+                    ensure!(
+                        format == JOURNAL_FORMAT || format == BARE_JOURNAL_FORMAT,
+                        "its format is {format:?}; this version reads {JOURNAL_FORMAT:?}"
+                    );
+                }
+                Entry::Inputs { files } => inputs = Some(files),
+                Entry::Done { answer, predicted_s } => {
+                    if let Some(task) = number(&answer.task) {
+                        quarantined.remove(&task);
+                        // The last entry counts: a missing picture was rendered again.
+                        done.insert(task, Row { answer, predicted_s });
+                    } else {
+                        gone.extend(parse_id(&answer.task));
+                    }
+                }
+                Entry::Quarantined { task, error, .. } => {
+                    if let Some(task) = number(&task) {
+                        quarantined.insert(task, error);
+                    }
+                }
+                Entry::Failed { .. } | Entry::Lost { .. } | Entry::Eta { .. } => {}
+            }
+            Ok(())
+        })?;
+        ensure!(
+            options.resume || !begun,
+            "{} was begun before; go on with --resume, or give another output",
+            job.output.display()
+        );
+        let run = run_number(&state).unwrap_or(0) + 1;
+        // From here on, workers of the previous run begin no further task.
+        write_whole(&state.join("run"), run.to_string().as_bytes())?;
+        let renderer = serde_json::to_vec(&job.renderer)?;
+        write_whole(&state.join("renderer.json"), &renderer)?;
+        if options.retry_quarantined {
+            quarantined.clear();
+        }
+        let mut new = Self { job, journal, numbers, done, quarantined, run };
+        new.compare_inputs(inputs, gone)?;
+        new.take_over()?;
+        new.check_images(options.verify)?;
+        if begun {
+            new.write_table()?;
+        }
+        Ok(new)
+    }
+
+    /// Prints a note on pictures in the journal that no longer belong to the job, removes those of changed
+    /// files, and stores the files' identities. `then` are the earlier identities.
+    fn compare_inputs(
+        &mut self,
+        then: Option<BTreeMap<String, Vec<Identity>>>,
+        mut gone: HashSet<u64>,
+    ) -> Result<()> {
+        let job = self.job;
+        gone.retain(|id| job.output.join(job.image(*id)).exists());
+        let volumes = 0..job.volumes.len();
+        let now = volumes.clone().map(|i| (job.shown(i), job.volumes[i].files.clone())).collect();
+        if then.as_ref() == Some(&now) && gone.is_empty() {
+            return Ok(());
+        }
+        let known = then.is_some();
+        let then = then.unwrap_or_default();
+        let ids_then = job.ids_then(&then);
+        let (mut files, mut count) = (Vec::new(), 0);
+        for i in volumes {
+            let shown = job.shown(i);
+            let changed = then.get(&shown).and_then(|f| identity::difference(f, &job.volumes[i].files));
+            let Some(what) = changed else { continue };
+            let stale: Vec<u64> = ids_then(i).into_iter().filter(|id| gone.remove(id)).collect();
+            for id in &stale {
+                let path = job.output.join(job.image(*id));
+                std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+            count += stale.len();
+            if !stale.is_empty() {
+                files.push(format!("{shown} ({what})"));
+            }
+        }
+        if let Some(first) = files.first() {
+            let more = match files.len() - 1 {
+                0 => String::new(),
+                n => format!(" and {n} other files"),
+            };
+            note(&format!(
+                "{first}{more} changed; {count} pictures of the old content are removed and rendered again"
+            ));
+        }
+        if !gone.is_empty() {
+            let why = if known {
+                "belong to no task of the job"
+            } else {
+                "have no record of their inputs and are rendered again"
+            };
+            note(&format!(
+                "{} pictures in {} {why}; they are left out of the table",
+                gone.len(),
+                job.output.join("image").display()
+            ));
+        }
+        self.journal.add(&Entry::Inputs { files: now })?;
+        self.journal.flush()
+    }
+
+    /// The number of this run.
+    pub fn run(&self) -> u64 {
+        self.run
+    }
+
+    /// Adds answers that workers wrote to the spool and no driver to the journal.
+    pub fn take_over(&mut self) -> Result<()> {
+        let state = self.job.state();
+        let folder = state.join("spool");
+        let mut files = Vec::new();
+        for found in
+            std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?
+        {
+            files.push(found?.path());
+        }
+        for file in &files {
+            for line in spool::lines(file)? {
+                let Line::Answer(answer) = line else { continue };
+                let Some(&task) = parse_id(&answer.task).and_then(|id| self.numbers.get(&id)) else {
+                    continue;
+                };
+                if answer.error.is_none() && !self.done.contains_key(&task) && self.is_there(&answer, true) {
+                    self.finish(task, answer, f64::NAN)?;
+                }
+            }
+        }
+        self.journal.flush()?;
+        for file in files {
+            let _ = std::fs::remove_file(file);
+        }
+        for name in ["orders", "cancel", "parts"] {
+            let _ = std::fs::remove_dir_all(state.join(name));
+            make_folder(&state.join(name))?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn finish(&mut self, task: u32, answer: Answer, predicted_s: f64) -> Result<()> {
+        let predicted_s = if predicted_s.is_finite() { predicted_s } else { answer.seconds };
+        self.journal.add(&Entry::Done { answer: answer.clone(), predicted_s })?;
+        self.quarantined.remove(&task);
+        self.done.insert(task, Row { answer, predicted_s });
+        Ok(())
+    }
+
+    fn is_there(&self, answer: &Answer, whole: bool) -> bool {
+        let Some(id) = parse_id(&answer.task) else { return false };
+        let path = self.job.output.join(self.job.image(id));
+        let length = std::fs::metadata(&path).map(|m| m.len());
+        if length.ok() != Some(answer.bytes) {
+            return false;
+        }
+        !whole || std::fs::read(&path).is_ok_and(|bytes| crc32fast::hash(&bytes) == answer.crc32)
+    }
+
+    /// Missing or damaged images are rendered again.
+    fn check_images(&mut self, whole: bool) -> Result<()> {
+        let missing: Vec<u32> =
+            self.done.iter().filter(|(_, row)| !self.is_there(&row.answer, whole)).map(|(t, _)| *t).collect();
+        for task in &missing {
+            self.done.remove(task);
+        }
+        if !missing.is_empty() {
+            note(&format!(
+                "{} images in the journal are missing or damaged; they are rendered again",
+                missing.len()
+            ));
+        }
+        Ok(())
+    }
+
+    /// The plan of the remaining tasks, corrected by the finished ones; no task is queued in it yet.
+    pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
+        let mut planner = planner(self.job, base, setting);
+        for (task, row) in &self.done {
+            planner.done_before(*task, 0, row.answer.seconds);
+        }
+        planner.refresh();
+        planner
+    }
+
+    /// The order of a task for a worker.
+    pub fn order(&self, task: u32, predicted_s: f64) -> Order {
+        let job = self.job;
+        let at = job.place(task as usize);
+        let (volume, pose) = (&job.volumes[at.volume], job.cameras[at.camera]);
+        let id = job.id(task as usize);
+        Order {
+            task: format!("{id:016x}"),
+            volume: volume.path.clone(),
+            volume_name: volume.name.clone(),
+            time: volume.time,
+            reading: volume.reading.clone(),
+            camera: [pose.rx, pose.ry, pose.dz],
+            fov_y_deg: job.fov_y_deg,
+            transfer_name: job.transfers[at.transfer].name.clone(),
+            transfer: job.transfers[at.transfer].transfer.clone(),
+            size: job.sizes[at.size],
+            step: job.steps[at.step],
+            image: job.image(id),
+            predicted_s,
+            files: volume.files.clone(),
+        }
+    }
+
+    /// Writes the database's table.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write_table(&self) -> Result<()> {
+        cinema::write(self.job, &self.done)
+    }
+}
+
+/// The tasks that a job's journal lists as finished and whose pictures exist, with their seconds.
+///
+/// # Errors
+/// When its journal cannot be read.
+pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
+    if !job.state().join("journal.jsonl").exists() {
+        return Ok(Vec::new());
+    }
+    let numbers = job.numbers();
+    let mut out = BTreeMap::new();
+    for entry in super::journal::entries(&job.state())? {
+        if let Entry::Done { answer, .. } = entry
+            && let Some((&id, &task)) = parse_id(&answer.task).and_then(|id| numbers.get_key_value(&id))
+            && job.output.join(job.image(id)).exists()
+        {
+            out.insert(task, answer.seconds);
+        }
+    }
+    Ok(out.into_iter().collect())
+}
+
+/// True if volumes are loaded separately from rendering.
+fn tells_loads(job: &Job) -> bool {
+    !matches!(job.renderer, super::job::Renderer::Command { .. })
+}
+
+/// The plan of a job for an engine with this many slots.
+pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
+    let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
+    let has_model = job.predict.model.is_some() || job.predict.list.is_some();
+    let shape = Shape::of_job(job, base).with_constant(if has_model {
+        CONSTANT_SD_WITH_MODEL
+    } else {
+        CONSTANT_SD_WITHOUT_MODEL
+    });
+    Planner::new(shape, Loads::new(bytes, tells_loads(job)), setting)
+}

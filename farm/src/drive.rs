@@ -1,0 +1,532 @@
+//! The driver: sends bundles, records their results, and predicts the end.
+
+use super::database::{Database, planner};
+use super::engine::{Bundle, Engine, Event};
+use super::job::Job;
+use super::options::Options;
+use super::planner::{Planner, Setting, State, Straggler};
+use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, parse_id, unix_now};
+use super::show::{Show, View};
+use super::spool;
+use anyhow::{Result, bail, ensure};
+use entire_io::files::write_whole;
+use entire_io::interrupt;
+use entire_io::machine;
+use std::collections::{HashMap, HashSet};
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+/// Interval between estimates of the end.
+const ETA_EVERY: Duration = Duration::from_millis(1000);
+/// Interval between writings of the database's table during a run.
+const TABLE_EVERY: Duration = Duration::from_secs(30);
+/// Number of times that an engine is restarted without a finished task in between.
+const RESTARTS: u32 = 3;
+/// Level of the upper bounds that become time requests.
+const UPPER: f64 = 0.99;
+/// In a preview one of this many views comes first.
+const PREVIEW: usize = 8;
+
+/// Result of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    /// Images of the database.
+    pub done: usize,
+    /// Tasks of the job.
+    pub tasks: usize,
+    /// Ids of the tasks that were given up.
+    pub quarantined: Vec<String>,
+    /// Tasks finished in this run.
+    pub now: usize,
+    /// Seconds of this run.
+    pub seconds: f64,
+    /// Estimates of the end: seconds since the run's start, share done, end at 5, 50, 95 percent.
+    pub said: Vec<(f64, f64, [f64; 3])>,
+}
+
+/// Tasks in the order of stages: with a preview, its tasks first.
+pub fn stages(job: &Job, preview: bool, wanted: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
+    let all = (0..job.len() as u32).filter(|t| wanted(*t));
+    if !preview {
+        return vec![all.collect()];
+    }
+    let pixels = |i: usize| u64::from(job.sizes[i][0]) * u64::from(job.sizes[i][1]);
+    let small = (0..job.sizes.len()).min_by_key(|i| pixels(*i)).unwrap_or(0);
+    let coarse = (0..job.steps.len()).max_by(|a, b| job.steps[*a].total_cmp(&job.steps[*b])).unwrap_or(0);
+    let (first, rest) = all.partition(|t| {
+        let at = job.place(*t as usize);
+        at.camera.is_multiple_of(PREVIEW) && at.size == small && at.step == coarse
+    });
+    vec![first, rest]
+}
+
+struct Drive<'a, 'b> {
+    database: &'b mut Database<'a>,
+    planner: Planner,
+    engine: Box<dyn Engine>,
+    nodes: HashMap<String, usize>,
+    loaded: HashSet<(usize, usize)>,
+    failures: HashMap<u32, u32>,
+    losses: HashMap<u32, u32>,
+    /// The current task of a bundle's worker.
+    at: HashMap<u64, u32>,
+    predicted: HashMap<u64, HashMap<u32, f64>>,
+    busy: f64,
+    over: usize,
+    first: Option<f64>,
+    idle_from: Option<f64>,
+    now: usize,
+    full: Option<String>,
+    down: Option<String>,
+    waits: Vec<u64>,
+    free: Vec<bool>,
+}
+
+/// Runs a job to its end.
+///
+/// # Errors
+/// When the engine cannot be used, the disk is full, Ctrl-C is pressed; finished tasks stay finished.
+pub fn run(
+    database: &mut Database<'_>,
+    base: Vec<f32>,
+    options: &Options,
+    start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>,
+) -> Result<Summary> {
+    let job = database.job;
+    let engine = start(database.run)?;
+    if !engine.bound() {
+        // Workers of the previous run may have finished images while its queue was cleared.
+        database.take_over()?;
+    }
+    let setting = Setting {
+        slots: engine.slots(),
+        bound: engine.bound(),
+        overhead: options.overhead.unwrap_or(engine.overhead()),
+        limit: engine.limit(),
+        order: options.order,
+        learn: !options.uniform,
+    };
+    let base = if options.uniform { vec![0.0; base.len()] } else { base };
+    let mut planner = planner(job, base, setting);
+    if options.uniform {
+        planner.set_uniform();
+    }
+    planner.number_from(database.run << 32);
+    let mut nodes = HashMap::new();
+    for (&task, row) in &database.done {
+        let next = nodes.len();
+        let node = *nodes.entry(row.answer.node.clone()).or_insert(next);
+        planner.done_before(task, if setting.bound { 0 } else { node }, row.answer.seconds);
+    }
+    for task in database.quarantined.keys() {
+        planner.quarantine(None, *task);
+    }
+    if setting.bound {
+        nodes.clear();
+    }
+    for stage in stages(job, options.preview, |t| planner.state(t) == State::Idle) {
+        planner.add_stage(stage);
+    }
+    database.journal.add(&Entry::Run {
+        format: JOURNAL_FORMAT.into(),
+        job: job.name.clone(),
+        date: machine::now(),
+        engine: engine.name().into(),
+        slots: engine.slots(),
+        at: unix_now(),
+    })?;
+    database.journal.flush()?;
+    let slots = engine.slots();
+    let mut drive = Drive {
+        database,
+        planner,
+        engine,
+        nodes,
+        loaded: HashSet::new(),
+        failures: HashMap::new(),
+        losses: HashMap::new(),
+        at: HashMap::new(),
+        predicted: HashMap::new(),
+        busy: 0.0,
+        over: 0,
+        first: None,
+        idle_from: None,
+        now: 0,
+        full: None,
+        down: None,
+        waits: Vec::new(),
+        free: vec![true; slots],
+    };
+    let result = drive.run(start);
+    let flushed = drive.database.journal.flush();
+    drop(drive);
+    let table = database.write_table();
+    let summary = result?;
+    flushed?;
+    table?;
+    Ok(summary)
+}
+
+impl Drive<'_, '_> {
+    fn run(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<Summary> {
+        let stop = interrupt::flag()?;
+        let mut show = Show::begin();
+        let (clock, begin) = (Instant::now(), unix_now());
+        let mut said = Vec::new();
+        let (mut eta_at, mut table_at) = (None::<Instant>, Instant::now());
+        let (mut eta, mut printed) = ([f64::NAN; 3], -1.0);
+        let (mut restarts, mut done_then) = (0, 0);
+        while !self.planner.is_over() {
+            if interrupt::requested(&stop) || self.full.is_some() {
+                break;
+            }
+            self.send()?;
+            ensure!(
+                self.planner.running() > 0 || self.planner.is_over(),
+                "{} tasks wait and no slot takes one; please report it with the job file",
+                self.planner.pending()
+            );
+            let events = self.engine.poll(Duration::from_millis(100))?;
+            let refit = self.take(events)?;
+            // New work first, then the disk: finished tasks are safe in the spool until then.
+            self.send()?;
+            self.database.journal.flush()?;
+            if refit {
+                self.engine.reprioritize(&self.urgency())?;
+            }
+            if let Some(why) = self.down.take() {
+                if self.now > done_then {
+                    restarts = 0;
+                }
+                restarts += 1;
+                done_then = self.now;
+                if restarts > RESTARTS {
+                    bail!("{why}; {RESTARTS} restarts failed");
+                }
+                entire_io::files::note(&format!("{why}; it is started again"));
+                self.restart(start)?;
+            }
+            if eta_at.is_none_or(|t| t.elapsed() >= ETA_EVERY.max(8 * show.cost)) {
+                let before = Instant::now();
+                let now = unix_now();
+                self.measure_overhead(now);
+                eta = self.planner.eta(now).map(|s| now - begin + s);
+                let (done, all) = self.planner.progress();
+                let share = done as f64 / all.max(1) as f64;
+                if share >= printed + 0.01 {
+                    printed = share;
+                    said.push((now - begin, share, eta));
+                    let ends = eta.map(|e| begin + e);
+                    self.database.journal.add(&Entry::Eta { at: now, share, ends })?;
+                }
+                show.update(&self.view(eta, now - begin));
+                show.cost = before.elapsed();
+                eta_at = Some(Instant::now());
+            }
+            if table_at.elapsed() >= TABLE_EVERY {
+                self.database.write_table()?;
+                table_at = Instant::now();
+            }
+        }
+        let interrupted = interrupt::requested(&stop) || self.full.is_some();
+        if interrupted {
+            show.note("finishing the images at hand; Ctrl-C again ends at once");
+            self.engine.cancel()?;
+            let patience = Instant::now();
+            while self.planner.running() > 0 && patience.elapsed() < Duration::from_secs(600) {
+                let events = self.engine.poll(Duration::from_millis(100))?;
+                self.take(events)?;
+                self.database.journal.flush()?;
+                if self.full.is_some() || self.down.is_some() {
+                    break;
+                }
+            }
+        }
+        show.update(&self.view(eta, unix_now() - begin));
+        show.finish();
+        let (done, tasks) = (self.database.done.len(), self.database.job.len());
+        if let Some(why) = &self.full {
+            bail!("{why}; {done} of {tasks} images are done; make room and go on with --resume");
+        }
+        if interrupted {
+            bail!("interrupted: {done} of {tasks} images are done; go on with --resume");
+        }
+        let quarantined = self.database.quarantined.keys();
+        Ok(Summary {
+            done,
+            tasks,
+            quarantined: quarantined.map(|t| self.id(*t)).collect(),
+            now: self.now,
+            seconds: clock.elapsed().as_secs_f64(),
+            said,
+        })
+    }
+
+    fn id(&self, task: u32) -> String {
+        format!("{:016x}", self.database.job.id(task as usize))
+    }
+
+    /// Sends bundles to free slots.
+    fn send(&mut self) -> Result<()> {
+        let now = unix_now();
+        let mut bundles = Vec::new();
+        if self.engine.bound() {
+            for slot in 0..self.free.len() {
+                if self.free[slot]
+                    && let Some(sent) = self.planner.next(Some(slot), now)
+                {
+                    self.free[slot] = false;
+                    bundles.push(sent);
+                }
+            }
+        } else {
+            while self.planner.running() < self.engine.slots() + self.engine.waiting() {
+                let Some(sent) = self.planner.next(None, now) else { break };
+                bundles.push(sent);
+            }
+        }
+        if bundles.is_empty() {
+            return Ok(());
+        }
+        let limit = self.engine.limit();
+        let mut ready = Vec::new();
+        for sent in bundles {
+            let retries = sent.tasks.iter().filter_map(|t| self.losses.get(t)).max().copied().unwrap_or(0);
+            let mut upper_s = f64::INFINITY;
+            if !self.engine.bound() {
+                let loading = 2.0 * self.planner.loads().seconds(sent.volume, false);
+                upper_s =
+                    self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead();
+                upper_s *= f64::from(1u32 << retries.min(6));
+            }
+            if let Some(limit) = limit.filter(|l| sent.expected_s > *l) {
+                // It is a single task: bundles of more stay far below the limit.
+                let why = format!(
+                    "it is expected to take {:.0} s, and the engine runs nothing longer than {limit:.0} s",
+                    sent.expected_s
+                );
+                for task in sent.tasks.clone() {
+                    self.quarantine(sent.bundle, task, &why)?;
+                }
+                self.planner.ended(sent.bundle, now);
+                continue;
+            }
+            let seconds = sent.tasks.iter().zip(&sent.predicted_s);
+            let predicted: HashMap<u32, f64> = seconds.map(|(t, s)| (*t, f64::from(*s))).collect();
+            let orders = sent.tasks.iter().map(|t| self.database.order(*t, predicted[t])).collect();
+            self.predicted.insert(sent.bundle, predicted);
+            self.waits.push(sent.bundle);
+            ready.push(Bundle { sent, orders, upper_s });
+        }
+        self.engine.submit(&ready)
+    }
+
+    /// Waiting bundles, the most urgent first.
+    fn urgency(&self) -> Vec<u64> {
+        let seconds = |b: &u64| self.planner.open(*b).iter().map(|t| self.planner.expected(*t)).sum::<f64>();
+        let mut waits = self.waits.clone();
+        waits.sort_by(|a, b| seconds(b).total_cmp(&seconds(a)));
+        waits
+    }
+
+    /// Processes events. True if expected times have changed.
+    fn take(&mut self, events: Vec<Event>) -> Result<bool> {
+        let before = self.planner.learner().observed();
+        for event in events {
+            match event {
+                Event::Line(bundle, Line::Begin { begins }) => {
+                    let now = unix_now();
+                    self.first.get_or_insert(now);
+                    self.planner.begun(bundle, now);
+                    self.waits.retain(|b| *b != bundle);
+                    if let Some(&task) = parse_id(&begins).and_then(|id| self.database.numbers.get(&id)) {
+                        self.at.insert(bundle, task);
+                    }
+                }
+                Event::Line(bundle, Line::Answer(answer)) => self.answer(bundle, answer)?,
+                Event::Line(bundle, Line::End { .. }) => self.ended(bundle),
+                Event::Lost(bundle, why) => self.lost(bundle, &why)?,
+                Event::Fresh(slot) => {
+                    self.planner.forget(slot);
+                    self.loaded.retain(|(node, _)| *node != slot);
+                }
+                Event::Down(why) => self.down = Some(why),
+            }
+        }
+        Ok(self.planner.learner().observed() > before)
+    }
+
+    fn answer(&mut self, bundle: u64, answer: Answer) -> Result<()> {
+        let Some(&task) = parse_id(&answer.task).and_then(|id| self.database.numbers.get(&id)) else {
+            return Ok(());
+        };
+        if let Some(error) = answer.error.clone() {
+            return self.failed(bundle, task, &error, answer.disk_full);
+        }
+        let node = match self.planner.slot_of(bundle) {
+            Some(slot) => slot,
+            None => {
+                let next = self.nodes.len();
+                *self.nodes.entry(answer.node.clone()).or_insert(next)
+            }
+        };
+        let volume = self.planner.learner().shape().volume(task as usize);
+        if answer.load_s > 0.0 {
+            let warm = !self.loaded.insert((node, volume));
+            self.planner.observe_load(volume, warm, answer.load_s);
+        }
+        self.busy += answer.seconds + answer.load_s;
+        self.planner.done(bundle, task, node, answer.seconds, answer.load_s);
+        if !self.database.done.contains_key(&task) {
+            self.now += 1;
+            let predicted = self.predicted.get(&bundle).and_then(|p| p.get(&task)).copied();
+            self.database.finish(task, answer, predicted.unwrap_or(f64::NAN))?;
+        }
+        Ok(())
+    }
+
+    fn failed(&mut self, bundle: u64, task: u32, error: &str, disk_full: bool) -> Result<()> {
+        if disk_full || !self.has_room() {
+            self.full.get_or_insert(format!("the disk of {} is full", self.database.job.output.display()));
+            self.planner.again(bundle, task);
+            return Ok(());
+        }
+        let count = self.failures.entry(task).or_insert(0);
+        *count += 1;
+        if *count >= self.database.job.retry.attempts {
+            return self.quarantine(bundle, task, error);
+        }
+        self.database.journal.add(&Entry::Failed { task: self.id(task), error: error.to_owned() })?;
+        self.planner.again(bundle, task);
+        Ok(())
+    }
+
+    fn has_room(&self) -> bool {
+        let probe = self.database.job.state().join("parts").join("room");
+        let written = std::fs::File::create(&probe).and_then(|mut f| {
+            f.write_all(&[0x5a; 1 << 18])?;
+            f.sync_data()
+        });
+        let _ = std::fs::remove_file(&probe);
+        written.is_ok()
+    }
+
+    fn quarantine(&mut self, bundle: u64, task: u32, error: &str) -> Result<()> {
+        let id = self.id(task);
+        let state = self.database.job.state();
+        let output = std::fs::read(state.join("logs").join(format!("{id}.log"))).unwrap_or_default();
+        let name = format!(".farm/quarantine/{id}.log");
+        let order = serde_json::to_string_pretty(&self.database.order(task, self.planner.expected(task)))?;
+        let text = format!("{error}\n\n{order}\n\n{}", String::from_utf8_lossy(&output));
+        write_whole(&self.database.job.output.join(&name), text.as_bytes())?;
+        let entry = Entry::Quarantined { task: id, error: error.to_owned(), log: name };
+        self.database.journal.add(&entry)?;
+        self.database.quarantined.insert(task, error.to_owned());
+        self.planner.quarantine(Some(bundle), task);
+        Ok(())
+    }
+
+    fn ended(&mut self, bundle: u64) {
+        let slot = self.planner.slot_of(bundle);
+        self.planner.ended(bundle, unix_now());
+        self.over += 1;
+        self.finish_bundle(bundle, slot);
+    }
+
+    fn finish_bundle(&mut self, bundle: u64, slot: Option<usize>) {
+        if let Some(slot) = slot {
+            self.free[slot] = true;
+        } else {
+            super::engine::Places { state: self.database.job.state(), program: Default::default() }
+                .clear(bundle);
+        }
+        self.at.remove(&bundle);
+        self.predicted.remove(&bundle);
+        self.waits.retain(|b| *b != bundle);
+    }
+
+    fn lost(&mut self, bundle: u64, why: &str) -> Result<()> {
+        let slot = self.planner.slot_of(bundle);
+        let at = self.at.get(&bundle).copied().filter(|t| self.planner.open(bundle).contains(t));
+        if let Some(task) = at.filter(|_| !why.is_empty()) {
+            self.database.journal.add(&Entry::Lost { task: self.id(task), why: why.to_owned() })?;
+            let count = self.losses.entry(task).or_insert(0);
+            *count += 1;
+            if *count >= self.database.job.retry.losses {
+                self.quarantine(bundle, task, why)?;
+            }
+        }
+        self.planner.ended(bundle, unix_now());
+        self.finish_bundle(bundle, slot);
+        Ok(())
+    }
+
+    /// The engine has ended: its bundles are lost, except for answers that workers wrote.
+    fn restart(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<()> {
+        let open: Vec<u64> = self.predicted.keys().copied().collect();
+        for bundle in open {
+            for line in
+                spool::lines(&self.database.job.state().join("spool").join(format!("{bundle}.jsonl")))?
+            {
+                if let Line::Answer(answer) = line {
+                    self.answer(bundle, answer)?;
+                }
+            }
+            super::engine::Places { state: self.database.job.state(), program: Default::default() }
+                .cancel(bundle);
+            let slot = self.planner.slot_of(bundle);
+            self.planner.ended(bundle, unix_now());
+            if let Some(slot) = slot {
+                self.free[slot] = true;
+            }
+        }
+        self.predicted.clear();
+        self.at.clear();
+        self.waits.clear();
+        self.engine = start(self.database.run)?;
+        self.free = vec![true; self.engine.slots()];
+        Ok(())
+    }
+
+    /// Measures a bundle's overhead where slots have no names: the time in which they were not busy.
+    fn measure_overhead(&mut self, now: f64) {
+        let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
+        if self.planner.pending() == 0 {
+            self.idle_from.get_or_insert(now);
+        }
+        let slots = self.engine.slots();
+        if self.idle_from.is_some() || self.over < 2 * slots {
+            return;
+        }
+        // Running bundles are half done on average.
+        let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
+        let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
+        self.planner.set_overhead((idle / self.over as f64).clamp(0.001, 60.0));
+    }
+
+    fn view(&self, eta: [f64; 3], elapsed: f64) -> View {
+        let (done, all) = self.planner.progress();
+        let stragglers: Vec<String> =
+            self.planner.stragglers(unix_now()).iter().take(3).map(|s| self.name_straggler(s)).collect();
+        View {
+            done,
+            all,
+            quarantined: self.database.quarantined.len(),
+            rate: self.now as f64 / elapsed.max(1e-3),
+            elapsed,
+            eta,
+            nodes: self.engine.nodes(),
+            stragglers,
+        }
+    }
+
+    fn name_straggler(&self, s: &Straggler) -> String {
+        format!(
+            "{}{}: {:.1} s, {:.1} s were expected",
+            self.id(s.task),
+            s.slot.map_or(String::new(), |s| format!(" on slot {s}")),
+            s.elapsed_s,
+            s.expected_s
+        )
+    }
+}

@@ -1,0 +1,239 @@
+//! HyperQueue, through its Python package: a small driver script, run with the user's Python.
+
+use super::{Bundle, Engine, Event, Places};
+use crate::record::Line;
+use crate::spool::Spool;
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+use serde_json::json;
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+/// The script that talks to HyperQueue.
+const SCRIPT: &str = include_str!("hyperqueue.py");
+/// Initial estimate of the worker seconds per bundle: a process, a device.
+const OVERHEAD: f64 = 0.05;
+/// Time limit for the start of the server and its workers.
+const START: Duration = Duration::from_secs(60);
+
+/// Options of HyperQueue.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The Python with the package.
+    pub python: String,
+    /// Number of one-processor workers to start; with a server, the assumed number of its workers.
+    pub workers: usize,
+    /// The folder of a running server; default: a new one is started.
+    pub server_dir: Option<String>,
+    /// Processors of each bundle.
+    pub cpus: u32,
+    /// Time limit of the workers, seconds.
+    pub worker_limit: Option<f64>,
+}
+
+/// The engine.
+pub struct HyperQueue {
+    places: Places,
+    run: u64,
+    options: Options,
+    child: Child,
+    input: Option<ChildStdin>,
+    lines: Receiver<String>,
+    spool: Spool,
+    /// Running bundles, and true if their end was written to the spool.
+    open: std::collections::BTreeMap<u64, bool>,
+    priority: i32,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Said {
+    #[allow(dead_code, reason = "the line carries a number")]
+    Ready(usize),
+    Missing(String),
+    Down(String),
+    Over(u64),
+    #[serde(untagged)]
+    Failed {
+        failed: u64,
+        why: String,
+    },
+}
+
+impl HyperQueue {
+    /// Starts the script, and through it a server with workers.
+    ///
+    /// # Errors
+    /// Names the way to install HyperQueue if it is missing.
+    pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
+        let config = json!({
+            "workers": options.workers, "server_dir": options.server_dir, "cpus": options.cpus,
+        });
+        let log = places.state.join("logs").join("hyperqueue.log");
+        let file = std::fs::File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
+        let mut command = Command::new(&options.python);
+        command
+            .args(["-u", "-c", SCRIPT, &config.to_string()])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(file);
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = command.spawn().with_context(|| {
+            format!("cannot start {:?}; say which Python has HyperQueue with --python", options.python)
+        })?;
+        let out = child.stdout.take().context("the script has no standard output")?;
+        let input = child.stdin.take();
+        let (send, lines) = mpsc::channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(out).lines() {
+                let Ok(line) = line else { break };
+                if send.send(line).is_err() {
+                    break;
+                }
+            }
+        });
+        let spool = Spool::new(&places.state);
+        let mut new =
+            Self { places, run, options, child, input, lines, spool, open: Default::default(), priority: 0 };
+        new.wait_until_ready(&log)?;
+        Ok(new)
+    }
+
+    fn wait_until_ready(&mut self, log: &std::path::Path) -> Result<()> {
+        let clock = Instant::now();
+        while clock.elapsed() < START {
+            match self.lines.recv_timeout(START.saturating_sub(clock.elapsed())) {
+                Ok(line) => match serde_json::from_str(&line) {
+                    Ok(Said::Ready(_)) => return Ok(()),
+                    Ok(Said::Missing(error)) => bail!(
+                        "{} has no HyperQueue ({error}); install it (pip install hyperqueue) or say which \
+                         Python has it with --python",
+                        self.options.python
+                    ),
+                    Ok(Said::Down(error)) => bail!("HyperQueue did not start: {error}"),
+                    _ => {}
+                },
+                Err(_) => break,
+            }
+        }
+        bail!("HyperQueue did not start: {}; see {}", crate::spool::tail(log), log.display())
+    }
+}
+
+impl Engine for HyperQueue {
+    fn name(&self) -> &'static str {
+        "hyperqueue"
+    }
+
+    fn slots(&self) -> usize {
+        self.options.workers
+    }
+
+    fn bound(&self) -> bool {
+        false
+    }
+
+    fn overhead(&self) -> f64 {
+        OVERHEAD
+    }
+
+    fn limit(&self) -> Option<f64> {
+        // A request as long as a worker's limit never runs, since the worker is older than the request.
+        self.options.worker_limit.map(|l| 0.98 * l - 1.0)
+    }
+
+    fn waiting(&self) -> usize {
+        (self.options.workers / 4).max(1)
+    }
+
+    fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
+        let mut all = Vec::new();
+        for bundle in bundles {
+            let number = bundle.sent.bundle;
+            self.places.write_order(bundle, self.run)?;
+            self.priority -= 1;
+            // Without a limit of the workers a request has no effect.
+            let request = self.limit().map(|limit| bundle.upper_s.min(limit).max(0.0));
+            all.push(json!({
+                "bundle": number,
+                "args": self.places.worker(number)?,
+                "priority": self.priority,
+                "min_time": request,
+                "log": self.places.state.join("logs").join(format!("bundle-{number}.log")),
+            }));
+            self.spool.follow(number);
+            self.open.insert(number, false);
+        }
+        let line = json!({ "submit": all }).to_string() + "\n";
+        if let Some(input) = &mut self.input {
+            // If the script has ended, the next poll reports it.
+            let _ = input.write_all(line.as_bytes()).and_then(|()| input.flush());
+        }
+        Ok(())
+    }
+
+    fn cancel(&mut self) -> Result<()> {
+        // The Python package cannot cancel: bundles find a marker file and end at once.
+        self.open.keys().for_each(|b| self.places.cancel(*b));
+        Ok(())
+    }
+
+    fn poll(&mut self, wait: Duration) -> Result<Vec<Event>> {
+        let mut out = Vec::new();
+        let mut said = Vec::new();
+        let clock = Instant::now();
+        let wait = wait.min(Duration::from_millis(30));
+        loop {
+            match self.lines.recv_timeout(wait.saturating_sub(clock.elapsed())) {
+                Ok(line) => said.push(line),
+                Err(RecvTimeoutError::Timeout) => break,
+                Err(RecvTimeoutError::Disconnected) => {
+                    if clock.elapsed() < wait {
+                        std::thread::sleep(wait - clock.elapsed());
+                    }
+                    break;
+                }
+            }
+        }
+        // Events first, then the spool, which has all answers written before.
+        for (bundle, line) in self.spool.poll()? {
+            if matches!(line, Line::End { .. }) {
+                self.open.remove(&bundle);
+            }
+            out.push(Event::Line(bundle, line));
+        }
+        for line in said {
+            match serde_json::from_str(&line) {
+                Ok(Said::Over(bundle)) if self.open.remove(&bundle).is_some() => {
+                    out.push(Event::Lost(bundle, "its worker ended without an answer".into()));
+                }
+                Ok(Said::Failed { failed, why }) if self.open.remove(&failed).is_some() => {
+                    let log = self.places.state.join("logs").join(format!("bundle-{failed}.log"));
+                    let said = crate::spool::tail(&log);
+                    out.push(Event::Lost(failed, format!("HyperQueue: {why} ({said})")));
+                }
+                Ok(Said::Down(error)) => out.push(Event::Down(format!("HyperQueue: {error}"))),
+                _ => {}
+            }
+        }
+        if let Ok(Some(status)) = self.child.try_wait() {
+            out.push(Event::Down(format!("HyperQueue's script ended ({status})")));
+        }
+        Ok(out)
+    }
+}
+
+impl Drop for HyperQueue {
+    fn drop(&mut self) {
+        self.input = None;
+        let clock = Instant::now();
+        while clock.elapsed() < Duration::from_secs(3) && matches!(self.child.try_wait(), Ok(None)) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,237 @@
+//! Workers as processes of this machine. Each is persistent, keeps its volume, and gets bundles through a
+//! pipe.
+
+use super::{Bundle, Engine, Event, Places};
+use crate::record::{BundleOrder, Line};
+use anyhow::{Context, Result, bail};
+use entire_io::machine;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+
+/// Initial estimate of the slot seconds per bundle: a pipe, a flush.
+const OVERHEAD: f64 = 0.005;
+/// Maximum number of workers that end one after another without an answer.
+const STILLBORN: u32 = 3;
+
+/// The engine.
+pub struct Local {
+    places: Places,
+    run: u64,
+    workers: Vec<Worker>,
+    send: Sender<(usize, u64, Option<String>)>,
+    lines: Receiver<(usize, u64, Option<String>)>,
+    stillborn: u32,
+    stopping: bool,
+}
+
+struct Worker {
+    child: Child,
+    input: Option<ChildStdin>,
+    /// Number of this slot's process, to distinguish its lines from those of the one before.
+    generation: u64,
+    bundle: Option<u64>,
+    at: Option<String>,
+    since: Instant,
+}
+
+impl Local {
+    /// Starts this many workers.
+    ///
+    /// # Errors
+    /// When a process cannot be started.
+    pub fn start(places: Places, slots: usize, run: u64) -> Result<Self> {
+        let (send, lines) = mpsc::channel();
+        let mut new = Self { places, run, workers: Vec::new(), send, lines, stillborn: 0, stopping: false };
+        for slot in 0..slots {
+            let worker = new.spawn(slot, slots, 0)?;
+            new.workers.push(worker);
+        }
+        Ok(new)
+    }
+
+    fn log(&self, slot: usize) -> std::path::PathBuf {
+        self.places.state.join("logs").join(format!("worker-{slot}.log"))
+    }
+
+    fn spawn(&self, slot: usize, slots: usize, generation: u64) -> Result<Worker> {
+        let log = File::create(self.log(slot))
+            .with_context(|| format!("cannot write {}", self.log(slot).display()))?;
+        let threads = (machine::cores() / slots).max(1).to_string();
+        let mut command = Command::new(&self.places.program);
+        command
+            .arg("farm-worker")
+            .arg(&self.places.state)
+            .args(["--node", &format!("local-{slot}")])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(log);
+        // Several workers share the processors with any renderer.
+        for name in ["RAYON_NUM_THREADS", "LP_NUM_THREADS", "OMP_NUM_THREADS"] {
+            if std::env::var_os(name).is_none() {
+                command.env(name, &threads);
+            }
+        }
+        // A separate process group: Ctrl-C goes to the driver only, which lets workers finish their tasks.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = command
+            .spawn()
+            .with_context(|| format!("cannot start the worker {}", self.places.program.display()))?;
+        let out = child.stdout.take().context("the worker has no standard output")?;
+        let input = child.stdin.take();
+        let send = self.send.clone();
+        std::thread::spawn(move || {
+            for line in BufReader::new(out).lines() {
+                let Ok(line) = line else { break };
+                if send.send((slot, generation, Some(line))).is_err() {
+                    return;
+                }
+            }
+            let _ = send.send((slot, generation, None));
+        });
+        Ok(Worker { child, input, generation, bundle: None, at: None, since: Instant::now() })
+    }
+
+    fn handle(
+        &mut self,
+        slot: usize,
+        generation: u64,
+        line: Option<String>,
+        out: &mut Vec<Event>,
+    ) -> Result<()> {
+        let slots = self.workers.len();
+        let worker = &mut self.workers[slot];
+        if worker.generation != generation {
+            return Ok(());
+        }
+        match line {
+            Some(line) => {
+                let Ok(line) = serde_json::from_str::<Line>(&line) else { return Ok(()) };
+                let bundle = worker.bundle.unwrap_or(u64::MAX);
+                match &line {
+                    Line::Begin { begins } => worker.at = Some(begins.clone()),
+                    Line::Answer(_) => self.stillborn = 0,
+                    Line::End { .. } => {
+                        worker.bundle = None;
+                        worker.at = None;
+                    }
+                }
+                worker.since = Instant::now();
+                out.push(Event::Line(bundle, line));
+            }
+            None => {
+                worker.input = None;
+                let status = worker.child.wait().map_or_else(|e| e.to_string(), |s| s.to_string());
+                let bundle = worker.bundle.take();
+                if self.stopping {
+                    if let Some(bundle) = bundle {
+                        out.push(Event::Lost(bundle, String::new()));
+                    }
+                    return Ok(());
+                }
+                self.stillborn += 1;
+                if self.stillborn > STILLBORN * slots as u32 {
+                    let said = crate::spool::tail(&self.log(slot));
+                    bail!("workers end without an answer ({status}): {said}");
+                }
+                if let Some(bundle) = bundle {
+                    out.push(Event::Lost(bundle, format!("worker {slot} ended ({status})")));
+                }
+                self.workers[slot] = self.spawn(slot, slots, generation + 1)?;
+                out.push(Event::Fresh(slot));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Engine for Local {
+    fn name(&self) -> &'static str {
+        "local"
+    }
+
+    fn slots(&self) -> usize {
+        self.workers.len()
+    }
+
+    fn bound(&self) -> bool {
+        true
+    }
+
+    fn overhead(&self) -> f64 {
+        OVERHEAD
+    }
+
+    fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
+        for bundle in bundles {
+            let slot = bundle.sent.slot.context("a bundle without a slot")?;
+            let order =
+                BundleOrder { bundle: bundle.sent.bundle, run: self.run, tasks: bundle.orders.clone() };
+            let mut line = serde_json::to_vec(&order)?;
+            line.push(b'\n');
+            let worker = &mut self.workers[slot];
+            worker.bundle = Some(bundle.sent.bundle);
+            worker.since = Instant::now();
+            if let Some(input) = &mut worker.input {
+                // If it has ended, the reader reports it and the bundle counts as lost.
+                let _ = input.write_all(&line).and_then(|()| input.flush());
+            }
+        }
+        Ok(())
+    }
+
+    fn cancel(&mut self) -> Result<()> {
+        self.stopping = true;
+        for worker in &mut self.workers {
+            worker.input = None;
+        }
+        Ok(())
+    }
+
+    fn poll(&mut self, wait: Duration) -> Result<Vec<Event>> {
+        let mut out = Vec::new();
+        match self.lines.recv_timeout(wait) {
+            Ok((slot, generation, line)) => self.handle(slot, generation, line, &mut out)?,
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+        }
+        while let Ok((slot, generation, line)) = self.lines.try_recv() {
+            self.handle(slot, generation, line, &mut out)?;
+        }
+        Ok(out)
+    }
+
+    fn nodes(&self) -> Vec<String> {
+        self.workers
+            .iter()
+            .map(|w| match (&w.bundle, &w.at) {
+                (Some(_), Some(task)) => {
+                    format!("{} {:.0}s", &task[..6.min(task.len())], w.since.elapsed().as_secs_f64())
+                }
+                (Some(_), None) => "starts".into(),
+                (None, _) => "free".into(),
+            })
+            .collect()
+    }
+}
+
+impl Drop for Local {
+    fn drop(&mut self) {
+        // Workers end when their input is closed; hanging ones are ended.
+        for worker in &mut self.workers {
+            worker.input = None;
+        }
+        let clock = Instant::now();
+        for worker in &mut self.workers {
+            while clock.elapsed() < Duration::from_secs(2) && matches!(worker.child.try_wait(), Ok(None)) {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            if matches!(worker.child.try_wait(), Ok(None)) {
+                let _ = worker.child.kill();
+                let _ = worker.child.wait();
+            }
+        }
+    }
+}

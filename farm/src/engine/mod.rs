@@ -1,0 +1,140 @@
+//! Engines that run bundles: processes of this machine, HyperQueue, Slurm. Engines are installed by the user,
+//! never bundled.
+
+mod hyperqueue;
+mod local;
+mod slurm;
+
+pub use hyperqueue::{HyperQueue, Options as HyperQueueOptions};
+pub use local::Local;
+pub use slurm::{Options as SlurmOptions, Slurm};
+
+use super::planner::Sent;
+use super::record::{Line, Order};
+use anyhow::Result;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// A bundle for an engine.
+#[derive(Clone, Debug)]
+pub struct Bundle {
+    /// The planner's record of the bundle.
+    pub sent: Sent,
+    /// The orders of its tasks.
+    pub orders: Vec<Order>,
+    /// Its time request: 99 % upper bound on its seconds.
+    pub upper_s: f64,
+}
+
+/// Events of an engine.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A worker's line about a bundle.
+    Line(u64, Line),
+    /// A bundle was lost with its worker.
+    Lost(u64, String),
+    /// A slot has a new worker, which holds no volume.
+    Fresh(usize),
+    /// The engine itself has ended: all its bundles are lost.
+    Down(String),
+}
+
+/// An engine. All engines run the same worker (`entire farm-worker`), which writes images and answers into
+/// the database's folder; that folder must be reachable from every node under the same path.
+pub trait Engine {
+    /// Its name.
+    fn name(&self) -> &'static str;
+    /// Number of bundles that run at once.
+    fn slots(&self) -> usize;
+    /// True if a bundle belongs to a certain slot, whose worker stays and keeps its volume.
+    fn bound(&self) -> bool;
+    /// Initial estimate of a bundle's overhead on its slot, seconds.
+    fn overhead(&self) -> f64;
+    /// Longest time request of the engine, seconds.
+    fn limit(&self) -> Option<f64> {
+        None
+    }
+    /// Number of bundles that wait inside the engine, so that no slot waits for the driver. The rest waits in
+    /// the planner, which binds late.
+    fn waiting(&self) -> usize {
+        0
+    }
+    /// Sends bundles, the most urgent first.
+    ///
+    /// # Errors
+    /// When the engine refuses them.
+    fn submit(&mut self, bundles: &[Bundle]) -> Result<()>;
+    /// Changes the order of waiting bundles, the most urgent first. False if the engine cannot: its queue is
+    /// then kept short instead.
+    ///
+    /// # Errors
+    /// When the engine refuses.
+    fn reprioritize(&mut self, bundles: &[u64]) -> Result<bool> {
+        let _ = bundles;
+        Ok(false)
+    }
+    /// Cancels waiting bundles; running ones end after their current task.
+    ///
+    /// # Errors
+    /// When the engine refuses.
+    fn cancel(&mut self) -> Result<()>;
+    /// Events so far; waits at most `wait` for one.
+    ///
+    /// # Errors
+    /// When the engine cannot be asked.
+    fn poll(&mut self, wait: Duration) -> Result<Vec<Event>>;
+    /// Activity of each slot, for display; empty where it is unknown.
+    fn nodes(&self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// Folders and programs, for engines.
+#[derive(Clone, Debug)]
+pub struct Places {
+    /// The state folder of the database.
+    pub state: PathBuf,
+    /// The program that contains the worker.
+    pub program: PathBuf,
+}
+
+impl Places {
+    /// The worker's command for a bundle.
+    pub fn worker(&self, bundle: u64) -> Result<Vec<String>> {
+        use anyhow::Context;
+        let text = |p: &PathBuf| {
+            p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()))
+        };
+        Ok(vec![
+            text(&self.program)?,
+            "farm-worker".into(),
+            text(&self.state)?,
+            "--bundle".into(),
+            bundle.to_string(),
+        ])
+    }
+
+    /// Writes a bundle's description where its worker looks for it.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
+        let order =
+            super::record::BundleOrder { bundle: bundle.sent.bundle, run, tasks: bundle.orders.clone() };
+        let path = self.state.join("orders").join(format!("{}.json", bundle.sent.bundle));
+        entire_io::files::write_whole(&path, &serde_json::to_vec(&order)?)
+    }
+
+    /// Removes the files of a finished bundle.
+    pub fn clear(&self, bundle: u64) {
+        for (folder, end) in [("orders", ".json"), ("spool", ".jsonl"), ("cancel", "")] {
+            let _ = std::fs::remove_file(self.state.join(folder).join(format!("{bundle}{end}")));
+        }
+        let _ = std::fs::remove_file(self.state.join("logs").join(format!("bundle-{bundle}.log")));
+    }
+
+    /// Tells the worker of a bundle to end after its current task.
+    pub fn cancel(&self, bundle: u64) {
+        let _ = std::fs::write(self.state.join("cancel").join(bundle.to_string()), b"");
+    }
+}

@@ -1,0 +1,327 @@
+//! Slurm, through its commands: sbatch, squeue, scontrol, scancel, sinfo.
+
+use super::{Bundle, Engine, Event, Places};
+use crate::command::quoted;
+use crate::record::Line;
+use crate::spool::Spool;
+use anyhow::{Context, Result, bail, ensure};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Initial estimate of the node seconds per bundle.
+const OVERHEAD: f64 = 0.6;
+/// Interval between looks at the queue; the spool is read at every poll.
+const LOOK: Duration = Duration::from_millis(500);
+/// Seconds of a time request for start and end of the worker.
+const GRACE: f64 = 15.0;
+
+/// Options of Slurm.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Number of bundles that run at once; default: the nodes that sinfo lists.
+    pub nodes: Option<usize>,
+    /// Additional options of sbatch.
+    pub sbatch: Vec<String>,
+    /// Longest time request, seconds; default: the partition's.
+    pub limit: Option<f64>,
+}
+
+/// The engine.
+pub struct Slurm {
+    places: Places,
+    run: u64,
+    options: Options,
+    name: String,
+    slots: usize,
+    limit: Option<f64>,
+    spool: Spool,
+    /// Job and state of each running bundle.
+    open: BTreeMap<u64, Job>,
+    looked: Option<Instant>,
+}
+
+#[derive(Clone, Debug)]
+struct Job {
+    id: u64,
+    state: String,
+    nodes: String,
+    /// Number of looks at the queue without the job.
+    gone: u32,
+}
+
+#[derive(Deserialize)]
+struct Queue {
+    jobs: Vec<Queued>,
+}
+
+#[derive(Deserialize)]
+struct Queued {
+    job_id: u64,
+    #[serde(default)]
+    job_state: serde_json::Value,
+    #[serde(default)]
+    nodes: serde_json::Value,
+    #[serde(default)]
+    name: String,
+}
+
+/// Runs a command of Slurm and returns its output.
+fn ask(program: &str, arguments: &[String], input: Option<&str>) -> Result<String> {
+    let mut child = Command::new(program)
+        .args(arguments)
+        .stdin(if input.is_some() { Stdio::piped() } else { Stdio::null() })
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .with_context(|| {
+            format!(
+                "cannot start {program}; install Slurm's commands (Debian: slurm-client) and set SLURM_CONF"
+            )
+        })?;
+    if let (Some(text), Some(mut pipe)) = (input, child.stdin.take()) {
+        pipe.write_all(text.as_bytes()).with_context(|| format!("cannot write to {program}"))?;
+    }
+    let output = child.wait_with_output()?;
+    let error = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{program} ended with {}: {}", output.status, error.trim());
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+fn words(words: &[&str]) -> Vec<String> {
+    words.iter().map(|w| (*w).to_owned()).collect()
+}
+
+/// `days-hours:minutes:seconds`, or fewer of them, as sinfo prints limits; `None` for no limit.
+fn parse_limit(text: &str) -> Option<f64> {
+    let (days, rest) = text.split_once('-').map_or((0.0, text), |(d, r)| (d.parse().unwrap_or(0.0), r));
+    let parts: Vec<f64> = rest.split(':').map(str::parse).collect::<std::result::Result<_, _>>().ok()?;
+    let seconds = parts.iter().fold(0.0, |sum, p| 60.0 * sum + p);
+    Some(86400.0 * days + seconds)
+}
+
+/// A time request in sbatch's format; Slurm counts whole minutes.
+fn request(seconds: f64) -> String {
+    (((seconds + GRACE) / 60.0).ceil().max(1.0) as u64).to_string()
+}
+
+impl Slurm {
+    /// Checks that Slurm answers, and cancels queued jobs of an earlier run.
+    ///
+    /// # Errors
+    /// Names the packages to install or the daemon to start if Slurm does not answer.
+    pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
+        let hint = "Slurm does not answer; check that slurmctld runs and SLURM_CONF names its file";
+        let listed = ask("sinfo", &words(&["-h", "-N", "-o", "%N"]), None).context(hint)?;
+        let mut names: Vec<&str> = listed.lines().map(str::trim).filter(|n| !n.is_empty()).collect();
+        names.sort_unstable();
+        names.dedup();
+        let slots = options.nodes.unwrap_or(names.len());
+        ensure!(slots > 0, "sinfo lists no node; say how many bundles may run at once with --nodes");
+        let limits = ask("sinfo", &words(&["-h", "-o", "%l"]), None)?;
+        let longest = limits.lines().map(|l| parse_limit(l.trim()));
+        // One partition without a limit is enough: bundles may run there.
+        let limit = longest.collect::<Option<Vec<f64>>>().map(|l| l.into_iter().fold(0.0, f64::max));
+        let limit = options.limit.or(limit.filter(|l| *l > 0.0)).map(|l| l - GRACE);
+        ensure!(
+            limit.is_none_or(|l| l > 0.0),
+            "the longest time request is {} s, of which start and end take {GRACE} s; give more",
+            limit.unwrap_or(0.0) + GRACE
+        );
+        let text = places.state.to_string_lossy().into_owned();
+        let name = format!("entire-{:016x}", entire_io::files::fnv1a(text.as_bytes()));
+        let spool = Spool::new(&places.state);
+        let new =
+            Self { places, run, options, name, slots, limit, spool, open: BTreeMap::new(), looked: None };
+        new.clear_queue()?;
+        Ok(new)
+    }
+
+    /// Cancels jobs of this database and waits until they are gone.
+    fn clear_queue(&self) -> Result<()> {
+        let clock = Instant::now();
+        while self.queue()?.iter().any(|j| alive(&state_of(j))) {
+            ask("scancel", &[format!("--name={}", self.name)], None)?;
+            if clock.elapsed() > Duration::from_secs(60) {
+                bail!("jobs named {} of a run before do not leave Slurm's queue; see scancel", self.name);
+            }
+            std::thread::sleep(Duration::from_millis(300));
+        }
+        Ok(())
+    }
+
+    fn queue(&self) -> Result<Vec<Queued>> {
+        let text = ask("squeue", &words(&["--json"]), None)?;
+        let queue: Queue = serde_json::from_str(&text).context("squeue --json")?;
+        Ok(queue.jobs.into_iter().filter(|j| j.name == self.name).collect())
+    }
+
+    /// Bundles whose jobs have left the queue, and the way they ended.
+    fn look(&mut self) -> Result<Vec<(u64, String)>> {
+        let queue: BTreeMap<u64, (String, String)> = self
+            .queue()?
+            .into_iter()
+            .map(|j| (j.job_id, (state_of(&j), j.nodes.as_str().unwrap_or_default().to_owned())))
+            .collect();
+        let mut lost = Vec::new();
+        for (&bundle, job) in &mut self.open {
+            match queue.get(&job.id) {
+                Some((state, nodes)) if alive(state) => {
+                    job.state.clone_from(state);
+                    job.nodes.clone_from(nodes);
+                    job.gone = 0;
+                }
+                found => {
+                    // Its last lines may be delayed by the file system.
+                    job.gone += 1;
+                    if job.gone >= 3 {
+                        let state = found.map_or("GONE", |f| f.0.as_str());
+                        lost.push((bundle, format!("Slurm's job {} ended ({state})", job.id)));
+                    }
+                }
+            }
+        }
+        Ok(lost)
+    }
+}
+
+/// Newer versions list states, older ones name one.
+fn state_of(job: &Queued) -> String {
+    match &job.job_state {
+        serde_json::Value::Array(all) => all.first().and_then(|s| s.as_str()).unwrap_or_default().to_owned(),
+        other => other.as_str().unwrap_or_default().to_owned(),
+    }
+}
+
+fn alive(state: &str) -> bool {
+    ["PENDING", "RUNNING", "CONFIGURING", "SUSPENDED", "REQUEUED", "STAGE_OUT", "COMPLETING"].contains(&state)
+}
+
+impl Engine for Slurm {
+    fn name(&self) -> &'static str {
+        "slurm"
+    }
+
+    fn slots(&self) -> usize {
+        self.slots
+    }
+
+    fn bound(&self) -> bool {
+        false
+    }
+
+    fn overhead(&self) -> f64 {
+        OVERHEAD
+    }
+
+    fn limit(&self) -> Option<f64> {
+        self.limit
+    }
+
+    fn waiting(&self) -> usize {
+        self.slots
+    }
+
+    fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
+        for bundle in bundles {
+            let number = bundle.sent.bundle;
+            self.places.write_order(bundle, self.run)?;
+            let log = self.places.state.join("logs").join(format!("bundle-{number}.log"));
+            let log = log.to_str().context("the database's path is not UTF-8")?;
+            // Slurm expands % in this name.
+            let log = log.replace('%', "%%");
+            let worker: Vec<String> = self.places.worker(number)?.iter().map(|w| quoted(w)).collect();
+            let script = format!("#!/bin/sh\nexec {}\n", worker.join(" "));
+            let upper = self.limit.map_or(bundle.upper_s, |l| bundle.upper_s.min(l));
+            let mut arguments = vec![
+                "--parsable".to_owned(),
+                format!("--job-name={}", self.name),
+                format!("--time={}", request(upper)),
+                "--nodes=1".into(),
+                "--ntasks=1".into(),
+                "--no-requeue".into(),
+                format!("--output={log}"),
+            ];
+            arguments.extend(self.options.sbatch.iter().cloned());
+            let said = ask("sbatch", &arguments, Some(&script))?;
+            let id = said.trim().split(';').next().and_then(|t| t.parse().ok());
+            let id =
+                id.with_context(|| format!("sbatch answered {:?}, not with a job's number", said.trim()))?;
+            self.spool.follow(number);
+            let state = "PENDING".to_owned();
+            self.open.insert(number, Job { id, state, nodes: String::new(), gone: 0 });
+        }
+        Ok(())
+    }
+
+    fn reprioritize(&mut self, bundles: &[u64]) -> Result<bool> {
+        // Users may only lower their priority (raise nice); only administrators may set one.
+        for (place, bundle) in bundles.iter().enumerate() {
+            if let Some(job) = self.open.get(bundle).filter(|j| j.state == "PENDING") {
+                // A running job needs no priority.
+                let _ = ask(
+                    "scontrol",
+                    &words(&["update", &format!("JobId={}", job.id), &format!("Nice={}", 10 * place)]),
+                    None,
+                );
+            }
+        }
+        Ok(true)
+    }
+
+    fn cancel(&mut self) -> Result<()> {
+        self.open.keys().for_each(|b| self.places.cancel(*b));
+        ask("scancel", &[format!("--name={}", self.name), "--state=PENDING".into()], None)?;
+        Ok(())
+    }
+
+    fn poll(&mut self, wait: Duration) -> Result<Vec<Event>> {
+        std::thread::sleep(wait.min(Duration::from_millis(50)));
+        let mut lost = Vec::new();
+        if !self.open.is_empty() && self.looked.is_none_or(|t| t.elapsed() >= LOOK) {
+            lost = self.look()?;
+            self.looked = Some(Instant::now());
+        }
+        // The spool after the queue: a finished bundle keeps its answers.
+        let mut out = Vec::new();
+        for (bundle, line) in self.spool.poll()? {
+            if matches!(line, Line::End { .. }) {
+                self.open.remove(&bundle);
+            }
+            out.push(Event::Line(bundle, line));
+        }
+        for (bundle, why) in lost {
+            if self.open.remove(&bundle).is_some() {
+                self.spool.forget(bundle);
+                out.push(Event::Lost(bundle, why));
+            }
+        }
+        Ok(out)
+    }
+
+    fn nodes(&self) -> Vec<String> {
+        self.open
+            .values()
+            .filter(|j| j.state == "RUNNING")
+            .map(|j| format!("{} job {}", j.nodes, j.id))
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_and_requests_are_read_and_written_as_slurm_does() {
+        assert_eq!(parse_limit("30:00"), Some(1800.0));
+        assert_eq!(parse_limit("1-02:00:00"), Some(93600.0));
+        assert_eq!(parse_limit("infinite"), None);
+        assert_eq!(request(1.0), "1");
+        assert_eq!(request(45.0), "1");
+        assert_eq!(request(46.0), "2");
+        assert_eq!(request(3600.0), "61");
+    }
+}

@@ -1,0 +1,563 @@
+//! The job file: contents of an image database, and its renderer.
+
+use super::command::{self, Placeholders};
+pub use super::job_file::{
+    CamerasEntry, JobFile, Predict, Renderer, Retry, TransferEntry, VolumesEntry, draw_settings,
+};
+use super::natural;
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::scene::{Arcball, Camera};
+use entire_io::files::{fnv1a, read_text};
+use entire_io::identity::{self, Identity};
+use entire_io::options::parse_size;
+use entire_io::path::Transfer;
+use entire_io::volume::Reading;
+use entire_report::{Column, Table};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+/// Largest job file, in bytes.
+const MAX_JOB_BYTES: u64 = 16 << 20;
+
+/// Maximum number of tasks of a job.
+pub const MAX_TASKS: usize = 20_000_000;
+
+/// A volume file of a job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeFile {
+    /// The volume's name.
+    pub name: String,
+    /// Time step.
+    pub time: u32,
+    /// Absolute path.
+    pub path: PathBuf,
+    /// Its size and that of its data files.
+    pub bytes: u64,
+    /// Options of reading it.
+    pub reading: Reading,
+    /// Identities of the volume file and of the data files that its header names.
+    pub files: Vec<Identity>,
+}
+
+/// A transfer function with its name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedTransfer {
+    /// Its name.
+    pub name: String,
+    /// The transfer function.
+    pub transfer: Transfer,
+}
+
+/// Indices of a task along each of a job's dimensions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Volume file.
+    pub volume: usize,
+    /// Camera.
+    pub camera: usize,
+    /// Transfer function.
+    pub transfer: usize,
+    /// Image size.
+    pub size: usize,
+    /// Step.
+    pub step: usize,
+}
+
+/// A checked job. Its tasks are all combinations; a task is a number. A task's id is a hash of all inputs of
+/// its picture: it stays when the job grows, and changes when an input file changes.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// The database's name.
+    pub name: String,
+    /// The database: a folder whose name ends in `.cdb`.
+    pub output: PathBuf,
+    /// Vertical field of view, degrees.
+    pub fov_y_deg: f32,
+    /// Volume files.
+    pub volumes: Vec<VolumeFile>,
+    /// Cameras.
+    pub cameras: Vec<Arcball>,
+    /// Transfer functions.
+    pub transfers: Vec<NamedTransfer>,
+    /// Image sizes.
+    pub sizes: Vec<[u32; 2]>,
+    /// Steps.
+    pub steps: Vec<f32>,
+    /// Who renders.
+    pub renderer: Renderer,
+    /// Source of expected times.
+    pub predict: Predict,
+    /// Retries of failed tasks.
+    pub retry: Retry,
+    folder: PathBuf,
+    hashes: [Vec<u64>; 5],
+    salt: u64,
+}
+
+impl Job {
+    /// Reads and checks a job file.
+    ///
+    /// # Errors
+    /// Names the file, the entry, the value and the accepted ones.
+    pub fn open(path: &Path) -> Result<Self> {
+        let text = read_text(path, MAX_JOB_BYTES)
+            .with_context(|| format!("cannot read the job file {}", path.display()))?;
+        let file: JobFile = toml::from_str(&text).map_err(|e| {
+            let at = e.span().map_or(0, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
+            anyhow::anyhow!("{}, line {at}: {}", path.display(), e.message())
+        })?;
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = std::fs::canonicalize(folder)
+            .with_context(|| format!("cannot find the folder {}", folder.display()))?;
+        Self::new(file, &folder).with_context(|| format!("{}", path.display()))
+    }
+
+    /// Checks a job file whose relative paths start at `folder`.
+    ///
+    /// # Errors
+    /// As [`Job::open`].
+    pub fn new(file: JobFile, folder: &Path) -> Result<Self> {
+        check_name("name", &file.name)?;
+        let output = folder.join(file.output.unwrap_or_else(|| format!("{}.cdb", file.name).into()));
+        ensure!(
+            output.extension().is_some_and(|e| e == "cdb"),
+            "output is {}; a Cinema database is a folder whose name ends in .cdb",
+            output.display()
+        );
+        let fov = file.fov_y_deg;
+        Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?
+            .with_fov_y_degrees(fov)
+            .context("fov_y_deg")?;
+        let mut sizes = Vec::new();
+        for text in &file.sizes {
+            let (w, h) = parse_size(text).map_err(|e| anyhow::anyhow!("sizes: {e}"))?;
+            sizes.push([w, h]);
+        }
+        for step in &file.steps {
+            ensure!(
+                step.is_finite() && *step > 0.0,
+                "steps: {step} was found; a step is a positive number of reference steps"
+            );
+        }
+        let volumes = volumes(&file.volumes, folder)?;
+        let cameras = cameras(&file.cameras)?;
+        let transfers = transfers(&file.transfer)?;
+        let renderer = renderer(file.renderer, folder)?;
+        ensure!(
+            file.retry.attempts > 0 && file.retry.losses > 0,
+            "retry: attempts and losses are {} and {}; each must be at least 1",
+            file.retry.attempts,
+            file.retry.losses
+        );
+        let under = |p: Option<PathBuf>| p.map(|p| folder.join(p));
+        let predict =
+            Predict { model: under(file.predict.model), list: under(file.predict.list), ..file.predict };
+        ensure!(
+            predict.model.is_none() || predict.list.is_none(),
+            "predict: both model and list are given; give one of them"
+        );
+        let text = |v: &dyn erased::Text| fnv1a(v.text().as_bytes());
+        let mut names = HashSet::new();
+        if let Some(volume) =
+            volumes.iter().find(|v| !names.insert(format!("{} {} {}", v.name, v.time, v.reading.key())))
+        {
+            bail!(
+                "volumes: {} has the name {} of an earlier entry; give it another `name`",
+                volume.path.display(),
+                volume.name
+            );
+        }
+        let told = Told::by(&renderer);
+        let hashes = [
+            volume_hashes(&volumes, &told),
+            cameras.iter().map(|v| text(v)).collect(),
+            transfers.iter().map(|v| text(v)).collect(),
+            sizes.iter().map(|v| text(v)).collect(),
+            file.steps.iter().map(|v| text(v)).collect(),
+        ];
+        let salt = fnv1a(format!("{} {fov}", settings(&renderer)?).as_bytes());
+        let job = Self {
+            name: file.name,
+            output,
+            fov_y_deg: fov,
+            volumes,
+            cameras,
+            transfers,
+            sizes,
+            steps: file.steps,
+            renderer,
+            predict,
+            retry: file.retry,
+            folder: folder.to_owned(),
+            hashes,
+            salt,
+        };
+        for (what, count) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(job.dims()) {
+            ensure!(count > 0, "{what} is empty; a job needs at least one entry");
+        }
+        let count = job.dims().iter().try_fold(1usize, |a, b| a.checked_mul(*b));
+        ensure!(
+            count.is_some_and(|n| n <= MAX_TASKS),
+            "the job has more than {MAX_TASKS} tasks; split it into several"
+        );
+        for (what, hashes) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(&job.hashes) {
+            let mut seen = HashSet::new();
+            if let Some(i) = hashes.iter().position(|h| !seen.insert(h)) {
+                bail!("{what}: entry {i} is there twice; give each once");
+            }
+        }
+        Ok(job)
+    }
+
+    fn dims(&self) -> [usize; 5] {
+        [self.volumes.len(), self.cameras.len(), self.transfers.len(), self.sizes.len(), self.steps.len()]
+    }
+
+    /// Number of tasks.
+    #[allow(clippy::len_without_is_empty, reason = "a job is never empty")]
+    pub fn len(&self) -> usize {
+        self.dims().iter().product()
+    }
+
+    /// Indices of a task.
+    pub fn place(&self, task: usize) -> Place {
+        let [_, c, t, s, p] = self.dims();
+        let (rest, step) = (task / p, task % p);
+        let (rest, size) = (rest / s, rest % s);
+        let (rest, transfer) = (rest / t, rest % t);
+        Place { volume: rest / c, camera: rest % c, transfer, size, step }
+    }
+
+    /// A task's id: 64 bits of the inputs of its picture and its renderer. Path and name of a volume count
+    /// only if the renderer gets them.
+    pub fn id(&self, task: usize) -> u64 {
+        let at = self.place(task);
+        self.id_with(self.hashes[0][at.volume], at)
+    }
+
+    fn id_with(&self, volume: u64, at: Place) -> u64 {
+        let parts = [
+            self.salt,
+            volume,
+            self.hashes[1][at.camera],
+            self.hashes[2][at.transfer],
+            self.hashes[3][at.size],
+            self.hashes[4][at.step],
+        ];
+        let mut bytes = [0u8; 48];
+        for (part, place) in parts.iter().zip(bytes.chunks_exact_mut(8)) {
+            place.copy_from_slice(&part.to_le_bytes());
+        }
+        // FNV-1a leaves its last bytes in the low bits; the finalizer of SplitMix64 spreads them.
+        let mut x = fnv1a(&bytes);
+        x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        x ^ (x >> 31)
+    }
+
+    /// The task numbers of a volume.
+    pub fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
+        let each = self.len() / self.volumes.len();
+        volume * each..(volume + 1) * each
+    }
+
+    /// The ids of tasks with earlier identities of volumes' files (by [`Job::shown`]), volume by volume.
+    pub fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
+        let mut volumes = self.volumes.clone();
+        for (i, volume) in volumes.iter_mut().enumerate() {
+            if let Some(files) = then.get(&self.shown(i)) {
+                volume.files.clone_from(files);
+            }
+        }
+        let hashes = volume_hashes(&volumes, &Told::by(&self.renderer));
+        move |volume| self.tasks_of(volume).map(|t| self.id_with(hashes[volume], self.place(t))).collect()
+    }
+
+    /// A volume's file in messages: relative to the job file's folder if it is below it.
+    pub fn shown(&self, volume: usize) -> String {
+        let path = &self.volumes[volume].path;
+        path.strip_prefix(&self.folder).unwrap_or(path).display().to_string()
+    }
+
+    /// The order of the volumes: number, time step, name and file, one line each.
+    pub fn listing(&self) -> String {
+        let mut table = Table::new(vec![
+            Column::number("index"),
+            Column::number("time"),
+            Column::text("volume"),
+            Column::text("file"),
+        ]);
+        for (i, volume) in self.volumes.iter().enumerate() {
+            let time = volume.time.to_string();
+            table.row(vec![
+                i.to_string().into(),
+                time.into(),
+                volume.name.as_str().into(),
+                self.shown(i).into(),
+            ]);
+        }
+        table.to_text()
+    }
+
+    /// Path of a task's image, relative to the database.
+    pub fn image(&self, id: u64) -> String {
+        let text = format!("{id:016x}");
+        format!("image/{}/{text}.png", &text[..2])
+    }
+
+    /// The folder of journal, lock, orders and logs.
+    pub fn state(&self) -> PathBuf {
+        self.output.join(".farm")
+    }
+
+    /// Task numbers by id, for [`Predict::list`] and journals.
+    pub fn numbers(&self) -> HashMap<u64, u32> {
+        (0..self.len()).map(|i| (self.id(i), i as u32)).collect()
+    }
+}
+
+/// Parameters that a renderer gets with a volume's file.
+struct Told {
+    name: bool,
+    time: bool,
+}
+
+impl Told {
+    fn by(renderer: &Renderer) -> Self {
+        match renderer {
+            Renderer::Entire { .. } => Self { name: false, time: false },
+            Renderer::Command { command, .. } => {
+                let holds = |word: &str| command.iter().any(|a| a.contains(word));
+                Self { name: holds("{volume_name}"), time: holds("{time}") }
+            }
+            Renderer::Session { .. } | Renderer::Pvbatch { .. } => Self { name: true, time: true },
+        }
+    }
+}
+
+/// Hashes of the volumes, for the ids of their tasks. Identical files differ only by their order: their
+/// pictures are the same.
+fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
+    let mut same: HashMap<String, usize> = HashMap::new();
+    let text = |v: &VolumeFile| {
+        let name = if told.name { v.name.as_str() } else { "" };
+        let time = if told.time { v.time.to_string() } else { String::new() };
+        format!("{}\n{}\n{name}\n{time}", identity::key(&v.files), v.reading.key())
+    };
+    let number = |text: String| {
+        let count = same.entry(text.clone()).or_insert(0);
+        *count += 1;
+        fnv1a(format!("{text}\n{count}").as_bytes())
+    };
+    volumes.iter().map(text).map(number).collect()
+}
+
+/// Settings of a renderer that change pictures.
+fn settings(renderer: &Renderer) -> Result<String> {
+    let mut renderer = renderer.clone();
+    let mut script_key = String::new();
+    match &mut renderer {
+        Renderer::Entire { .. } => {}
+        Renderer::Command { timeout_s, .. } | Renderer::Session { timeout_s, .. } => *timeout_s = None,
+        Renderer::Pvbatch { timeout_s, script, .. } => {
+            *timeout_s = None;
+            script_key = Identity::of(script, "")?.key();
+        }
+    }
+    Ok(serde_json::to_string(&renderer)? + &script_key)
+}
+
+/// The canonical text of an entry, which ids are hashes of.
+mod erased {
+    use super::NamedTransfer;
+    use entire_core::scene::Arcball;
+
+    pub(super) trait Text {
+        fn text(&self) -> String;
+    }
+
+    impl Text for Arcball {
+        fn text(&self) -> String {
+            format!("{},{},{}", self.rx, self.ry, self.dz)
+        }
+    }
+
+    impl Text for NamedTransfer {
+        fn text(&self) -> String {
+            serde_json::to_string(&self.transfer).unwrap_or_default() + &self.name
+        }
+    }
+
+    impl Text for [u32; 2] {
+        fn text(&self) -> String {
+            format!("{}x{}", self[0], self[1])
+        }
+    }
+
+    impl Text for f32 {
+        fn text(&self) -> String {
+            self.to_string()
+        }
+    }
+}
+
+fn check_name(what: &str, name: &str) -> Result<()> {
+    let ok = |c: char| c.is_alphanumeric() || "-_.".contains(c);
+    ensure!(
+        !name.is_empty() && name.len() <= 200 && name.chars().all(ok) && !name.starts_with('.'),
+        "{what} is {name:?}; letters, digits, - _ and . are accepted, not starting with a dot"
+    );
+    Ok(())
+}
+
+fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
+    let mut out = Vec::new();
+    for entry in entries {
+        let mut paths = Vec::new();
+        for pattern in &entry.files {
+            let whole = folder.join(pattern);
+            let text = whole.to_str().with_context(|| format!("volumes: {pattern:?} is not UTF-8"))?;
+            let before = paths.len();
+            if whole.exists() {
+                paths.push(whole);
+            } else {
+                for found in glob::glob(text).with_context(|| format!("volumes: the pattern {pattern:?}"))? {
+                    paths.push(found.with_context(|| format!("volumes: the pattern {pattern:?}"))?);
+                }
+            }
+            ensure!(
+                paths.len() > before,
+                "volumes: no file matches {pattern:?} in {}; check the path",
+                folder.display()
+            );
+        }
+        natural::sort(&mut paths);
+        paths.dedup();
+        let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let single = paths.len() == 1;
+        for (time, path) in paths.iter().enumerate() {
+            let name = match &entry.name {
+                Some(name) if entry.series || single => name.clone(),
+                Some(name) => format!("{name}-{}", stem(path)),
+                None if entry.series => stem(&paths[0]),
+                None => stem(path),
+            };
+            let meta = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
+            ensure!(meta.is_file(), "volumes: {} is no file; give volume files", path.display());
+            let time = if entry.series { time as u32 } else { 0 };
+            let (path, reading, files) = (path.clone(), entry.reading(), Vec::new());
+            out.push(VolumeFile { name, time, path, bytes: 0, reading, files });
+        }
+    }
+    out.par_iter_mut().try_for_each(|volume| -> Result<()> {
+        volume.files = identity::of_volume(&volume.path)?;
+        volume.bytes = volume.files.iter().map(|f| f.bytes).sum();
+        Ok(())
+    })?;
+    Ok(out)
+}
+
+fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {
+    let mut out = Vec::new();
+    for entry in entries {
+        match entry {
+            CamerasEntry::Orbit { views, elevation_deg, distances_radii, from_deg, to_deg } => {
+                for &dz in distances_radii {
+                    for i in 0..*views {
+                        let ry = from_deg + (to_deg - from_deg) * i as f32 / *views as f32;
+                        out.push(Arcball { rx: *elevation_deg, ry, dz });
+                    }
+                }
+            }
+            CamerasEntry::SemiSphere { views, distances_radii } => {
+                let golden = 180.0 * (3.0 - 5.0f64.sqrt());
+                for &dz in distances_radii {
+                    for i in 0..*views {
+                        let height = (f64::from(i) + 0.5) / f64::from(*views);
+                        let rx = height.asin().to_degrees() as f32;
+                        let ry = (f64::from(i) * golden).rem_euclid(360.0) as f32;
+                        out.push(Arcball { rx, ry, dz });
+                    }
+                }
+            }
+            CamerasEntry::List { poses } => {
+                out.extend(poses.iter().map(|&[rx, ry, dz]| Arcball { rx, ry, dz }));
+            }
+        }
+    }
+    for (i, pose) in out.iter().enumerate() {
+        Camera::from_arcball(*pose).with_context(|| format!("cameras: view {i}"))?;
+    }
+    Ok(out)
+}
+
+fn transfers(entries: &[TransferEntry]) -> Result<Vec<NamedTransfer>> {
+    let mut out = Vec::new();
+    for entry in entries {
+        check_name("transfer: name", &entry.name)?;
+        let value = match (&entry.lobes, &entry.points) {
+            (Some(lobes), None) => serde_json::json!({ "lobes": lobes.iter().map(|[c, w, h]|
+                serde_json::json!({"center": c, "width": w, "height": h})).collect::<Vec<_>>() }),
+            (None, Some(points)) => serde_json::json!({ "points": points.iter().map(|[p, r, g, b, o]|
+                serde_json::json!({"position": p, "color": [r, g, b], "opacity": o})).collect::<Vec<_>>() }),
+            _ => bail!("transfer {}: give either lobes or points", entry.name),
+        };
+        let transfer: Transfer = serde_json::from_value(value)?;
+        transfer.function().to_table().with_context(|| format!("transfer {}", entry.name))?;
+        out.push(NamedTransfer { name: entry.name.clone(), transfer });
+    }
+    Ok(out)
+}
+
+fn renderer(renderer: Renderer, folder: &Path) -> Result<Renderer> {
+    match &renderer {
+        Renderer::Entire { .. } => {
+            draw_settings(&renderer)?;
+            Ok(renderer)
+        }
+        Renderer::Command { command, timeout_s } => {
+            check_program(command, *timeout_s)?;
+            for argument in command {
+                command::check(argument, &Placeholders::NAMES)?;
+            }
+            ensure!(
+                command.iter().any(|a| a.contains("{out}")),
+                "renderer: no argument of the command holds {{out}}, where the image goes; add it"
+            );
+            Ok(renderer)
+        }
+        Renderer::Session { command, timeout_s } => {
+            check_program(command, *timeout_s)?;
+            Ok(renderer)
+        }
+        Renderer::Pvbatch { script, args, program, timeout_s } => {
+            check_program(std::slice::from_ref(program), *timeout_s)?;
+            let script = folder.join(script);
+            ensure!(script.is_file(), "renderer: there is no script {}; check the path", script.display());
+            Ok(Renderer::Pvbatch {
+                script,
+                args: args.clone(),
+                program: program.clone(),
+                timeout_s: *timeout_s,
+            })
+        }
+    }
+}
+
+fn check_program(command: &[String], timeout: Option<f64>) -> Result<()> {
+    ensure!(
+        command.first().is_some_and(|p| !p.is_empty()),
+        "renderer: the command is empty; a program and its arguments are expected"
+    );
+    ensure!(
+        timeout.is_none_or(|t| t.is_finite() && t > 0.0),
+        "renderer: timeout_s is {}; it must be a positive number of seconds",
+        timeout.unwrap_or(f64::NAN)
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+#[path = "job_tests.rs"]
+mod tests;

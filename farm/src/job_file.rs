@@ -1,0 +1,269 @@
+//! Contents of a job file, before checks and expansion into tasks.
+
+use anyhow::{Result, anyhow, bail, ensure};
+use clap::ValueEnum;
+use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
+use entire_io::device::Device;
+use entire_io::options::{ShadeOption, SkipOption};
+use entire_io::volume::{Fill, Range, Reading};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Contents of a job file. Relative paths start at the job file's folder.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobFile {
+    /// The database's name: letters, digits, `-`, `_` and `.`.
+    pub name: String,
+    /// Folder of the database; default: `NAME.cdb` beside the job file.
+    pub output: Option<PathBuf>,
+    /// Vertical field of view, degrees.
+    #[serde(default = "default_fov")]
+    pub fov_y_deg: f32,
+    /// Image sizes, `WIDTHxHEIGHT`.
+    pub sizes: Vec<String>,
+    /// Ray steps in reference steps.
+    #[serde(default = "default_steps")]
+    pub steps: Vec<f32>,
+    /// Volumes to render.
+    pub volumes: Vec<VolumesEntry>,
+    /// From where.
+    pub cameras: Vec<CamerasEntry>,
+    /// The transfer functions.
+    pub transfer: Vec<TransferEntry>,
+    /// By whom.
+    pub renderer: Renderer,
+    /// Source of expected times.
+    #[serde(default)]
+    pub predict: Predict,
+    /// Retries of failed tasks.
+    #[serde(default)]
+    pub retry: Retry,
+}
+
+fn default_fov() -> f32 {
+    DEFAULT_FOV_Y_DEGREES
+}
+
+fn default_steps() -> Vec<f32> {
+    vec![1.0]
+}
+
+/// One volume, or several as a time series.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VolumesEntry {
+    /// Its name; default: the first file's stem, or each file's own if `series` is false.
+    pub name: Option<String>,
+    /// Files or glob patterns, sorted by name with numbers in them by value (see [`super::natural::sort`]).
+    pub files: Vec<String>,
+    /// True if the files are time steps of one volume.
+    #[serde(default)]
+    pub series: bool,
+    /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for the voxels' own.
+    pub range: Option<RangeEntry>,
+    /// Array to read from a VTK file with several.
+    pub array: Option<String>,
+    /// Fill values, which mark voxels without data: `"none"`, or numbers separated by commas.
+    #[serde(default)]
+    pub fill: Fill,
+}
+
+/// A scalar range.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(untagged, expecting = "two numbers, the low one first, or \"data\"")]
+pub enum RangeEntry {
+    /// Low and high end.
+    Numbers([f32; 2]),
+    /// A word, or numbers as in `--range`.
+    Text(Range),
+}
+
+impl VolumesEntry {
+    /// Options of reading the files.
+    pub fn reading(&self) -> Reading {
+        let range = match self.range {
+            Some(RangeEntry::Numbers([low, high])) => Range::Given(low, high),
+            Some(RangeEntry::Text(range)) => range,
+            None => Range::Default,
+        };
+        Reading { array: self.array.clone(), fill: self.fill.clone(), range }
+    }
+}
+
+/// Views of a database.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum CamerasEntry {
+    /// Turns about the y axis.
+    Orbit {
+        /// Views on the turn.
+        views: u32,
+        /// Rotation about x, degrees.
+        #[serde(default)]
+        elevation_deg: f32,
+        /// Distances, bounding-sphere radii.
+        distances_radii: Vec<f32>,
+        /// Start of the turn, degrees.
+        #[serde(default)]
+        from_deg: f32,
+        /// End of the turn (not reached), degrees.
+        #[serde(default = "full_turn")]
+        to_deg: f32,
+    },
+    /// Evenly spread directions on the upper half of spheres (Fibonacci lattice).
+    SemiSphere {
+        /// Views on each sphere.
+        views: u32,
+        /// Radii, bounding-sphere radii.
+        distances_radii: Vec<f32>,
+    },
+    /// Poses one by one: rotation about x and y in degrees, distance in bounding-sphere radii.
+    List {
+        /// The poses.
+        poses: Vec<[f32; 3]>,
+    },
+}
+
+fn full_turn() -> f32 {
+    360.0
+}
+
+/// A named transfer function: lobes (center, width, height) or points.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransferEntry {
+    /// Its name.
+    pub name: String,
+    /// Gaussian lobes: center, width, height.
+    pub lobes: Option<Vec<[f32; 3]>>,
+    /// Control points: position, red, green, blue, opacity.
+    pub points: Option<Vec<[f32; 5]>>,
+}
+
+/// Who renders.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Renderer {
+    /// The project's raycaster.
+    Entire {
+        /// `none`, `local` or `scatter`.
+        #[serde(default = "default_shade")]
+        shade: String,
+        /// `none`, `blocks` or `distance`.
+        #[serde(default = "default_skip")]
+        skip: String,
+        /// Accumulated opacity at which a ray stops.
+        #[serde(default = "default_termination")]
+        termination: f32,
+        /// `auto`, `vulkan` or `cpu`.
+        #[serde(default = "default_device")]
+        device: String,
+    },
+    /// A program that renders one image and ends. Its arguments hold placeholders and are passed without a
+    /// shell.
+    Command {
+        /// Program and arguments.
+        command: Vec<String>,
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+    /// A persistent program: it reads a task per line of its standard input (JSON) and answers each with a
+    /// line of its standard output (JSON).
+    Session {
+        /// Program and arguments.
+        command: Vec<String>,
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+    /// A persistent ParaView script, run by `pvbatch`: as `session`.
+    Pvbatch {
+        /// The script.
+        script: PathBuf,
+        /// Additional arguments of the script.
+        #[serde(default)]
+        args: Vec<String>,
+        /// The program.
+        #[serde(default = "default_pvbatch")]
+        program: String,
+        /// Time limit in seconds; then the program is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+}
+
+fn default_shade() -> String {
+    "none".into()
+}
+
+fn default_skip() -> String {
+    "blocks".into()
+}
+
+fn default_termination() -> f32 {
+    0.99
+}
+
+fn default_device() -> String {
+    "auto".into()
+}
+
+fn default_pvbatch() -> String {
+    "pvbatch".into()
+}
+
+/// Source of expected times.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Predict {
+    /// A model file.
+    pub model: Option<PathBuf>,
+    /// A task list with `task` (an id) and `predicted_s`.
+    pub list: Option<PathBuf>,
+    /// True if the analytic model predicts from the volumes where no model is given. Without it, expected
+    /// times are proportional to pixels over step until tasks have been measured.
+    pub analytic: Option<bool>,
+    /// Rays along each side of the probe of the analytic model.
+    pub probe_side: Option<usize>,
+}
+
+/// Retries of failed tasks.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Retry {
+    /// Number of failures after which a task is quarantined.
+    pub attempts: u32,
+    /// Number of losses with its worker after which a task is quarantined.
+    pub losses: u32,
+}
+
+impl Default for Retry {
+    fn default() -> Self {
+        Self { attempts: 3, losses: 8 }
+    }
+}
+
+/// Draw settings of the raycaster: shading, skipping, termination, device.
+///
+/// # Errors
+/// Names the unknown word and the accepted ones.
+pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
+    let Renderer::Entire { shade, skip, termination, device } = renderer else {
+        bail!("the renderer is another program")
+    };
+    fn word<T: ValueEnum>(what: &str, text: &str) -> Result<T> {
+        T::from_str(text, false).map_err(|_| {
+            let all: Vec<String> = T::value_variants()
+                .iter()
+                .filter_map(|v| v.to_possible_value().map(|p| p.get_name().to_owned()))
+                .collect();
+            anyhow!("renderer: {what} is {text:?}; accepted are {}", all.join(", "))
+        })
+    }
+    ensure!(
+        termination.is_finite() && (0.0..=1.0).contains(termination),
+        "renderer: termination is {termination}; it must lie in 0 to 1"
+    );
+    let shade: ShadeOption = word("shade", shade)?;
+    let skip: SkipOption = word("skip", skip)?;
+    Ok((shade.into(), skip.into(), *termination, word("device", device)?))
+}

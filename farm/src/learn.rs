@@ -1,0 +1,609 @@
+//! Expected times of tasks, corrected by measured ones.
+//!
+//! ln(seconds / base) of a task is modeled as x·β + u + ε: x are features of the task (logarithms of base,
+//! pixels, step and distance, the view direction, its transfer function), u is a volume effect, ε an error of
+//! the task. β and u have normal priors; their variances and that of ε are estimated from the data (REML-like
+//! updates, a mixed model as of Laird and Ware 1982). The posterior is exact for given variances: volumes are
+//! eliminated by a Schur complement, so a job may have any number of them. Nodes have speeds, which are
+//! shrunk means of the residuals.
+
+#![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
+
+pub(crate) use super::gauss::normal;
+use super::gauss::normal_below;
+use super::job::Job;
+use entire_core::scene::Camera;
+use entire_steer::numeric::{back, cholesky, forward};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use rayon::prelude::*;
+
+/// Number of features of a task before its transfer function: a constant, ln base, ln pixels, ln step, ln
+/// distance, shares of the view direction along x and y and their squares.
+const FIXED: usize = 9;
+/// Prior standard deviations of these features' coefficients.
+const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
+/// That of the constant, without a model or list of base times.
+pub const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
+/// That of the constant, with a model or list, perhaps of another machine.
+pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
+/// That of each transfer function.
+const PRIOR_TRANSFER: f64 = 0.3;
+/// Number of transfer functions with their own coefficient.
+const MAX_TRANSFERS: usize = 64;
+/// Prior standard deviations of the residual, volumes and nodes, and their weight in observations.
+const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
+/// That of volumes, with a model or list: the largest of shipped models on frames of held-out volumes
+/// (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside, none-earlier and
+/// none-steps-members of `data/timings` gave 0.03 to 0.07).
+const VOLUME_SD_WITH_MODEL: f64 = 0.07;
+/// With a model or list, the prior standard deviation of the coefficient of ln base: twice the largest slope
+/// of ln(measured / base) over ln base on the same tables.
+const SLOPE_SD_WITH_MODEL: f64 = 0.04;
+/// With a model or list, long tasks scatter less than short ones: decrease of ln of a residual's standard
+/// deviation per unit of ln base (the same tables: 0.14 to 0.26), and the distance from the mean up to which
+/// it applies.
+const SCATTER_SLOPE_WITH_MODEL: (f64, f64) = (0.2, 4.0);
+/// Residuals are clipped at this many standard deviations: one hung task must not affect the others.
+const HUBER: f64 = 4.0;
+/// Number of residuals that are kept for random draws.
+const KEPT: usize = 1024;
+
+/// Features of the tasks, by dimension.
+#[derive(Clone, Debug)]
+pub struct Shape {
+    /// ln of the base seconds, by task.
+    base: Vec<f32>,
+    volume: Vec<u32>,
+    /// Row of `terms` by task, without base and transfer function.
+    row: Vec<u32>,
+    transfer: Vec<u16>,
+    terms: Vec<[f32; FIXED]>,
+    volumes: usize,
+    transfers: usize,
+    constant: f64,
+}
+
+impl Shape {
+    /// With another prior standard deviation of the constant, the common factor of the base seconds.
+    pub fn with_constant(self, sd: f64) -> Self {
+        Self { constant: sd, ..self }
+    }
+
+    /// True if the base seconds come from a model or list, not from pixels over step.
+    pub fn has_model(&self) -> bool {
+        self.constant < CONSTANT_SD_WITHOUT_MODEL
+    }
+
+    /// The tasks of a job.
+    pub fn of_job(job: &Job, base: Vec<f32>) -> Self {
+        let (sizes, steps) = (job.sizes.len(), job.steps.len());
+        let mean = |values: &mut dyn Iterator<Item = f64>, n: usize| values.sum::<f64>() / n as f64;
+        let pixels = |s: &[u32; 2]| (f64::from(s[0]) * f64::from(s[1])).ln();
+        let mean_pixels = mean(&mut job.sizes.iter().map(pixels), sizes);
+        let mean_step = mean(&mut job.steps.iter().map(|s| f64::from(*s).ln()), steps);
+        let mean_dz = mean(&mut job.cameras.iter().map(|c| f64::from(c.dz).ln()), job.cameras.len());
+        let mut terms = Vec::with_capacity(job.cameras.len() * sizes * steps);
+        for camera in &job.cameras {
+            let direction = Camera::from_arcball(*camera)
+                .map(|c| c.ray_basis(2, 2).1[0].to_array().map(|v| f64::from(v.abs())))
+                .unwrap_or([0.0; 3]);
+            for size in &job.sizes {
+                for step in &job.steps {
+                    let [x, y, _] = direction;
+                    terms.push(
+                        [
+                            1.0,
+                            0.0,
+                            pixels(size) - mean_pixels,
+                            f64::from(*step).ln() - mean_step,
+                            f64::from(camera.dz).ln() - mean_dz,
+                            x - 0.5,
+                            y - 0.5,
+                            x * x - 0.4,
+                            y * y - 0.4,
+                        ]
+                        .map(|v| v as f32),
+                    );
+                }
+            }
+        }
+        let n = job.len();
+        let (mut volume, mut row, mut transfer) =
+            (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
+        // In the order of `Job::place`.
+        let per_camera = sizes * steps;
+        for v in 0..job.volumes.len() {
+            volume.resize(volume.len() + n / job.volumes.len(), v as u32);
+            for camera in 0..job.cameras.len() {
+                for t in 0..job.transfers.len() {
+                    row.extend((camera * per_camera) as u32..((camera + 1) * per_camera) as u32);
+                    transfer.resize(row.len(), t.min(u16::MAX as usize) as u16);
+                }
+            }
+        }
+        Self::new(base, volume, row, transfer, terms, job.volumes.len(), job.transfers.len())
+    }
+
+    /// Tasks with no known feature but the volume.
+    pub fn of_volumes(base_seconds: &[f64], volume: &[usize]) -> Self {
+        let base = base_seconds.iter().map(|s| s.max(1e-9).ln() as f32).collect();
+        let volumes = volume.iter().max().map_or(1, |v| v + 1);
+        let n = base_seconds.len();
+        let mut terms = [0.0; FIXED];
+        terms[0] = 1.0;
+        let volume = volume.iter().map(|v| *v as u32).collect();
+        Self::new(base, volume, vec![0; n], vec![0; n], vec![terms], volumes, 1)
+    }
+
+    fn new(
+        base: Vec<f32>,
+        volume: Vec<u32>,
+        row: Vec<u32>,
+        transfer: Vec<u16>,
+        terms: Vec<[f32; FIXED]>,
+        volumes: usize,
+        transfers: usize,
+    ) -> Self {
+        let transfers = if (2..=MAX_TRANSFERS).contains(&transfers) { transfers } else { 0 };
+        Self { base, volume, row, transfer, terms, volumes, transfers, constant: CONSTANT_SD_WITHOUT_MODEL }
+    }
+
+    /// Number of tasks.
+    pub fn len(&self) -> usize {
+        self.base.len()
+    }
+
+    /// True if there is no task.
+    pub fn is_empty(&self) -> bool {
+        self.base.is_empty()
+    }
+
+    /// The volume of a task.
+    pub fn volume(&self, task: usize) -> usize {
+        self.volume[task] as usize
+    }
+
+    /// Number of volumes.
+    pub fn volumes(&self) -> usize {
+        self.volumes
+    }
+}
+
+/// An observed time.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    task: u32,
+    node: u32,
+    /// ln(seconds / base).
+    y: f64,
+}
+
+/// The model of a job's times.
+#[derive(Clone, Debug)]
+pub struct Learner {
+    shape: Shape,
+    mean_base: f64,
+    seen: Vec<Seen>,
+    refit_at: usize,
+    /// Number of observations in the fit.
+    fitted: usize,
+    beta: Vec<f64>,
+    /// Lower triangular factor L of the precision of β: L·Lᵀ.
+    factor: Vec<f64>,
+    effects: Vec<f64>,
+    /// Effective degrees of freedom of the nodes' speeds.
+    used_nodes: f64,
+    /// Precision of each volume's effect for a given β, and Σx over its observations.
+    precisions: Vec<f64>,
+    sums: Vec<Vec<f64>>,
+    sigma2: f64,
+    tau2: f64,
+    drift: f64,
+    nodes: Vec<f64>,
+    residuals: Vec<f32>,
+}
+
+/// One random draw of all uncertain quantities except the tasks' own errors.
+#[derive(Clone, Debug)]
+pub struct Draw {
+    beta: Vec<f64>,
+    effects: Vec<f64>,
+    drift: f64,
+}
+
+impl Learner {
+    /// A model without observations.
+    pub fn new(shape: Shape) -> Self {
+        let d = FIXED + shape.transfers;
+        let mean_base = shape.base.iter().map(|b| f64::from(*b)).sum::<f64>() / shape.len().max(1) as f64;
+        let volumes = shape.volumes;
+        let before = if shape.has_model() { VOLUME_SD_WITH_MODEL } else { PRIOR_SDS.0 };
+        let mut new = Self {
+            shape,
+            mean_base,
+            seen: Vec::new(),
+            refit_at: 1,
+            used_nodes: 0.0,
+            fitted: 0,
+            beta: vec![0.0; d],
+            factor: Vec::new(),
+            effects: vec![0.0; volumes],
+            precisions: Vec::new(),
+            sums: Vec::new(),
+            sigma2: PRIOR_SDS.0.powi(2),
+            tau2: before.powi(2),
+            drift: 0.0,
+            nodes: Vec::new(),
+            residuals: Vec::new(),
+        };
+        new.refit();
+        new
+    }
+
+    /// The tasks.
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// Number of observed times.
+    pub fn observed(&self) -> usize {
+        self.seen.len()
+    }
+
+    /// Standard deviation of ln(measured / expected) of a task.
+    pub fn log_sd(&self) -> f64 {
+        self.sigma2.sqrt()
+    }
+
+    /// Speed of a node, 1 where it is unknown.
+    pub fn speed(&self, node: usize) -> f64 {
+        self.nodes.get(node).map_or(1.0, |o| (-o).exp())
+    }
+
+    /// Factor by which a task's own error is below the average: its standard deviation is the model's over
+    /// this.
+    fn calm(&self, task: usize) -> f64 {
+        if !self.shape.has_model() {
+            return 1.0;
+        }
+        let (slope, most) = SCATTER_SLOPE_WITH_MODEL;
+        (slope * (f64::from(self.shape.base[task]) - self.mean_base).clamp(-most, most)).exp()
+    }
+
+    fn x(&self, task: usize, out: &mut [f64]) {
+        out.fill(0.0);
+        let row = &self.shape.terms[self.shape.row[task] as usize];
+        for k in 0..FIXED {
+            out[k] = f64::from(row[k]);
+        }
+        out[1] = f64::from(self.shape.base[task]) - self.mean_base;
+        if self.shape.transfers > 0 {
+            out[FIXED + self.shape.transfer[task] as usize] = 1.0;
+        }
+    }
+
+    fn log_of(&self, beta: &[f64], effects: &[f64], task: usize) -> f64 {
+        let row = &self.shape.terms[self.shape.row[task] as usize];
+        let mut sum = (f64::from(self.shape.base[task]) - self.mean_base) * beta[1];
+        for k in 0..FIXED {
+            sum += f64::from(row[k]) * beta[k];
+        }
+        if self.shape.transfers > 0 {
+            sum += beta[FIXED + self.shape.transfer[task] as usize];
+        }
+        sum + effects[self.shape.volume(task)]
+    }
+
+    /// Expected seconds on a node of speed 1.
+    pub fn seconds(&self, task: usize) -> f64 {
+        let log = f64::from(self.shape.base[task]) + self.log_of(&self.beta, &self.effects, task);
+        (log + 0.5 * self.sigma2 / self.calm(task).powi(2)).exp()
+    }
+
+    /// Expected seconds of all tasks.
+    pub fn all_seconds(&self) -> Vec<f32> {
+        (0..self.shape.len()).into_par_iter().with_min_len(4096).map(|t| self.seconds(t) as f32).collect()
+    }
+
+    /// Adds an observed time. True if the model was refitted: expected seconds have changed.
+    pub fn observe(&mut self, task: usize, node: usize, seconds: f64) -> bool {
+        if !(seconds.is_finite() && seconds > 0.0) {
+            return false;
+        }
+        let y = seconds.ln() - f64::from(self.shape.base[task]);
+        self.seen.push(Seen { task: task as u32, node: node as u32, y });
+        let due = self.seen.len() >= self.refit_at;
+        if due {
+            self.refit();
+            self.refit_at = self.seen.len() + (self.seen.len() / 4).max(1);
+        }
+        due
+    }
+
+    /// True if the fit includes all observations.
+    pub fn is_fresh(&self) -> bool {
+        self.fitted == self.seen.len()
+    }
+
+    /// Fits the model to all observations.
+    pub fn refit(&mut self) {
+        let d = self.beta.len();
+        let nodes = self.seen.iter().map(|s| s.node as usize + 1).max().unwrap_or(0);
+        self.nodes.resize(nodes, 0.0);
+        let mut x = vec![0.0; d];
+        // Two rounds: nodes' speeds and clipping depend on the fit and vice versa.
+        for round in 0..if self.seen.is_empty() { 1 } else { 3 } {
+            let clip = HUBER * self.sigma2.sqrt();
+            let (mut xtx, mut xty, mut yy) = (vec![0.0; d * d], vec![0.0; d], 0.0);
+            let mut counts = vec![0.0; self.shape.volumes];
+            let mut sums = vec![vec![0.0; d]; self.shape.volumes];
+            let mut sums_y = vec![0.0; self.shape.volumes];
+            for s in &self.seen {
+                let task = s.task as usize;
+                let calm = self.calm(task);
+                let weight = calm * calm;
+                let mut y = s.y - self.nodes[s.node as usize];
+                if round > 0 && self.seen.len() >= 30 {
+                    let middle = self.log_of(&self.beta, &self.effects, task);
+                    y = y.clamp(middle - clip / calm, middle + clip / calm);
+                }
+                self.x(task, &mut x);
+                let used: Vec<usize> = (0..d).filter(|k| x[*k] != 0.0).collect();
+                let v = self.shape.volume(task);
+                for &i in &used {
+                    xty[i] += weight * x[i] * y;
+                    sums[v][i] += weight * x[i];
+                    for &j in &used {
+                        xtx[i * d + j] += weight * x[i] * x[j];
+                    }
+                }
+                counts[v] += weight;
+                sums_y[v] += weight * y;
+                yy += weight * y * y;
+            }
+            self.solve(&xtx, &xty, yy, &counts, sums, &sums_y);
+            self.fit_nodes();
+        }
+        self.keep_residuals();
+        self.fitted = self.seen.len();
+    }
+
+    fn solve(
+        &mut self,
+        xtx: &[f64],
+        xty: &[f64],
+        yy: f64,
+        counts: &[f64],
+        sums: Vec<Vec<f64>>,
+        sums_y: &[f64],
+    ) {
+        let d = self.beta.len();
+        let n = self.seen.len() as f64;
+        let constant = self.shape.constant;
+        let has_model = self.shape.has_model();
+        let sd = |k: usize| match k {
+            0 => constant,
+            1 if has_model => SLOPE_SD_WITH_MODEL,
+            _ => PRIOR.get(k).copied().unwrap_or(PRIOR_TRANSFER),
+        };
+        let prior = |k: usize| sd(k).powi(2).recip();
+        for _ in 0..if n > 0.0 { 12 } else { 1 } {
+            let (s2, t2) = (self.sigma2, self.tau2);
+            let precisions: Vec<f64> = counts.iter().map(|c| c / s2 + 1.0 / t2).collect();
+            let mut a: Vec<f64> = xtx.iter().map(|v| v / s2).collect();
+            let mut b: Vec<f64> = xty.iter().map(|v| v / s2).collect();
+            for k in 0..d {
+                a[k * d + k] += prior(k);
+            }
+            for v in (0..counts.len()).filter(|v| counts[*v] > 0.0) {
+                let w = 1.0 / (s2 * s2 * precisions[v]);
+                for i in (0..d).filter(|i| sums[v][*i] != 0.0) {
+                    b[i] -= w * sums[v][i] * sums_y[v];
+                    for j in 0..d {
+                        a[i * d + j] -= w * sums[v][i] * sums[v][j];
+                    }
+                }
+            }
+            if !cholesky(&mut a, d) {
+                return;
+            }
+            self.beta = back(&a, forward(&a, b));
+            self.factor = a;
+            let dot = |x: &[f64]| x.iter().zip(&self.beta).map(|(a, b)| a * b).sum::<f64>();
+            for v in 0..counts.len() {
+                self.effects[v] = (sums_y[v] - dot(&sums[v])) / s2 / precisions[v];
+            }
+            if n > 0.0 {
+                // Effective parameters: for β the trace of (precision⁻¹ · data), for volumes their shrinkage.
+                let mut used = 0.0;
+                for k in 0..d {
+                    let mut unit = vec![0.0; d];
+                    unit[k] = 1.0;
+                    let column = back(&self.factor, forward(&self.factor, unit));
+                    used += 1.0 - (prior(k) * column[k]).min(1.0);
+                }
+                let mut used_volumes = 0.0;
+                let (mut square, mut fit) = (yy - 2.0 * dot(xty), 0.0);
+                for i in 0..d {
+                    square += self.beta[i] * dot(&xtx[i * d..(i + 1) * d]);
+                }
+                for v in (0..counts.len()).filter(|v| counts[*v] > 0.0) {
+                    let u = self.effects[v];
+                    used_volumes += counts[v] / s2 / precisions[v];
+                    square += u * (counts[v] * u - 2.0 * (sums_y[v] - dot(&sums[v])));
+                    fit += u * u;
+                }
+                let (before, worth) = PRIOR_SDS;
+                let free = (n - used - used_volumes - self.used_nodes).max(0.0);
+                self.sigma2 = ((square.max(0.0) + worth * before * before) / (free + worth)).max(1e-8);
+                let before = if has_model { VOLUME_SD_WITH_MODEL } else { before };
+                self.tau2 = ((fit + worth * before * before) / (used_volumes + worth)).max(1e-8);
+            }
+            self.precisions = precisions;
+        }
+        self.sums = sums;
+    }
+
+    fn fit_nodes(&mut self) {
+        let mut sums = vec![(0.0, 0.0); self.nodes.len()];
+        let clip = HUBER * self.sigma2.sqrt();
+        for s in &self.seen {
+            let error = s.y - self.log_of(&self.beta, &self.effects, s.task as usize);
+            let (node, calm) = (s.node as usize, self.calm(s.task as usize));
+            let weight = calm * calm;
+            let (low, high) = (self.nodes[node] - clip / calm, self.nodes[node] + clip / calm);
+            sums[node].0 += weight * error.clamp(low, high);
+            sums[node].1 += weight;
+        }
+        self.used_nodes = 0.0;
+        if self.nodes.len() < 2 {
+            return;
+        }
+        // Variance of nodes beyond their tasks' own errors. One time per node does not determine it.
+        let of_nodes: f64 =
+            sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
+        let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);
+        let shrink = if variance > 0.0 { self.sigma2 / variance } else { f64::INFINITY };
+        for (node, (sum, n)) in self.nodes.iter_mut().zip(&sums) {
+            *node = sum / (n + shrink);
+            self.used_nodes += n / (n + shrink);
+        }
+        // Speeds are relative: their mean is part of the constant.
+        let known = sums.iter().filter(|s| s.1 > 0.0).count().max(1) as f64;
+        let mean = self.nodes.iter().sum::<f64>() / known;
+        for (node, (_, n)) in self.nodes.iter_mut().zip(&sums) {
+            if *n > 0.0 {
+                *node -= mean;
+            }
+        }
+    }
+
+    fn keep_residuals(&mut self) {
+        let n = self.seen.len();
+        let errors: Vec<f64> = self
+            .seen
+            .iter()
+            .map(|s| {
+                let middle = self.log_of(&self.beta, &self.effects, s.task as usize);
+                (s.y - middle - self.nodes[s.node as usize]) * self.calm(s.task as usize)
+            })
+            .collect();
+        let stride = n.div_ceil(KEPT).max(1);
+        self.residuals = errors.iter().step_by(stride).map(|e| *e as f32).collect();
+        // Drift of the machine: variance of means of consecutive eighths beyond their tasks' own errors.
+        const PARTS: usize = 8;
+        self.drift = 0.0;
+        if n >= 4 * PARTS {
+            let size = n / PARTS;
+            let clip = HUBER * self.sigma2.sqrt();
+            let means: Vec<f64> = errors
+                .chunks_exact(size)
+                .take(PARTS)
+                .map(|part| part.iter().map(|e| e.clamp(-clip, clip)).sum::<f64>() / size as f64)
+                .collect();
+            let variance = means.iter().map(|m| m * m).sum::<f64>() / (PARTS - 1) as f64;
+            let expected = self.sigma2 / size as f64;
+            // Means of independent tasks scatter as χ² with 7 degrees of freedom: only the excess over its 95
+            // % quantile counts as drift.
+            const LIKELY: f64 = 14.07 / (PARTS - 1) as f64;
+            if variance > LIKELY * expected {
+                self.drift = (variance - expected).sqrt();
+            }
+        }
+    }
+
+    /// Draws the uncertain quantities.
+    pub fn draw(&self, rng: &mut ChaCha8Rng) -> Draw {
+        let d = self.beta.len();
+        let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();
+        let shift = back(&self.factor, noise);
+        let beta: Vec<f64> = self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect();
+        let effects = (0..self.shape.volumes)
+            .map(|v| {
+                let along: f64 = self.sums[v].iter().zip(&shift).map(|(a, b)| a * b).sum();
+                let mean = self.effects[v] - along / self.sigma2 / self.precisions[v];
+                mean + normal(rng) / self.precisions[v].sqrt()
+            })
+            .collect();
+        Draw { beta, effects, drift: self.drift * normal(rng) }
+    }
+
+    /// Seconds of a task in a draw, with its own error.
+    pub fn drawn_seconds(&self, draw: &Draw, task: usize, rng: &mut ChaCha8Rng) -> f64 {
+        let calm = self.calm(task);
+        let error = if self.residuals.len() >= 50 {
+            let r = self.residuals[(rng.next_u64() % self.residuals.len() as u64) as usize];
+            f64::from(r)
+        } else {
+            self.sigma2.sqrt() * normal(rng)
+        };
+        let log = self.log_of(&draw.beta, &draw.effects, task);
+        (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp()
+    }
+
+    /// As [`Learner::drawn_seconds`], for a task that has run for `seconds`; and the draw's probability of
+    /// that.
+    pub fn drawn_beyond(&self, draw: &Draw, task: usize, seconds: f64, rng: &mut ChaCha8Rng) -> (f64, f64) {
+        let log =
+            f64::from(self.shape.base[task]) + self.log_of(&draw.beta, &draw.effects, task) + draw.drift;
+        let calm = self.calm(task);
+        let least = (seconds.ln() - log) * calm;
+        // Floor of the probability that the model does not explain.
+        const LEAST: f64 = 1e-3;
+        let probable = if self.residuals.len() >= 50 {
+            let beyond = self.residuals.iter().filter(|r| f64::from(**r) > least).count();
+            beyond as f64 / self.residuals.len() as f64
+        } else {
+            1.0 - normal_below(least / self.sigma2.sqrt())
+        };
+        for _ in 0..64 {
+            let drawn = self.drawn_seconds(draw, task, rng);
+            if drawn > seconds {
+                return (drawn, probable.max(LEAST));
+            }
+        }
+        // Far beyond all residuals: its present time and half its scatter.
+        (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
+    }
+
+    /// Upper bound at `level` on the total seconds of a group of tasks, one after another on a node of speed
+    /// 1, by random draws.
+    pub fn upper(&self, tasks: &[u32], level: f64) -> f64 {
+        const DRAWS: usize = 200;
+        let mut rng = ChaCha8Rng::seed_from_u64(u64::from(tasks.first().copied().unwrap_or(0)));
+        let stride = tasks.len().div_ceil(256).max(1);
+        let share = tasks.len() as f64 / tasks.len().div_ceil(stride).max(1) as f64;
+        let mut sums: Vec<f64> = (0..DRAWS)
+            .map(|_| {
+                let draw = self.draw_few(&mut rng, tasks, stride);
+                let drawn = tasks.iter().step_by(stride);
+                share * drawn.map(|t| self.drawn_seconds(&draw, *t as usize, &mut rng)).sum::<f64>()
+            })
+            .collect();
+        sums.sort_by(f64::total_cmp);
+        sums[((level * DRAWS as f64) as usize).min(DRAWS - 1)]
+    }
+
+    /// As [`Learner::draw`], with effects only for the volumes of these tasks.
+    fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
+        let d = self.beta.len();
+        let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();
+        let shift = back(&self.factor, noise);
+        let beta: Vec<f64> = self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect();
+        let mut effects = self.effects.clone();
+        let mut volumes: Vec<usize> =
+            tasks.iter().step_by(stride).map(|t| self.shape.volume(*t as usize)).collect();
+        volumes.sort_unstable();
+        volumes.dedup();
+        for v in volumes {
+            let along: f64 = self.sums[v].iter().zip(&shift).map(|(a, b)| a * b).sum();
+            effects[v] += normal(rng) / self.precisions[v].sqrt() - along / self.sigma2 / self.precisions[v];
+        }
+        Draw { beta, effects, drift: self.drift * normal(rng) }
+    }
+}
+
+#[cfg(test)]
+#[path = "learn_tests.rs"]
+mod tests;

@@ -1,0 +1,39 @@
+//! Render farms: image databases that are planned, rendered on an engine, corrected by measured times, and
+//! recorded so that no result is lost.
+//!
+//! [`list`] has task lists and static assignments (`entire schedule`). The rest is `entire farm`: a job file
+//! becomes tasks ([`job`]), tasks get expected times ([`predict`], [`learn`], [`load`]), a planner sends them
+//! in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), the journal records
+//! the results ([`journal`], [`spool`]). The simulator ([`simulate`]) uses the same planner.
+
+pub mod cinema;
+pub mod command;
+pub mod database;
+pub mod dispatch;
+pub mod drive;
+pub mod engine;
+mod gauss;
+pub mod job;
+mod job_file;
+pub mod journal;
+pub mod learn;
+pub mod list;
+pub mod load;
+pub mod natural;
+pub mod openjd;
+pub mod options;
+pub mod planner;
+pub mod predict;
+pub mod record;
+pub mod report;
+mod session;
+pub mod show;
+pub mod simulate;
+pub mod spool;
+pub mod survey;
+pub mod worker;
+
+pub use list::{
+    AffinityTask, By, Farm, Method, Plan, Span, Task, Timeline, eta, parse_tasks, plan, play, read_tasks,
+    simulate_affinity, simulate_queue, times, volume_numbers,
+};

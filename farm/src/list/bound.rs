@@ -1,0 +1,25 @@
+//! Lower bounds on the end of any schedule.
+
+use anyhow::Result;
+use entire_steer::schedule::{assign_longest_first, longest_first};
+
+/// No schedule without preemption ends before this: all work over all speed, and for every k the k longest
+/// tasks over the k fastest nodes.
+///
+/// # Errors
+/// As [`assign_longest_first`].
+pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
+    // Checks the speeds.
+    assign_longest_first(&[], speeds)?;
+    let order = longest_first(times)?;
+    let mut fastest = speeds.to_vec();
+    fastest.sort_by(|a, b| b.total_cmp(a));
+    let mut bound = times.iter().sum::<f64>() / speeds.iter().sum::<f64>();
+    let (mut work, mut speed) = (0.0, 0.0);
+    for (&task, &s) in order.iter().zip(&fastest) {
+        work += times[task];
+        speed += s;
+        bound = bound.max(work / speed);
+    }
+    Ok(bound)
+}

@@ -1,0 +1,288 @@
+//! Task lists, and their assignment to nodes.
+
+mod affinity;
+mod bound;
+mod exchange;
+mod queue;
+#[cfg(test)]
+mod tests;
+
+pub use affinity::{AffinityTask, simulate_affinity};
+pub use bound::lower_bound;
+pub use exchange::exchange;
+pub use queue::{Span, Timeline, simulate_queue};
+
+use anyhow::{Context, Result, ensure};
+use entire_io::files::{decode_text, read_bytes};
+use entire_steer::schedule::{Assignment, assign_longest_first, longest_first};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// The nodes of a farm.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Farm {
+    /// Speed of each node; a node of speed 2 takes half of a task's seconds.
+    pub speeds: Vec<f64>,
+    /// Node seconds per dispatch from a queue.
+    pub dispatch: f64,
+    /// Queue entries that a node searches for a task on its loaded volume.
+    pub window: usize,
+}
+
+/// Assignment method of tasks to nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Method {
+    /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged
+    /// between nodes as long as that helps.
+    #[default]
+    Static,
+    /// Fixed beforehand: longest first, without exchanges.
+    Longest,
+    /// A queue, longest first: a free node takes the next task.
+    Queue,
+    /// A queue in the order of the list.
+    Arrival,
+    /// A queue, longest first, in which a node prefers tasks on its loaded volume.
+    Affinity,
+}
+
+impl Method {
+    /// The name used in options and files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Static => "static",
+            Self::Longest => "longest",
+            Self::Queue => "queue",
+            Self::Arrival => "arrival",
+            Self::Affinity => "affinity",
+        }
+    }
+}
+
+/// Task times that a schedule uses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum By {
+    /// `predicted_s`.
+    #[default]
+    Predicted,
+    /// `measured_s`.
+    Measured,
+    /// All tasks take equally long.
+    Uniform,
+}
+
+/// A task of a list.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Task {
+    /// Its name; default: its number.
+    pub task: String,
+    /// Predicted seconds on a node of speed 1.
+    pub predicted_s: Option<f64>,
+    /// Measured seconds on a node of speed 1.
+    pub measured_s: Option<f64>,
+    /// The data that it needs.
+    pub volume: String,
+    /// Seconds to load that data.
+    pub load_s: f64,
+}
+
+/// Reads a task list, JSON where the name ends so, else CSV (with commas, or with semicolons or tabs and decimal
+/// commas); UTF-8, or UTF-16 with a byte order mark.
+///
+/// # Errors
+/// Names the file, the task and the error.
+pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
+    let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
+    let json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    parse_tasks(&bytes, json).with_context(|| format!("task list {}", path.display()))
+}
+
+/// Reads a task list's bytes, JSON or CSV.
+///
+/// # Errors
+/// Names the task and the error.
+pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
+    let text = decode_text(bytes)?;
+    let mut tasks: Vec<Task> = if json { serde_json::from_str(&text)? } else { parse_csv(&text)? };
+    ensure!(!tasks.is_empty(), "it holds no task");
+    for (i, t) in tasks.iter_mut().enumerate() {
+        if t.task.is_empty() {
+            t.task = i.to_string();
+        }
+        ensure!(
+            t.predicted_s.is_some() || t.measured_s.is_some(),
+            "task {i} ({}) has neither predicted_s nor measured_s; one of them is needed",
+            t.task
+        );
+        for (name, value) in [
+            ("predicted_s", t.predicted_s.unwrap_or(0.0)),
+            ("measured_s", t.measured_s.unwrap_or(0.0)),
+            ("load_s", t.load_s),
+        ] {
+            ensure!(
+                value.is_finite() && value >= 0.0,
+                "task {i} ({}): {name} is {value}; it must be finite and not negative",
+                t.task
+            );
+        }
+    }
+    Ok(tasks)
+}
+
+/// Reads CSV of programs or spreadsheets: with semicolons or tabs if numbers have decimal commas.
+fn parse_csv(text: &str) -> Result<Vec<Task>> {
+    let first = text.lines().next().unwrap_or("");
+    let delimiter = [b',', b';', b'\t'].into_iter().find(|&d| first.as_bytes().contains(&d)).unwrap_or(b',');
+    let mut reader =
+        csv::ReaderBuilder::new().trim(csv::Trim::All).delimiter(delimiter).from_reader(text.as_bytes());
+    if delimiter == b',' {
+        return Ok(reader.deserialize().collect::<std::result::Result<_, _>>()?);
+    }
+    let headers = reader.headers()?.clone();
+    let mut tasks = Vec::new();
+    for record in reader.records() {
+        let record = record?;
+        let mut pointed: csv::StringRecord = record
+            .iter()
+            .zip(&headers)
+            .map(|(field, column)| match column {
+                "predicted_s" | "measured_s" | "load_s" => field.replacen(',', ".", 1),
+                _ => field.to_owned(),
+            })
+            .collect();
+        pointed.set_position(record.position().cloned());
+        tasks.push(pointed.deserialize(Some(&headers))?);
+    }
+    Ok(tasks)
+}
+
+/// The task times that a schedule uses.
+///
+/// # Errors
+/// Names the task that lacks them.
+pub fn times(tasks: &[Task], by: By) -> Result<Vec<f64>> {
+    tasks
+        .iter()
+        .map(|t| match by {
+            By::Predicted => t.predicted_s.with_context(|| format!("task {} has no predicted_s", t.task)),
+            By::Measured => t.measured_s.with_context(|| format!("task {} has no measured_s", t.task)),
+            By::Uniform => Ok(1.0),
+        })
+        .collect()
+}
+
+/// Numbers of the tasks' volumes, in order of first appearance.
+pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
+    let mut numbers: HashMap<&str, usize> = HashMap::new();
+    tasks
+        .iter()
+        .map(|t| {
+            let next = numbers.len();
+            *numbers.entry(&t.volume).or_insert(next)
+        })
+        .collect()
+}
+
+/// Plays a plan with true times: every task's node, start and end.
+///
+/// # Errors
+/// When times or speeds are not finite and positive.
+pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result<Timeline> {
+    let speeds = &farm.speeds;
+    match plan {
+        Plan::Assigned(assignment, order) => {
+            let mut free = vec![0.0; speeds.len()];
+            let mut spans = Vec::with_capacity(order.len());
+            for &task in order {
+                let node = assignment.node_of[task];
+                let start = free[node];
+                let end = start + seconds[task] / speeds[node];
+                free[node] = end;
+                spans.push(Span { task, node, start, end });
+            }
+            Ok(Timeline { spans, makespan: free.into_iter().fold(0.0, f64::max) })
+        }
+        Plan::Queued(order) => simulate_queue(order, seconds, speeds, farm.dispatch),
+        Plan::Near(order) => {
+            let volumes = volume_numbers(tasks);
+            let near: Vec<AffinityTask> = tasks
+                .iter()
+                .zip(seconds)
+                .zip(volumes)
+                .map(|((t, &seconds), volume)| AffinityTask {
+                    volume,
+                    seconds: seconds + farm.dispatch,
+                    load: t.load_s,
+                })
+                .collect();
+            simulate_affinity(order, &near, speeds, farm.window)
+        }
+    }
+}
+
+/// A schedule before the run.
+#[derive(Clone, Debug)]
+pub enum Plan {
+    /// Node of every task, and the order.
+    Assigned(Assignment, Vec<usize>),
+    /// An order from which a free node takes the next task.
+    Queued(Vec<usize>),
+    /// An order from which a free node takes a task on its loaded volume, if one is near the front.
+    Near(Vec<usize>),
+}
+
+/// Schedules tasks by the expected seconds `deciding`.
+///
+/// # Errors
+/// When times or speeds are not finite and positive.
+pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
+    let order = longest_first(deciding)?;
+    Ok(match method {
+        Method::Longest => Plan::Assigned(assign_longest_first(deciding, speeds)?, order),
+        Method::Static => {
+            let mut assignment = assign_longest_first(deciding, speeds)?;
+            exchange(&mut assignment, deciding, speeds)?;
+            Plan::Assigned(assignment, order)
+        }
+        Method::Queue => Plan::Queued(order),
+        Method::Arrival => Plan::Queued((0..deciding.len()).collect()),
+        Method::Affinity => Plan::Near(order),
+    })
+}
+
+/// Expected end, and its 90 % interval. Errors are drawn from the tasks' own ln(measured / predicted) if they
+/// have both times, else from a normal distribution with standard deviation 0.15.
+///
+/// # Errors
+/// As [`play`].
+pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm) -> Result<[f64; 3]> {
+    const LOG_SD: f64 = 0.15;
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+    let own: Vec<f64> = tasks
+        .iter()
+        .filter_map(|t| Some((t.measured_s.filter(|m| *m > 0.0)? / t.predicted_s.filter(|p| *p > 0.0)?).ln()))
+        .collect();
+    const DRAWS: usize = 400;
+    let mut ends = Vec::with_capacity(DRAWS);
+    for _ in 0..DRAWS {
+        let drawn: Vec<f64> = expected
+            .iter()
+            .map(|t| {
+                let error = if own.len() == tasks.len() {
+                    own[((unit() * own.len() as f64) as usize).min(own.len() - 1)]
+                } else {
+                    LOG_SD * (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
+                };
+                t * error.exp()
+            })
+            .collect();
+        ends.push(play(plan, &drawn, tasks, farm)?.makespan);
+    }
+    ends.sort_by(f64::total_cmp);
+    Ok([ends[DRAWS / 20], ends[DRAWS / 2], ends[DRAWS - 1 - DRAWS / 20]])
+}

@@ -1,0 +1,90 @@
+//! Export as an OpenJD job template (Open Job Description, `jobtemplate-2023-09`): one task per bundle, for
+//! farms that read such templates. `entire farm --resume` takes over the images that their workers have
+//! rendered.
+
+use super::engine::{Bundle, Places};
+use super::job::Job;
+use super::planner::Planner;
+use anyhow::{Context, Result, ensure};
+use entire_io::files::write_json;
+use serde_json::json;
+use std::path::Path;
+
+/// Cuts tasks into bundles of about equal expected seconds, each of one volume, the longest tasks first.
+pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize) -> Vec<Vec<u32>> {
+    let shape = planner.learner().shape();
+    let mut sorted = tasks.to_vec();
+    sorted.sort_by(|a, b| {
+        let of = |t: &u32| shape.volume(*t as usize);
+        of(a).cmp(&of(b)).then(planner.expected(*b).total_cmp(&planner.expected(*a)))
+    });
+    let total: f64 = tasks.iter().map(|t| planner.expected(*t)).sum();
+    let target = total / bundles.max(1) as f64;
+    let mut out: Vec<Vec<u32>> = Vec::new();
+    let (mut sum, mut volume) = (f64::INFINITY, usize::MAX);
+    for task in sorted {
+        let seconds = planner.expected(task);
+        // Cuts where the bundle's time is closer to the target.
+        if sum + 0.5 * seconds > target || shape.volume(task as usize) != volume {
+            out.push(Vec::new());
+            (sum, volume) = (0.0, shape.volume(task as usize));
+        }
+        sum += seconds;
+        if let Some(last) = out.last_mut() {
+            last.push(task);
+        }
+    }
+    out
+}
+
+/// Writes the bundles' descriptions into the state folder and the template to `file`.
+///
+/// # Errors
+/// When all tasks are finished, or a file cannot be written.
+pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &Path) -> Result<()> {
+    ensure!(!bundles.is_empty(), "all tasks are done; there is nothing to export");
+    for bundle in bundles {
+        places.write_order(bundle, run)?;
+    }
+    let first = bundles.iter().map(|b| b.sent.bundle).min().unwrap_or(0);
+    let last = bundles.iter().map(|b| b.sent.bundle).max().unwrap_or(0);
+    let longest = bundles.iter().map(|b| b.upper_s).fold(1.0, f64::max).ceil() as u64;
+    let text =
+        |p: &Path| p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()));
+    // A path's default must lie below the template; otherwise the submitter names the folder.
+    let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = std::fs::canonicalize(folder)
+        .with_context(|| format!("cannot find the folder {}", folder.display()))?;
+    let mut state = json!({
+        "name": "State", "type": "PATH", "objectType": "DIRECTORY", "dataFlow": "INOUT",
+        "description": "State folder of the image database, the same path on every host.",
+    });
+    if let Ok(below) = std::fs::canonicalize(&places.state)?.strip_prefix(&folder) {
+        state["default"] = text(below)?.into();
+    }
+    let template = json!({
+        "specificationVersion": "jobtemplate-2023-09",
+        "name": job.name,
+        "parameterDefinitions": [
+            state,
+            {
+                "name": "Entire", "type": "STRING", "description": "The program `entire`.",
+                "default": text(&places.program)?,
+            },
+        ],
+        "steps": [{
+            "name": "Render",
+            "parameterSpace": {
+                "taskParameterDefinitions": [
+                    { "name": "Bundle", "type": "INT", "range": format!("{first}-{last}") },
+                ],
+            },
+            "script": { "actions": { "onRun": {
+                "command": "{{Param.Entire}}",
+                "args": ["farm-worker", "{{Param.State}}", "--bundle", "{{Task.Param.Bundle}}"],
+                "timeout": longest,
+            } } },
+        }],
+    });
+    write_json(file, &template)
+}

@@ -1,0 +1,190 @@
+//! Messages between driver, workers and journal, one JSON object per line.
+
+use entire_io::identity::Identity;
+use entire_io::path::Transfer;
+use entire_io::volume::Reading;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The number of the current run.
+pub fn run_number(state: &Path) -> Option<u64> {
+    std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
+}
+
+/// A task with all data that a worker needs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Order {
+    /// The task's id, 16 hexadecimal digits.
+    pub task: String,
+    /// The volume file.
+    pub volume: PathBuf,
+    /// The volume's name.
+    pub volume_name: String,
+    /// Time step.
+    pub time: u32,
+    /// Options of reading it.
+    #[serde(default)]
+    pub reading: Reading,
+    /// Rotation about x and y in degrees, distance in bounding-sphere radii.
+    pub camera: [f32; 3],
+    /// Vertical field of view, degrees.
+    pub fov_y_deg: f32,
+    /// The transfer function's name.
+    pub transfer_name: String,
+    /// The transfer function.
+    pub transfer: Transfer,
+    /// Width and height in pixels.
+    pub size: [u32; 2],
+    /// Step in reference steps.
+    pub step: f32,
+    /// Path of the image, relative to the database.
+    pub image: String,
+    /// Expected seconds.
+    pub predicted_s: f64,
+    /// Identities of the volume's files: the picture must be of these.
+    #[serde(default)]
+    pub files: Vec<Identity>,
+}
+
+/// Tasks for one worker, one after another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BundleOrder {
+    /// The bundle's number in this run.
+    pub bundle: u64,
+    /// The run that it belongs to: when another run has begun, the worker stops.
+    pub run: u64,
+    /// The tasks.
+    pub tasks: Vec<Order>,
+}
+
+/// Result of a task.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Answer {
+    /// The task's id.
+    pub task: String,
+    /// Its bundle.
+    pub bundle: u64,
+    /// Its node.
+    pub node: String,
+    /// Seconds without loading: rendering, and writing the image.
+    pub seconds: f64,
+    /// Seconds of the frame only, if the renderer reports them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub render_s: Option<f64>,
+    /// Seconds to load the volume; zero if it was loaded.
+    pub load_s: f64,
+    /// Start, seconds since 1970.
+    pub begin: f64,
+    /// End, seconds since 1970.
+    pub end: f64,
+    /// Size of the image file.
+    pub bytes: u64,
+    /// CRC-32 of the image file.
+    pub crc32: u32,
+    /// Reason for a missing image.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+    /// True if the cause was a full disk.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub disk_full: bool,
+}
+
+/// A line from a worker.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Line {
+    /// A task has ended.
+    Answer(Answer),
+    /// A bundle has ended.
+    End {
+        /// Its number.
+        end: u64,
+    },
+    /// A worker has started a task.
+    Begin {
+        /// Its id.
+        begins: String,
+    },
+}
+
+/// A line of the journal.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Entry {
+    /// A run has started.
+    Run {
+        /// The journal's format.
+        format: String,
+        /// The job's name.
+        job: String,
+        /// When, UTC.
+        date: String,
+        /// Engine that runs the tasks.
+        engine: String,
+        /// Number of slots.
+        slots: usize,
+        /// Time, seconds since 1970.
+        at: f64,
+    },
+    /// Identities of the volumes' files from here on, by path.
+    Inputs {
+        /// The files.
+        files: BTreeMap<String, Vec<Identity>>,
+    },
+    /// A task is finished, its image in place.
+    Done {
+        /// Measured times and result.
+        answer: Answer,
+        /// Expected seconds when it was sent.
+        predicted_s: f64,
+    },
+    /// A task failed.
+    Failed {
+        /// Its id.
+        task: String,
+        /// Why.
+        error: String,
+    },
+    /// A task was lost with its worker.
+    Lost {
+        /// Its id.
+        task: String,
+        /// Why.
+        why: String,
+    },
+    /// Gives a task up.
+    Quarantined {
+        /// Its id.
+        task: String,
+        /// Why.
+        error: String,
+        /// Path of its log, relative to the database.
+        log: String,
+    },
+    /// Estimate of the end, for the report.
+    Eta {
+        /// Time, seconds since 1970.
+        at: f64,
+        /// Share of finished tasks.
+        share: f64,
+        /// The end at 5, 50 and 95 percent, seconds since 1970.
+        ends: [f64; 3],
+    },
+}
+
+/// The journal's format.
+pub const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
+
+/// The format of journals without the inputs of pictures.
+pub const BARE_JOURNAL_FORMAT: &str = "entire-farm-journal-1";
+
+/// Seconds since 1970.
+pub fn unix_now() -> f64 {
+    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
+}
+
+/// Parses a task's id.
+pub fn parse_id(text: &str) -> Option<u64> {
+    (text.len() == 16).then(|| u64::from_str_radix(text, 16).ok())?
+}

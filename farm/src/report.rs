@@ -1,0 +1,263 @@
+//! The report of a farm, from its journal: Gantt chart by node, predicted against measured times, the
+//! expected end over time, gain of the order.
+
+use super::job::Job;
+use super::planner::queue_end;
+use super::record::{Answer, Entry, parse_id};
+use super::show::duration;
+use crate::list::lower_bound;
+use anyhow::{Result, ensure};
+use entire_io::machine::Provenance;
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::Path;
+
+/// Maximum number of lanes of the Gantt chart.
+const LANES: usize = 48;
+/// Maximum number of points of the chart of predictions.
+const POINTS: usize = 3000;
+
+/// A run of the journal.
+struct Run {
+    at: f64,
+    engine: String,
+    slots: usize,
+    done: Vec<(Answer, f64)>,
+    etas: Vec<(f64, f64, [f64; 3])>,
+}
+
+/// Writes the report of a job's database.
+///
+/// # Errors
+/// When no task is finished yet, or a file cannot be read or written.
+pub fn write(job: &Job, file: &Path) -> Result<()> {
+    let mut runs: Vec<Run> = Vec::new();
+    let (mut failed, mut lost) = (0, 0);
+    let mut quarantined: BTreeMap<String, (String, String)> = BTreeMap::new();
+    for entry in super::journal::entries(&job.state())? {
+        match entry {
+            Entry::Run { at, engine, slots, .. } => {
+                runs.push(Run { at, engine, slots, done: Vec::new(), etas: Vec::new() });
+            }
+            Entry::Done { answer, predicted_s } => {
+                quarantined.remove(&answer.task);
+                if let Some(run) = runs.last_mut() {
+                    run.done.push((answer, predicted_s));
+                }
+            }
+            Entry::Inputs { .. } => {}
+            Entry::Failed { .. } => failed += 1,
+            Entry::Lost { .. } => lost += 1,
+            Entry::Quarantined { task, error, log } => {
+                quarantined.insert(task, (error, log));
+            }
+            Entry::Eta { at, share, ends } => {
+                if let Some(run) = runs.last_mut() {
+                    run.etas.push((at, share, ends));
+                }
+            }
+        }
+    }
+    let all: Vec<&(Answer, f64)> = runs.iter().flat_map(|r| &r.done).collect();
+    ensure!(!all.is_empty(), "{} holds no image yet; render some first", job.output.display());
+    let mut wanted: HashSet<u64> = job.numbers().into_keys().collect();
+    let images = all.iter().filter(|(a, _)| parse_id(&a.task).is_some_and(|id| wanted.remove(&id))).count();
+    let work: f64 = all.iter().map(|(a, _)| a.seconds + a.load_s).sum();
+    let mut page = Page::new(
+        format!("Farm: {}", job.name),
+        &format!(
+            "{images} of {} images, {} rendered in {} of node time; {failed} failures, {lost} losses, {} \
+             quarantined.",
+            job.len(),
+            all.len(),
+            duration(work),
+            quarantined.len()
+        ),
+    );
+    let last = runs.iter().rposition(|r| !r.done.is_empty()).unwrap_or(0);
+    gantt(&mut page, &runs[last], last + 1, runs.len());
+    accuracy(&mut page, &all);
+    ends(&mut page, &runs[last]);
+    gains(&mut page, &runs[last])?;
+    slowest(&mut page, job, &all);
+    if !quarantined.is_empty() {
+        page.heading("Quarantined tasks");
+        let mut table = Table::new(vec![Column::text("task"), Column::text("error"), Column::text("log")]);
+        for (task, (error, log)) in &quarantined {
+            table.row(vec![task.as_str().into(), error.as_str().into(), log.as_str().into()]);
+        }
+        page.table(&table, "Tasks that were given up. --resume --retry-quarantined tries them again.");
+    }
+    page.heading("Where this comes from");
+    let mut facts = vec![
+        ("Database", job.output.display().to_string()),
+        ("Expected times", super::predict::source(job)),
+        ("Engine", format!("{}, {} slots", runs[last].engine, runs[last].slots)),
+    ];
+    facts.extend(Provenance::of(format!("{:?}", job.renderer)).facts());
+    page.facts(facts);
+    page.write(file)
+}
+
+/// A task's lane: its node, and the first free one of it if several tasks overlap.
+fn lanes(done: &[(Answer, f64)]) -> (Vec<usize>, Vec<String>) {
+    let mut order: Vec<usize> = (0..done.len()).collect();
+    order.sort_by(|a, b| done[*a].0.begin.total_cmp(&done[*b].0.begin));
+    let mut free: BTreeMap<&str, Vec<(usize, f64)>> = BTreeMap::new();
+    let mut names = Vec::new();
+    let mut out = vec![0; done.len()];
+    for i in order {
+        let answer = &done[i].0;
+        let node = free.entry(&answer.node).or_default();
+        let lane = match node.iter_mut().find(|(_, end)| *end <= answer.begin + 1e-3) {
+            Some(lane) => lane,
+            None => {
+                names.push(format!("{}{}", answer.node, ".".repeat(usize::from(!node.is_empty()))));
+                node.push((names.len() - 1, 0.0));
+                let at = node.len() - 1;
+                &mut node[at]
+            }
+        };
+        lane.1 = answer.end;
+        out[i] = lane.0;
+    }
+    (out, names)
+}
+
+fn gantt(page: &mut Page, run: &Run, number: usize, of: usize) {
+    page.heading("Nodes");
+    let (lane, names) = lanes(&run.done);
+    let mut order: Vec<usize> = (0..names.len()).collect();
+    order.sort_by(|a, b| names[*a].cmp(&names[*b]));
+    let shown = names.len().min(LANES);
+    let mut place = vec![usize::MAX; names.len()];
+    for (row, lane) in order.iter().take(shown).enumerate() {
+        place[*lane] = row;
+    }
+    let (mut loads, mut frames) = (Vec::new(), Vec::new());
+    for (i, (a, _)) in run.done.iter().enumerate() {
+        let row = place[lane[i]];
+        if row == usize::MAX {
+            continue;
+        }
+        let (from, to) = (a.begin - run.at, a.end - run.at);
+        if a.load_s > 0.0 {
+            loads.push((from, from + a.load_s, row as f64));
+        }
+        frames.push((from + a.load_s, to, row as f64));
+    }
+    let labels = order.iter().take(shown).map(|l| names[*l].clone()).collect();
+    let chart = Chart::new("", Axis::linear("seconds since the run began"), Axis::categories("", labels))
+        .size(900.0, 90.0 + 22.0 * shown as f64)
+        .series(Series::new("rendering", Mark::Stretches(frames)).color(0))
+        .series(Series::new("loading", Mark::Stretches(loads)).color(1));
+    let text = format!("Tasks of each node in run {number} of {of}; {shown} of {} lanes.", names.len());
+    page.chart(&chart, &text);
+}
+
+fn accuracy(page: &mut Page, all: &[&(Answer, f64)]) {
+    page.heading("Predicted against measured");
+    let stride = all.len().div_ceil(POINTS).max(1);
+    let points = all.iter().step_by(stride).map(|(a, p)| (*p, a.seconds, String::new())).collect();
+    let chart = Chart::new("", Axis::log("predicted / s"), Axis::log("measured / s"))
+        .series(Series::new("", Mark::Points(points)))
+        .rule(Rule::Diagonal("equal".into()));
+    let mut errors: Vec<f64> = all.iter().map(|(a, p)| (p / a.seconds - 1.0).abs()).collect();
+    let middle = entire_io::metrics::median(&mut errors).unwrap_or(f64::NAN);
+    let text = format!(
+        "Expected seconds when a task was sent, and its measured seconds without loading. Median error {:.1} \
+         %.",
+        100.0 * middle
+    );
+    page.chart(&chart, &text);
+}
+
+fn ends(page: &mut Page, run: &Run) {
+    let Some(end) = run.done.iter().map(|(a, _)| a.end - run.at).reduce(f64::max) else { return };
+    let known: Vec<&(f64, f64, [f64; 3])> =
+        run.etas.iter().filter(|e| e.2.iter().all(|v| v.is_finite())).collect();
+    if known.len() < 2 {
+        return;
+    }
+    page.heading("The expected end over time");
+    let band = known.iter().map(|(at, _, e)| (at - run.at, e[0] - run.at, e[2] - run.at)).collect();
+    let line = known.iter().map(|(at, _, e)| (at - run.at, e[1] - run.at)).collect();
+    let axis = Axis::linear("end / s since the run began").from(0.0).to(2.0 * end);
+    let chart = Chart::new("", Axis::linear("seconds since the run began"), axis)
+        .series(Series::new("90 % interval", Mark::Band(band)).color(0))
+        .series(Series::new("expected end", Mark::Line(line)).color(0))
+        .rule(Rule::Horizontal(end, "the end".into()));
+    page.chart(&chart, "The predicted end over the time of the run, and the actual end.");
+}
+
+fn gains(page: &mut Page, run: &Run) -> Result<()> {
+    page.heading("Gain of the order");
+    let mut tasks: Vec<&(Answer, f64)> = run.done.iter().collect();
+    tasks.sort_by(|a, b| a.0.task.cmp(&b.0.task));
+    let slots = run.slots.max(1);
+    let speeds = vec![1.0; slots];
+    let busy = vec![0.0; slots];
+    let seconds: Vec<f64> = tasks.iter().map(|(a, _)| a.seconds).collect();
+    let mut order: Vec<usize> = (0..tasks.len()).collect();
+    // Without predictions all orders are equivalent: the mean of some.
+    let any: f64 = (0..32u64)
+        .map(|seed| {
+            let mut order = order.clone();
+            order.sort_by_key(|i| entire_io::files::fnv1a(&[seed.to_le_bytes(), i.to_le_bytes()].concat()));
+            queue_end(&order.iter().map(|i| seconds[*i]).collect::<Vec<_>>(), &busy, &speeds)
+        })
+        .sum::<f64>()
+        / 32.0;
+    order.sort_by(|a, b| tasks[*b].1.total_cmp(&tasks[*a].1));
+    let longest = queue_end(&order.iter().map(|i| seconds[*i]).collect::<Vec<_>>(), &busy, &speeds);
+    let mut share = vec![0.0; slots];
+    for (i, s) in seconds.iter().enumerate() {
+        share[i % slots] += s;
+    }
+    let dealt = share.into_iter().fold(0.0, f64::max);
+    let bound = lower_bound(&seconds, &speeds)?;
+    let took = run.done.iter().map(|(a, _)| a.end - run.at).fold(0.0, f64::max);
+    let mut table =
+        Table::new(vec![Column::text("order"), Column::number("end / s"), Column::number("over bound")]);
+    for (name, end) in [
+        ("lower bound: no order is faster", bound),
+        ("queue, longest predicted first", longest),
+        ("queue, any order (mean of 32)", any),
+        ("assigned beforehand, all tasks taken as equal", dealt),
+        ("this run, with loading, bundles and corrections", took),
+    ] {
+        table.row(vec![name.into(), format!("{end:.2}").into(), format!("{:.3}", end / bound).into()]);
+    }
+    let text = format!(
+        "Measured seconds of the tasks of this run, without loading, replayed on {slots} equal slots; the \
+         last line is the run itself."
+    );
+    page.table(&table, &text);
+    Ok(())
+}
+
+fn slowest(page: &mut Page, job: &Job, all: &[&(Answer, f64)]) {
+    page.heading("Slower than expected");
+    let mut late: Vec<&&(Answer, f64)> = all.iter().collect();
+    late.sort_by(|a, b| (b.0.seconds / b.1).total_cmp(&(a.0.seconds / a.1)));
+    let names: HashMap<u64, u32> = if job.len() <= 1_000_000 { job.numbers() } else { HashMap::new() };
+    let mut table = Table::new(vec![
+        Column::text("task"),
+        Column::text("volume"),
+        Column::text("node"),
+        Column::number("predicted / s"),
+        Column::number("measured / s"),
+    ]);
+    for (a, p) in late.into_iter().take(10) {
+        let task = parse_id(&a.task).and_then(|id| names.get(&id));
+        let volume = task.map(|t| job.volumes[job.place(*t as usize).volume].name.clone());
+        table.row(vec![
+            a.task.as_str().into(),
+            volume.unwrap_or_default().into(),
+            a.node.as_str().into(),
+            format!("{p:.3}").into(),
+            format!("{:.3}", a.seconds).into(),
+        ]);
+    }
+    page.table(&table, "The ten tasks with the largest ratio of measured to expected time.");
+}

@@ -1,0 +1,160 @@
+//! A persistent renderer: it reads a task per line of its standard input and answers each with a line of its
+//! standard output. Other output goes to the task's log.
+
+use super::record::Order;
+use super::spool::tail;
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+/// The line that answers a task.
+#[derive(Clone, Debug, Deserialize)]
+pub(super) struct Reply {
+    /// The task's id.
+    pub(super) task: String,
+    /// Seconds of the frame, if the renderer measures them.
+    pub(super) seconds: Option<f64>,
+    /// Seconds to load the volume, if it was loaded for this task.
+    pub(super) load_s: Option<f64>,
+    /// Reason for a missing image.
+    pub(super) error: Option<String>,
+}
+
+/// A persistent renderer, started with the first task and again after a failure.
+pub(super) struct Session {
+    command: Vec<String>,
+    limit: Option<Duration>,
+    running: Option<Running>,
+    fresh: bool,
+    /// True if the program ended during the last task.
+    ended: bool,
+}
+
+struct Running {
+    child: Child,
+    input: ChildStdin,
+    lines: mpsc::Receiver<String>,
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Session {
+    /// A program with its arguments, and the time limit of a task.
+    pub(super) fn new(command: Vec<String>, limit: Option<Duration>) -> Self {
+        Self { command, limit, running: None, fresh: false, ended: false }
+    }
+
+    fn start(&self) -> Result<Running> {
+        let (program, arguments) = self.command.split_first().context("the command is empty")?;
+        let mut child = Command::new(program)
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("cannot start {program:?}; check the renderer's command"))?;
+        let (send, lines) = mpsc::channel();
+        let out = child.stdout.take().context("no standard output")?;
+        let error = child.stderr.take().context("no standard error")?;
+        let other = send.clone();
+        std::thread::spawn(move || forward(BufReader::new(error), &other));
+        std::thread::spawn(move || forward(BufReader::new(out), &send));
+        let input = child.stdin.take().context("no standard input")?;
+        Ok(Running { child, input, lines })
+    }
+
+    /// Renders a task to `out`. If the program was started for it and reports its own seconds, the start
+    /// counts as loading. If the program ends after it has answered other tasks, it may have run out of
+    /// something: a new one gets the task once more.
+    ///
+    /// # Errors
+    /// When the program cannot be started, ends, answers with an error or not in time.
+    pub(super) fn ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
+        let mut clock = Instant::now();
+        let mut result = self.try_ask(order, out, log);
+        if result.is_err() && self.ended && !self.fresh {
+            self.running = None;
+            clock = Instant::now();
+            result = self.try_ask(order, out, log);
+        }
+        if let (true, Ok(Reply { seconds: Some(seconds), load_s, .. })) = (self.fresh, &mut result) {
+            *load_s = Some((clock.elapsed().as_secs_f64() - *seconds).max(load_s.unwrap_or(0.0)));
+        }
+        if result.is_err() {
+            // The program's state is unknown: the next task gets a new one.
+            self.running = None;
+        }
+        let reply = result?;
+        match &reply.error {
+            Some(error) => bail!("the renderer says: {error}"),
+            None => Ok(reply),
+        }
+    }
+
+    fn try_ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
+        (self.fresh, self.ended) = (false, false);
+        if self.running.as_mut().is_some_and(|r| !matches!(r.child.try_wait(), Ok(None))) {
+            self.running = None;
+        }
+        let running = match self.running.take() {
+            Some(running) => running,
+            None => {
+                self.fresh = true;
+                self.start()?
+            }
+        };
+        let running = self.running.insert(running);
+        let mut log_file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;
+        let mut value = serde_json::to_value(order)?;
+        if let Some(fields) = value.as_object_mut() {
+            fields.remove("files");
+        }
+        value["out"] = out.to_str().context("the image's path is not UTF-8")?.into();
+        let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
+        let clock = Instant::now();
+        let program = self.command[0].clone();
+        let text = || format!("the renderer {program:?} ended: {}", tail(log));
+        loop {
+            let left = self.limit.map_or(Duration::from_secs(3600), |l| l.saturating_sub(clock.elapsed()));
+            let line = match running.lines.recv_timeout(left) {
+                Ok(line) => line,
+                Err(RecvTimeoutError::Disconnected) => {
+                    self.ended = true;
+                    bail!(text())
+                }
+                Err(RecvTimeoutError::Timeout) if self.limit.is_some_and(|l| clock.elapsed() >= l) => bail!(
+                    "the renderer gave no answer within {} s (timeout_s)",
+                    self.limit.unwrap_or_default().as_secs_f64()
+                ),
+                Err(RecvTimeoutError::Timeout) => continue,
+            };
+            match serde_json::from_str::<Reply>(&line) {
+                Ok(reply) if reply.task == order.task => return Ok(reply),
+                _ => writeln!(log_file, "{line}")?,
+            }
+            if sent.is_err() && running.lines.try_recv().is_err() {
+                self.ended = true;
+                bail!(text());
+            }
+        }
+    }
+}
+
+fn forward(reader: impl BufRead, to: &mpsc::Sender<String>) {
+    for line in reader.split(b'\n') {
+        let Ok(line) = line else { return };
+        if to.send(String::from_utf8_lossy(&line).into_owned()).is_err() {
+            return;
+        }
+    }
+}

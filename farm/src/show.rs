@@ -1,0 +1,160 @@
+//! Progress display of a farm: a bar with rate and end on a terminal, else a line at intervals.
+
+use entire_io::progress::templated_bar;
+use entire_io::quiet::is_quiet;
+use indicatif::ProgressBar;
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+/// Interval between lines where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(30);
+/// Maximum number of nodes in the display.
+const NODES: usize = 8;
+
+/// Contents of the display.
+#[derive(Clone, Debug, Default)]
+pub struct View {
+    /// Finished tasks.
+    pub done: usize,
+    /// All tasks.
+    pub all: usize,
+    /// Tasks that were given up.
+    pub quarantined: usize,
+    /// Tasks per second of this run.
+    pub rate: f64,
+    /// Seconds since the run began.
+    pub elapsed: f64,
+    /// The end at 5, 50 and 95 percent, seconds since the run began.
+    pub eta: [f64; 3],
+    /// Activity of the nodes.
+    pub nodes: Vec<String>,
+    /// Bundles that are slower than expected.
+    pub stragglers: Vec<String>,
+}
+
+/// The display.
+pub struct Show {
+    bar: ProgressBar,
+    lines: bool,
+    line_at: Instant,
+    named: Vec<String>,
+    /// Time to compute the display, which bounds how often it is updated.
+    pub cost: Duration,
+}
+
+impl Show {
+    /// A new display.
+    pub fn begin() -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        Self {
+            bar: templated_bar("[{bar:28}] {pos}/{len} {wide_msg}"),
+            lines: !is_quiet() && !terminal,
+            line_at: Instant::now(),
+            named: Vec::new(),
+            cost: Duration::ZERO,
+        }
+    }
+
+    /// Updates the display.
+    pub fn update(&mut self, view: &View) {
+        self.bar.set_length(view.all as u64);
+        self.bar.set_position(view.done as u64);
+        let text = text(view);
+        let nodes = if view.nodes.is_empty() || view.nodes.len() > NODES {
+            String::new()
+        } else {
+            format!(" | {}", view.nodes.join(", "))
+        };
+        self.bar.set_message(format!("{text}{nodes}"));
+        for straggler in &view.stragglers {
+            let task = straggler.split(':').next().unwrap_or_default().to_owned();
+            if !self.named.contains(&task) {
+                self.named.push(task);
+                self.note(&format!("slow: {straggler}"));
+            }
+        }
+        if self.lines && self.line_at.elapsed() >= LINE_EVERY {
+            self.line_at = Instant::now();
+            eprintln!("{}/{} {text}", view.done, view.all);
+        }
+    }
+
+    /// Prints a note above the bar.
+    pub fn note(&self, text: &str) {
+        if self.lines {
+            entire_io::files::note(text);
+        } else {
+            self.bar.println(format!("note: {text}"));
+        }
+    }
+
+    /// Removes the bar.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn text(view: &View) -> String {
+    let left = view.eta.map(|e| (e - view.elapsed).max(0.0));
+    let mut out = format!("{:.2}/s", view.rate);
+    if left.iter().all(|l| l.is_finite()) {
+        out += &format!(
+            ", done in {} ({} to {}, 90 %)",
+            duration(left[1]),
+            duration(left[0]),
+            duration(left[2])
+        );
+    }
+    if view.quarantined > 0 {
+        out += &format!(", {} quarantined", view.quarantined);
+    }
+    out
+}
+
+/// Seconds as people read them: `8.5 s`, `3:07 min`, `2:05 h`, `3.5 days`.
+pub fn duration(seconds: f64) -> String {
+    let s = seconds.round() as u64;
+    match seconds {
+        x if !x.is_finite() => "unknown".into(),
+        x if x < 99.5 => format!("{x:.1} s"),
+        x if x < 3600.0 => format!("{}:{:02} min", s / 60, s % 60),
+        x if x < 172_800.0 => format!("{}:{:02} h", s / 3600, s % 3600 / 60),
+        x => format!("{:.1} days", x / 86400.0),
+    }
+}
+
+/// Reads `90s`, `30m`, `2h`, `1.5d`.
+///
+/// # Errors
+/// When it is no such text.
+pub fn parse_duration(text: &str) -> Result<f64, String> {
+    let wrong = || format!("{text:?} is no duration; accepted are 90s, 30m, 2h or 1.5d");
+    let unit = text.chars().last().ok_or_else(wrong)?;
+    let scale = match unit {
+        's' => 1.0,
+        'm' => 60.0,
+        'h' => 3600.0,
+        'd' => 86400.0,
+        _ => return Err(wrong()),
+    };
+    let value: f64 = text[..text.len() - 1].trim().parse().map_err(|_| wrong())?;
+    if value.is_finite() && value > 0.0 { Ok(value * scale) } else { Err(wrong()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_go_both_ways() {
+        for (seconds, text) in
+            [(8.54, "8.5 s"), (187.0, "3:07 min"), (7500.0, "2:05 h"), (302_400.0, "3.5 days")]
+        {
+            assert_eq!(duration(seconds), text);
+        }
+        assert_eq!(parse_duration("1.5h"), Ok(5400.0));
+        for text in ["", "h", "5", "-1s", "nanm", "5 minutes"] {
+            assert!(parse_duration(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! The spool: files to which workers append their answers. The driver reads them while they grow.
+
+use super::record::Line;
+use anyhow::{Context, Result};
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// The whole lines of a spool file; none if it does not exist. Partial lines of a killed worker are skipped.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn lines(path: &Path) -> Result<Vec<Line>> {
+    let mut follow = Follow::default();
+    follow.read(path)
+}
+
+#[derive(Debug, Default)]
+struct Follow {
+    at: u64,
+    rest: Vec<u8>,
+}
+
+impl Follow {
+    fn read(&mut self, path: &Path) -> Result<Vec<Line>> {
+        let mut file = match File::open(path) {
+            Ok(file) => file,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(e) => return Err(e).with_context(|| format!("cannot read {}", path.display())),
+        };
+        let fail = || format!("cannot read {}", path.display());
+        file.seek(SeekFrom::Start(self.at)).with_context(fail)?;
+        self.at += file.read_to_end(&mut self.rest).with_context(fail)? as u64;
+        let mut out = Vec::new();
+        while let Some(end) = self.rest.iter().position(|b| *b == b'\n') {
+            let line: Vec<u8> = self.rest.drain(..=end).collect();
+            if let Ok(line) = serde_json::from_slice(&line) {
+                out.push(line);
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// Reads the files of running bundles.
+#[derive(Debug)]
+pub struct Spool {
+    folder: PathBuf,
+    open: HashMap<u64, Follow>,
+}
+
+impl Spool {
+    /// The spool of a state folder.
+    pub fn new(state: &Path) -> Self {
+        Self { folder: state.join("spool"), open: HashMap::new() }
+    }
+
+    /// Reads a bundle's file from now on.
+    pub fn follow(&mut self, bundle: u64) {
+        self.open.entry(bundle).or_default();
+    }
+
+    /// Lines added since the last call.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn poll(&mut self) -> Result<Vec<(u64, Line)>> {
+        let mut out = Vec::new();
+        let mut ended = Vec::new();
+        for (&bundle, follow) in &mut self.open {
+            for line in follow.read(&self.folder.join(format!("{bundle}.jsonl")))? {
+                if matches!(line, Line::End { .. }) {
+                    ended.push(bundle);
+                }
+                out.push((bundle, line));
+            }
+        }
+        for bundle in ended {
+            self.open.remove(&bundle);
+        }
+        Ok(out)
+    }
+
+    /// Stops reading a bundle's file.
+    pub fn forget(&mut self, bundle: u64) {
+        self.open.remove(&bundle);
+    }
+}
+
+/// The last line of a log that is not blank.
+pub(crate) fn tail(log: &Path) -> String {
+    let mut bytes = Vec::new();
+    if let Ok(file) = File::open(log) {
+        let _ = file.take(1 << 20).read_to_end(&mut bytes);
+    }
+    let text = String::from_utf8_lossy(&bytes);
+    text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("it said nothing").chars().take(300).collect()
+}

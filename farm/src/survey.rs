@@ -1,0 +1,143 @@
+//! Forecast of a job before it runs: the end on several numbers of nodes, node hours and money, the cheapest
+//! number of nodes for a deadline.
+
+use super::job::Job;
+use super::planner::{Planner, Setting};
+use super::show::duration;
+use anyhow::Result;
+use entire_report::{Column, Table};
+
+/// Maximum number of nodes that is considered.
+const MOST: usize = 4096;
+
+/// A number of nodes, with its end and cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Offer {
+    /// Nodes.
+    pub nodes: usize,
+    /// The end at 5, 50 and 95 percent, seconds.
+    pub end: [f64; 3],
+    /// Node hours at the median.
+    pub node_hours: f64,
+}
+
+/// Forecast for a number of nodes: `plan` gives a plan for that many.
+pub fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
+    let end = plan(nodes).eta(0.0);
+    Offer { nodes, end, node_hours: nodes as f64 * end[1] / 3600.0 }
+}
+
+/// The smallest number of nodes that meets a deadline in 95 of 100 cases: since more nodes never cost fewer
+/// node hours, it is the cheapest. `None` if no number is enough.
+pub fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
+    let (mut low, mut high) = (1, MOST.min(tasks.max(1)));
+    let enough = |o: &Offer| o.end[2] <= deadline;
+    let mut best = offer(plan, high);
+    if !enough(&best) {
+        return None;
+    }
+    while low < high {
+        let middle = low.midpoint(high);
+        let found = offer(plan, middle);
+        if enough(&found) {
+            (high, best) = (middle, found);
+        } else {
+            low = middle + 1;
+        }
+    }
+    Some(best)
+}
+
+/// The texts of a dry run.
+///
+/// # Errors
+/// Never in practice.
+pub fn text(
+    job: &Job,
+    plan: &dyn Fn(usize) -> Planner,
+    setting: Setting,
+    deadline: Option<f64>,
+    price: Option<f64>,
+) -> Result<String> {
+    let planner = plan(setting.slots);
+    let (done, all) = planner.progress();
+    let work: f64 = (0..job.len() as u32)
+        .filter(|t| planner.state(*t) == super::planner::State::Waits)
+        .map(|t| planner.expected(t))
+        .sum();
+    let mut out = format!(
+        "{} tasks: {} volumes x {} views x {} transfer functions x {} sizes x {} steps; {done} of {all} \
+         done\n",
+        job.len(),
+        job.volumes.len(),
+        job.cameras.len(),
+        job.transfers.len(),
+        job.sizes.len(),
+        job.steps.len(),
+    );
+    let bytes: u64 = job.volumes.iter().map(|v| v.bytes).sum();
+    out += &format!(
+        "times from {}; {} of work on one node, {:.1} MB of volumes\n",
+        super::predict::source(job),
+        duration(work),
+        bytes as f64 / 1e6
+    );
+    if planner.learner().observed() == 0 && job.predict.model.is_none() && job.predict.list.is_none() {
+        out += "nothing was measured yet: the times below are rough; let it run for a moment, end it with \
+                Ctrl-C, and ask again\n";
+    }
+    let mut columns = vec![
+        Column::number("nodes"),
+        Column::text("done after"),
+        Column::text("90 % interval"),
+        Column::number("node hours"),
+    ];
+    if price.is_some() {
+        columns.push(Column::number("price"));
+    }
+    let mut table = Table::new(columns);
+    let row = |table: &mut Table, o: &Offer| {
+        let mut cells = vec![
+            o.nodes.to_string().into(),
+            duration(o.end[1]).into(),
+            format!("{} to {}", duration(o.end[0]), duration(o.end[2])).into(),
+            format!("{:.2}", o.node_hours).into(),
+        ];
+        if let Some(price) = price {
+            cells.push(format!("{:.2}", o.node_hours * price).into());
+        }
+        table.row(cells);
+    };
+    let mut counts: Vec<usize> = (0..8).map(|k| 1usize << k).filter(|n| *n <= all.max(1)).collect();
+    counts.push(setting.slots);
+    counts.sort_unstable();
+    counts.dedup();
+    for nodes in counts {
+        row(&mut table, &offer(plan, nodes));
+    }
+    out += &table.to_text();
+    if let Some(deadline) = deadline {
+        match cheapest(plan, all - done, deadline) {
+            Some(o) => {
+                let money = price.map_or(String::new(), |p| format!(", price {:.2}", o.node_hours * p));
+                out += &format!(
+                    "cheapest for {}: {} nodes, done after {} ({} at worst, 95 %), {:.2} node hours{money}\n",
+                    duration(deadline),
+                    o.nodes,
+                    duration(o.end[1]),
+                    duration(o.end[2]),
+                    o.node_hours
+                );
+            }
+            None => {
+                out += &format!(
+                    "no number of nodes up to {} is done within {}: the longest task and its volume alone \
+                     take that long\n",
+                    MOST.min(all - done),
+                    duration(deadline)
+                );
+            }
+        }
+    }
+    Ok(out)
+}

@@ -1,0 +1,378 @@
+//! A worker: renders the tasks of bundles, one after another. It writes each image as a whole and then the
+//! answer to the spool; both survive the worker.
+
+use super::command::{Placeholders, fill};
+use super::job::{Renderer, draw_settings};
+use super::record::{Answer, BundleOrder, Line, Order, run_number, unix_now};
+use super::session::Session;
+use super::spool::tail;
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
+use entire_io::device::{self, Device};
+use entire_io::files::{make_folder_of, open_volume, write_whole};
+use entire_io::identity;
+
+use entire_io::volume::Reading;
+use entire_report::encode_png;
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+/// Renderer of tasks in this process.
+enum Painter {
+    /// The raycaster, with its loaded volume.
+    Own(Box<Own>),
+    /// A program per image.
+    Program(Vec<String>, Option<Duration>),
+    /// A persistent program.
+    Stays(Session),
+}
+
+struct Own {
+    renderer: Box<dyn entire_vk_raycaster::Renderer>,
+    settings: (Shading, Skipping, f32, Device),
+    held: Option<(PathBuf, Reading)>,
+    transfer: Option<entire_io::path::Transfer>,
+}
+
+/// A painter's report on an image.
+struct Painted {
+    load_s: f64,
+    render_s: Option<f64>,
+}
+
+/// State of a worker.
+pub struct Worker {
+    state: PathBuf,
+    output: PathBuf,
+    node: String,
+    painter: Painter,
+}
+
+impl Worker {
+    /// A worker of the database with this state folder.
+    ///
+    /// # Errors
+    /// When the renderer's description cannot be read, or no renderer can be opened.
+    pub fn open(state: &Path, node: String) -> Result<Self> {
+        let file = state.join("renderer.json");
+        let text = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let renderer: Renderer =
+            serde_json::from_slice(&text).with_context(|| format!("{}", file.display()))?;
+        let limit = |t: &Option<f64>| t.map(Duration::from_secs_f64);
+        let painter = match &renderer {
+            Renderer::Entire { .. } => {
+                let settings = draw_settings(&renderer)?;
+                let renderer = device::open(settings.3)?;
+                Painter::Own(Box::new(Own { renderer, settings, held: None, transfer: None }))
+            }
+            Renderer::Command { command, timeout_s } => Painter::Program(command.clone(), limit(timeout_s)),
+            Renderer::Session { command, timeout_s } => {
+                Painter::Stays(Session::new(command.clone(), limit(timeout_s)))
+            }
+            Renderer::Pvbatch { script, args, program, timeout_s } => {
+                let script = script.to_str().context("the script's path is not UTF-8")?.to_owned();
+                let command = [vec![program.clone(), script], args.clone()].concat();
+                Painter::Stays(Session::new(command, limit(timeout_s)))
+            }
+        };
+        let output = state.parent().context("the state folder has no parent")?.to_owned();
+        Ok(Self { state: state.to_owned(), output, node, painter })
+    }
+
+    /// Reads bundles from standard input, a JSON object per line, until it is closed; answers on standard
+    /// output. When the input is closed, the current task is finished and no other is begun.
+    ///
+    /// # Errors
+    /// When a line is no bundle, or the spool cannot be written.
+    pub fn serve(&mut self) -> Result<()> {
+        let closed = Arc::new(AtomicBool::new(false));
+        let (send, bundles) = mpsc::channel();
+        let flag = closed.clone();
+        std::thread::spawn(move || {
+            for line in std::io::stdin().lock().lines() {
+                let Ok(line) = line else { break };
+                let bundle = serde_json::from_str::<BundleOrder>(&line).context("standard input");
+                if send.send(bundle).is_err() {
+                    return;
+                }
+            }
+            flag.store(true, Ordering::SeqCst);
+        });
+        let name = format!("local-{}-{}.jsonl", std::process::id(), (unix_now() * 1e3) as u64);
+        let mut spool = open_spool(&self.state.join("spool").join(name))?;
+        for bundle in bundles {
+            let bundle = bundle?;
+            for order in &bundle.tasks {
+                if closed.load(Ordering::SeqCst) {
+                    return Ok(());
+                }
+                say(&Line::Begin { begins: order.task.clone() });
+                let answer = Line::Answer(self.answer(order, bundle.bundle));
+                append(&mut spool, &answer)?;
+                say(&answer);
+            }
+            say(&Line::End { end: bundle.bundle });
+        }
+        Ok(())
+    }
+
+    /// Does the bundle that `orders/NUMBER.json` describes and writes the answers to `spool/NUMBER.jsonl`.
+    /// Tasks that the spool lists as done are not done again.
+    ///
+    /// # Errors
+    /// When the description cannot be read or the spool cannot be written.
+    pub fn bundle(&mut self, number: u64) -> Result<()> {
+        let file = self.state.join("orders").join(format!("{number}.json"));
+        let text = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let bundle: BundleOrder =
+            serde_json::from_slice(&text).with_context(|| format!("{}", file.display()))?;
+        let path = self.state.join("spool").join(format!("{number}.jsonl"));
+        let done: Vec<String> = super::spool::lines(&path)?
+            .into_iter()
+            .filter_map(|l| if let Line::Answer(a) = l { a.error.is_none().then_some(a.task) } else { None })
+            .collect();
+        let mut spool = open_spool(&path)?;
+        let cancel = self.state.join("cancel").join(number.to_string());
+        for order in bundle.tasks.iter().filter(|o| !done.contains(&o.task)) {
+            if cancel.exists() || run_number(&self.state) != Some(bundle.run) {
+                break;
+            }
+            append(&mut spool, &Line::Begin { begins: order.task.clone() })?;
+            let answer = self.answer(order, number);
+            append(&mut spool, &Line::Answer(answer))?;
+        }
+        append(&mut spool, &Line::End { end: number })
+    }
+
+    /// Renders a task; a failure is also an answer.
+    fn answer(&mut self, order: &Order, bundle: u64) -> Answer {
+        let begin = unix_now();
+        let clock = Instant::now();
+        let mut answer =
+            Answer { task: order.task.clone(), bundle, node: self.node.clone(), begin, ..Answer::default() };
+        match self.paint(order) {
+            Ok((painted, bytes, crc32)) => {
+                answer.load_s = painted.load_s;
+                answer.render_s = painted.render_s;
+                answer.seconds = (clock.elapsed().as_secs_f64() - painted.load_s).max(1e-9);
+                (answer.bytes, answer.crc32) = (bytes, crc32);
+            }
+            Err(error) => {
+                answer.seconds = clock.elapsed().as_secs_f64();
+                answer.disk_full = error
+                    .chain()
+                    .filter_map(|e| e.downcast_ref::<std::io::Error>())
+                    .any(|e| e.kind() == std::io::ErrorKind::StorageFull);
+                answer.error = Some(format!("{error:#}"));
+            }
+        }
+        answer.end = begin + clock.elapsed().as_secs_f64();
+        answer
+    }
+
+    fn paint(&mut self, order: &Order) -> Result<(Painted, u64, u32)> {
+        let out = self.output.join(&order.image);
+        make_folder_of(&out)?;
+        let (painted, png) = match &mut self.painter {
+            Painter::Own(own) => own.paint(order)?,
+            program => {
+                // A separate folder, so that a killed program that still writes does no harm.
+                let parts = self.state.join("parts");
+                let folder = tempfile::Builder::new().prefix("p").tempdir_in(&parts);
+                let folder =
+                    folder.with_context(|| format!("cannot make a folder in {}", parts.display()))?;
+                let part = folder.path().join(format!("{}.png", order.task));
+                let log = self.state.join("logs").join(format!("{}.log", order.task));
+                let painted = match program {
+                    Painter::Program(command, limit) => run(command, *limit, order, &part, &log)?,
+                    Painter::Stays(session) => {
+                        let found = session.ask(order, &part, &log)?;
+                        Painted { load_s: found.load_s.unwrap_or(0.0), render_s: found.seconds }
+                    }
+                    Painter::Own(_) => unreachable!("it is handled above"),
+                };
+                let png = std::fs::read(&part).with_context(|| {
+                    format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
+                })?;
+                let _ = std::fs::remove_file(&log);
+                (painted, png)
+            }
+        };
+        check_png(&png, order.size)?;
+        if let Some(what) = identity::changed(&order.volume, &order.files)? {
+            bail!(
+                "{} changed while the farm was running: {what}; go on with --resume when it is whole",
+                order.volume.display()
+            );
+        }
+        write_whole(&out, &png)?;
+        Ok((painted, png.len() as u64, crc32fast::hash(&png)))
+    }
+}
+
+impl Own {
+    fn paint(&mut self, order: &Order) -> Result<(Painted, Vec<u8>)> {
+        let (shade, skip, termination, _) = self.settings;
+        let [rx, ry, dz] = order.camera;
+        let camera = Camera::from_arcball(Arcball { rx, ry, dz })?.with_fov_y_degrees(order.fov_y_deg)?;
+        let frame = Frame {
+            step: order.step,
+            termination,
+            shading: shade,
+            skipping: skip,
+            ..Frame::new(camera, order.size[0], order.size[1])?
+        }
+        .checked()?;
+        let clock = Instant::now();
+        let mut load_s = 0.0;
+        if self.held.as_ref().is_none_or(|(path, how)| *path != order.volume || *how != order.reading) {
+            self.held = None;
+            let volume = open_volume(&order.volume, &order.reading)?;
+            self.renderer
+                .set_volume(&volume.view())
+                .with_context(|| format!("{}", order.volume.display()))?;
+            self.held = Some((order.volume.clone(), order.reading.clone()));
+            self.transfer = None;
+            load_s = clock.elapsed().as_secs_f64();
+        }
+        if self.transfer.as_ref() != Some(&order.transfer) {
+            self.transfer = None;
+            self.renderer.set_transfer(&order.transfer.function().to_table()?)?;
+            self.transfer = Some(order.transfer.clone());
+        }
+        let rendered = self.renderer.render(&frame)?;
+        let png = encode_png(&rendered.image)?;
+        Ok((Painted { load_s, render_s: Some(rendered.time.seconds()) }, png))
+    }
+}
+
+/// The values of a task's placeholders.
+pub fn placeholders(order: &Order, out: &Path) -> Result<Placeholders> {
+    let path =
+        |p: &Path| p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()));
+    Ok(Placeholders(vec![
+        ("volume", path(&order.volume)?),
+        ("volume_name", order.volume_name.clone()),
+        ("time", order.time.to_string()),
+        ("rx_deg", order.camera[0].to_string()),
+        ("ry_deg", order.camera[1].to_string()),
+        ("dz_radii", order.camera[2].to_string()),
+        ("fov_y_deg", order.fov_y_deg.to_string()),
+        ("transfer", serde_json::to_string(&order.transfer)?),
+        ("transfer_name", order.transfer_name.clone()),
+        ("width", order.size[0].to_string()),
+        ("height", order.size[1].to_string()),
+        ("step", order.step.to_string()),
+        ("out", path(out)?),
+        ("task", order.task.clone()),
+    ]))
+}
+
+/// Runs a program for one image.
+fn run(
+    command: &[String],
+    limit: Option<Duration>,
+    order: &Order,
+    out: &Path,
+    log: &Path,
+) -> Result<Painted> {
+    let values = placeholders(order, out)?;
+    let words = command.iter().map(|a| fill(a, &values)).collect::<Result<Vec<_>>>()?;
+    let (program, arguments) = words.split_first().context("the command is empty")?;
+    let file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;
+    let mut child = Command::new(program)
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(file.try_clone()?)
+        .stderr(file)
+        .spawn()
+        .with_context(|| format!("cannot start {program:?}; check the renderer's command"))?;
+    let status = match limit {
+        None => child.wait()?,
+        Some(limit) => {
+            let clock = Instant::now();
+            loop {
+                if let Some(status) = child.try_wait()? {
+                    break status;
+                }
+                if clock.elapsed() > limit {
+                    let _ = child.kill();
+                    let _ = child.wait();
+                    bail!("{program:?} was ended after {} s (timeout_s)", limit.as_secs_f64());
+                }
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
+    };
+    ensure!(status.success(), "{program:?} ended with {status}: {}", tail(log));
+    Ok(Painted { load_s: 0.0, render_s: None })
+}
+
+/// Checks that bytes are a whole PNG file of this size.
+fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
+    let whole = bytes.len() >= 33 && bytes.starts_with(b"\x89PNG\r\n\x1a\n") && bytes[12..16] == *b"IHDR";
+    ensure!(whole, "the renderer wrote {} bytes that are no PNG image", bytes.len());
+    ensure!(bytes.ends_with(b"IEND\xaeB`\x82"), "the renderer's PNG image is cut off");
+    let side = |at: usize| u32::from_be_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+    let found = [side(16), side(20)];
+    ensure!(
+        found == size,
+        "the renderer's image has {} x {} pixels; {} x {} were requested",
+        found[0],
+        found[1],
+        size[0],
+        size[1]
+    );
+    Ok(())
+}
+
+fn open_spool(path: &Path) -> Result<File> {
+    let fail = || format!("cannot write {}", path.display());
+    let mut file = OpenOptions::new().create(true).append(true).read(true).open(path).with_context(fail)?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).with_context(fail)?;
+    if bytes.last().is_some_and(|b| *b != b'\n') {
+        file.write_all(b"\n").with_context(fail)?;
+    }
+    Ok(file)
+}
+
+fn append(spool: &mut File, line: &Line) -> Result<()> {
+    let mut text = serde_json::to_vec(line)?;
+    text.push(b'\n');
+    spool.write_all(&text).context("cannot write the spool; make room and go on with --resume")
+}
+
+/// Answers on standard output. A closed output is no error, since the spool has the answers.
+fn say(line: &Line) {
+    if let Ok(text) = serde_json::to_string(line) {
+        let mut out = std::io::stdout().lock();
+        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_vk_raycaster::Image;
+
+    #[test]
+    fn only_whole_images_of_the_right_size_pass() {
+        let png = encode_png(&Image { width: 3, height: 2, rgba: vec![9; 24] }).unwrap();
+        check_png(&png, [3, 2]).unwrap();
+        for (bytes, size, word) in [
+            (&png[..], [2, 3], "3 x 2 pixels"),
+            (&png[..png.len() - 1], [3, 2], "cut off"),
+            (&b"GIF89a"[..], [3, 2], "no PNG"),
+            (&[][..], [3, 2], "0 bytes"),
+        ] {
+            let said = check_png(bytes, size).unwrap_err().to_string();
+            assert!(said.contains(word), "{said}");
+        }
+    }
+}

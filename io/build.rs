@@ -1,0 +1,30 @@
+//! Writes down which commit the program is built from, so that every table and report can say it.
+
+use std::path::Path;
+use std::process::Command;
+
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    for folder in ["src", "../core/src", "../steer/src", "../vk-raycaster/src"] {
+        if Path::new(folder).exists() {
+            println!("cargo::rerun-if-changed={folder}");
+        }
+    }
+    for name in ["HEAD", "logs/HEAD"] {
+        if let Some(path) = git(&["rev-parse", "--git-path", name]).filter(|p| Path::new(p).exists()) {
+            println!("cargo::rerun-if-changed={path}");
+        }
+    }
+    if let Some(commit) = git(&["rev-parse", "--short=12", "HEAD"]) {
+        let changed = git(&["status", "--porcelain", "--untracked-files=no"]).is_some_and(|s| !s.is_empty());
+        println!(
+            "cargo::rustc-env=ENTIRE_COMMIT={commit}{}",
+            if changed { " with local changes" } else { "" }
+        );
+    }
+}

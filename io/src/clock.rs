@@ -1,0 +1,259 @@
+//! The clock whose seconds a model predicts. Model, table and steered renderer must agree: mixing clocks adds
+//! a constant factor.
+
+use crate::dataset::{Clock, TimedFrame};
+use crate::device;
+use anyhow::{Result, ensure};
+use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use entire_core::model::{Key, Model, ModelFile};
+use entire_vk_raycaster::Renderer;
+
+/// The clock that a model file states: under [`Key::Clock`], else in its provenance. `None` where it states
+/// none.
+pub fn of(model: &Model) -> Option<Clock> {
+    let of_provenance = || {
+        let provenance: serde_json::Value =
+            serde_json::from_str(model.metadata().get(Key::Provenance.name())?).ok()?;
+        Some(provenance.get("clock")?.as_str()?.to_owned())
+    };
+    let name = model.metadata().get(Key::Clock.name()).cloned().or_else(of_provenance)?;
+    Clock::from_str(&name, false).ok().filter(|c| *c != Clock::Auto)
+}
+
+/// Writes the clock into a model file.
+pub fn set(file: &mut ModelFile, clock: Clock) {
+    file.metadata.insert(Key::Clock.into(), clock.name().into());
+}
+
+/// Parses the option's value of a clock that a model can state: any but `auto`, which depends on the device.
+pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
+    let fixed = Clock::value_variants().iter().filter(|c| **c != Clock::Auto);
+    PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
+        .try_map(|name| Clock::from_str(&name, false))
+}
+
+/// The clock that [`Clock::Auto`] means for these frames: the device's where every repeat has it, wall time
+/// where none does. Other clocks are returned unchanged.
+///
+/// # Errors
+/// When only some repeats have device timestamps: their times are not comparable.
+pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFrame>) -> Result<Clock> {
+    if clock != Clock::Auto {
+        return Ok(clock);
+    }
+    let (mut all, mut with) = (0usize, 0usize);
+    for repeat in frames.into_iter().flat_map(|f| &f.repeats) {
+        all += 1;
+        with += usize::from(repeat.device.is_some());
+    }
+    ensure!(
+        with == 0 || with == all,
+        "{with} of {all} repeats have device timestamps, the others wall time only; choose a clock that all \
+         have: --clock wall or cpu"
+    );
+    Ok(if with > 0 { Clock::Device } else { Clock::Wall })
+}
+
+/// The clock that `auto` means: the device's timestamps on a GPU, wall time where a processor renders.
+pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
+    let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
+    match clock {
+        Clock::Auto if device::is_software(renderer) || !timestamps => Clock::Wall,
+        Clock::Auto => Clock::Device,
+        named => named,
+    }
+}
+
+/// Clock that training learns: the one that was asked for, else the clock of the model that it starts from,
+/// else processor time, which the project's figures are about, else what `auto` gives. A note names frames
+/// without the wanted clock.
+///
+/// # Errors
+/// As [`concrete`].
+pub fn for_training<'a>(
+    asked: Option<Clock>,
+    base: Option<(&str, Clock)>,
+    frames: impl IntoIterator<Item = &'a TimedFrame> + Clone,
+) -> Result<Clock> {
+    let clock = match asked {
+        Some(clock) => concrete(clock, frames)?,
+        None => {
+            let wanted = base.map_or(Clock::Cpu, |b| b.1);
+            if frames.clone().into_iter().all(|f| f.seconds(wanted).is_some()) {
+                wanted
+            } else {
+                let found = concrete(Clock::Auto, frames)?;
+                crate::files::note(&format!(
+                    "some frames have no {} time; the model predicts {} seconds (--clock chooses the clock)",
+                    wanted.name(),
+                    found.name()
+                ));
+                found
+            }
+        }
+    };
+    if let Some(text) = base.and_then(|(name, theirs)| started_from(name, Some(theirs), clock)) {
+        crate::files::note(&text);
+    }
+    Ok(clock)
+}
+
+/// Note for training that starts from a model of another clock; `None` where that model states the same clock
+/// or none.
+pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
+    let theirs = theirs.filter(|c| *c != clock)?;
+    Some(format!(
+        "{name} predicts {} seconds; the new model predicts {} seconds and learns the factor between them \
+         from the frames",
+        theirs.name(),
+        clock.name()
+    ))
+}
+
+/// Note for models that state no clock and are evaluated or steer by one; `None` where all state one, and for
+/// [`Clock::Auto`].
+pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
+    if clock == Clock::Auto {
+        return None;
+    }
+    let names: Vec<&str> = models.into_iter().filter(|m| of(m.1).is_none()).map(|m| m.0).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "no clock is stated by {}; predictions are taken as {} seconds",
+            names.join(", "),
+            clock.name()
+        )
+    })
+}
+
+/// The clock by which models are evaluated or steer: the one that they state, which must be the same for all
+/// and agree with the requested one; the requested one where none states any.
+///
+/// # Errors
+/// When models and the requested clock disagree; names the remedy.
+pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Result<Clock> {
+    let mut found: Option<(&str, Clock)> = None;
+    for (name, model) in models {
+        let Some(clock) = of(model) else { continue };
+        ensure!(
+            asked == Clock::Auto || clock == asked,
+            "{name} predicts {} seconds and --clock asks for {}; leave out --clock, or make a model for that \
+             clock: `entire calibrate --clock {}` for this machine, `entire train --calibrate {name} --clock \
+             {}` from a table",
+            clock.name(),
+            asked.name(),
+            asked.name(),
+            asked.name()
+        );
+        if let Some((other, theirs)) = found {
+            ensure!(
+                theirs == clock,
+                "{other} predicts {} seconds and {name} {} seconds; name models of one clock only",
+                theirs.name(),
+                clock.name()
+            );
+        }
+        found = Some((name, clock));
+    }
+    Ok(found.map_or(asked, |f| f.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Timing;
+    use entire_steer::predict::AnalyticModel;
+
+    fn model(clock: Option<Clock>, provenance: Option<&str>) -> Model {
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
+        if let Some(clock) = clock {
+            set(&mut file, clock);
+        }
+        if let Some(text) = provenance {
+            file.metadata.insert(Key::Provenance.into(), text.into());
+        }
+        file.to_model().unwrap()
+    }
+
+    fn frame(repeats: &[Timing]) -> TimedFrame {
+        TimedFrame { repeats: repeats.to_vec(), ..TimedFrame::of_no_volume("v", "") }
+    }
+
+    #[test]
+    fn a_model_says_its_clock_in_a_key_of_its_own_or_in_its_provenance() {
+        assert_eq!(of(&model(None, None)), None);
+        assert_eq!(of(&model(Some(Clock::Wall), None)), Some(Clock::Wall));
+        assert_eq!(of(&model(None, Some(r#"{"clock":"cpu"}"#))), Some(Clock::Cpu));
+        assert_eq!(of(&model(Some(Clock::Device), Some(r#"{"clock":"cpu"}"#))), Some(Clock::Device));
+        assert_eq!(of(&model(None, Some(r#"{"clock":"auto"}"#))), None);
+        assert_eq!(of(&model(None, Some("not JSON"))), None);
+    }
+
+    #[test]
+    fn models_and_commands_that_disagree_are_refused_with_a_remedy() {
+        let (cpu, wall, none) =
+            (model(Some(Clock::Cpu), None), model(Some(Clock::Wall), None), model(None, None));
+        assert_eq!(agreed(Clock::Auto, [("a", &cpu), ("c", &none)]).unwrap(), Clock::Cpu);
+        assert_eq!(agreed(Clock::Wall, [("b", &wall)]).unwrap(), Clock::Wall);
+        assert_eq!(agreed(Clock::Wall, [("c", &none)]).unwrap(), Clock::Wall);
+        let text = agreed(Clock::Wall, [("a", &cpu)]).unwrap_err().to_string();
+        assert!(text.contains("a predicts cpu seconds") && text.contains("--clock wall"), "{text}");
+        let text = agreed(Clock::Auto, [("a", &cpu), ("b", &wall)]).unwrap_err().to_string();
+        assert!(text.contains("a predicts cpu seconds and b wall seconds"), "{text}");
+    }
+
+    #[test]
+    fn what_states_no_clock_or_another_one_is_said() {
+        let (cpu, none) = (model(Some(Clock::Cpu), None), model(None, None));
+        let text = unstated(Clock::Wall, [("a", &cpu), ("b", &none), ("c", &none)]).unwrap();
+        assert!(text.contains("by b, c;") && text.contains("wall seconds"), "{text}");
+        assert_eq!(unstated(Clock::Wall, [("a", &cpu)]), None);
+        assert_eq!(unstated(Clock::Auto, [("b", &none)]), None);
+        let text = started_from("a", of(&cpu), Clock::Wall).unwrap();
+        assert!(text.contains("a predicts cpu seconds") && text.contains("predicts wall seconds"), "{text}");
+        assert_eq!(started_from("a", of(&cpu), Clock::Cpu), None);
+        assert_eq!(started_from("b", of(&none), Clock::Cpu), None);
+    }
+
+    #[test]
+    fn a_clock_that_a_model_can_state_is_not_auto() {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[arg(long, value_parser = fixed_parser(), default_value = "cpu")]
+            clock: Clock,
+        }
+        let read = |arguments: &[&str]| {
+            <Line as clap::Parser>::try_parse_from([&["line"], arguments].concat()).map(|l| l.clock)
+        };
+        assert_eq!(read(&[]).unwrap(), Clock::Cpu);
+        for clock in [Clock::Cpu, Clock::Wall, Clock::Device] {
+            assert_eq!(read(&["--clock", clock.name()]).unwrap(), clock);
+        }
+        for refused in ["auto", "CPU", "sundial"] {
+            let text = read(&["--clock", refused]).unwrap_err().to_string();
+            assert!(text.contains(refused) && text.contains("device, wall, cpu"), "{text}");
+        }
+    }
+
+    #[test]
+    fn auto_becomes_the_clock_that_all_frames_have() {
+        let wall = Timing { wall: Some(0.1), ..Timing::default() };
+        let both = Timing { device: Some(0.1), cpu: Some(0.2), ..wall };
+        assert_eq!(concrete(Clock::Auto, [&frame(&[wall])]).unwrap(), Clock::Wall);
+        assert_eq!(concrete(Clock::Auto, [&frame(&[both])]).unwrap(), Clock::Device);
+        assert_eq!(concrete(Clock::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
+        let mixed = concrete(Clock::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
+        assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
+        // Processor time is learned by default; an adapted model keeps its clock; else the clock that frames
+        // have.
+        let frames = [frame(&[both])];
+        assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
+        assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);
+        assert_eq!(
+            for_training(Some(Clock::Wall), Some(("m", Clock::Device)), &frames).unwrap(),
+            Clock::Wall
+        );
+        assert_eq!(for_training(None, None, &[frame(&[wall])]).unwrap(), Clock::Wall);
+    }
+}

@@ -1,0 +1,15 @@
+//! Consecutive numbers of names.
+
+use std::collections::HashMap;
+
+/// Numbers of volumes or scenes by their names.
+#[derive(Default)]
+pub struct Groups(HashMap<String, u64>);
+
+impl Groups {
+    /// The number of a name; the next free one for a new name.
+    pub fn number(&mut self, name: &str) -> u64 {
+        let next = self.0.len() as u64;
+        *self.0.entry(name.to_owned()).or_insert(next)
+    }
+}

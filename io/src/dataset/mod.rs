@@ -1,0 +1,27 @@
+//! Timing tables on disk: one CSV row per repeat of a frame, a JSON manifest beside it, and repeats grouped
+//! into frames in memory.
+//!
+//! Columns, in this order (see [`COLUMNS`]): the frame and repeat numbers; the volume's path, its ensemble
+//! member, time step and size; the camera (arcball degrees, distance in bounding-sphere radii, vertical field
+//! of view in degrees); the image size in pixels; the ray step in reference steps; the shading and skipping
+//! modes, the opacity at which rays stop; the transfer function's Gaussian lobes as `c w h` joined by `;`;
+//! seconds by each clock; and work counts. An empty field means "not measured".
+
+mod compared;
+pub mod feature_table;
+mod groups;
+mod manifest;
+mod scene;
+mod table;
+#[cfg(test)]
+mod tests;
+mod timing;
+mod writer;
+
+pub use compared::read_pictures;
+pub use groups::Groups;
+pub use manifest::{MANIFEST_FORMAT, Manifest};
+pub use scene::{Scene, format_lobes, parse_lobes, parse_shading, parse_skipping};
+pub use table::{COLUMNS, Table, parse as parse_table, read_tables};
+pub use timing::{Clock, NoiseFloor, Timed, TimedFrame, Timing, left_out, noise_floor, timed};
+pub use writer::Writer;

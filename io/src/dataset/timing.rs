@@ -1,0 +1,358 @@
+//! Times of frames: repeats by every clock, their median, and their scatter.
+
+use super::{Scene, Table, parse_lobes};
+use crate::metrics::{median, percentile};
+use anyhow::{Result, ensure};
+use entire_core::scene::{Arcball, Shading, Skipping};
+use entire_steer::predict::LONGEST_FRAME;
+use entire_vk_raycaster::{FrameTime, WorkCounts};
+use serde::{Deserialize, Serialize};
+
+/// One repeat of a frame: seconds by each available clock, and work counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Timing {
+    /// Between device timestamps, seconds.
+    pub device: Option<f64>,
+    /// From submission to completion on the host, seconds.
+    pub wall: Option<f64>,
+    /// CPU time of the process, all threads, seconds.
+    pub cpu: Option<f64>,
+    /// Work counts of the frame, where the renderer counted.
+    pub counts: Option<WorkCounts>,
+}
+
+impl Timing {
+    /// From what a renderer returned.
+    pub fn new(time: FrameTime, counts: Option<WorkCounts>) -> Self {
+        Self { device: time.device, wall: Some(time.wall), cpu: time.cpu, counts }
+    }
+
+    /// The seconds by a clock, or `None` if it was not read.
+    pub fn seconds(&self, clock: Clock) -> Option<f64> {
+        match clock {
+            Clock::Auto => self.device.or(self.wall),
+            Clock::Device => self.device,
+            Clock::Wall => self.wall,
+            Clock::Cpu => self.cpu,
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        for (name, value) in
+            [("seconds_device", self.device), ("seconds_wall", self.wall), ("seconds_cpu", self.cpu)]
+        {
+            if let Some(v) = value {
+                ensure!(
+                    (0.0..=f64::from(LONGEST_FRAME)).contains(&v),
+                    "{name} is {v}; seconds from 0 to {LONGEST_FRAME} are accepted"
+                );
+            }
+        }
+        ensure!(
+            self.device.is_some() || self.wall.is_some() || self.cpu.is_some(),
+            "there is no time; at least one of seconds_device, seconds_wall, seconds_cpu is needed"
+        );
+        Ok(())
+    }
+}
+
+/// Clock that gives a frame's time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Clock {
+    /// The device's timestamps, else wall time.
+    #[default]
+    Auto,
+    /// Device timestamps.
+    Device,
+    /// Wall time on the host.
+    Wall,
+    /// Process CPU time, all threads.
+    Cpu,
+}
+
+impl Clock {
+    /// The name used in options and metadata.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Device => "device",
+            Self::Wall => "wall",
+            Self::Cpu => "cpu",
+        }
+    }
+}
+
+/// A frame with all its repeats.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedFrame {
+    /// Index of its table.
+    pub table: usize,
+    /// Its number in that table.
+    pub number: u64,
+    /// The scene.
+    pub scene: Scene,
+    /// Every repeat, in file order.
+    pub repeats: Vec<Timing>,
+}
+
+impl TimedFrame {
+    /// A frame without a volume file and without times.
+    #[doc(hidden)]
+    pub fn of_no_volume(volume: &str, member: &str) -> Self {
+        let scene = Scene {
+            volume: volume.into(),
+            member: member.into(),
+            time_step: None,
+            dims: [8; 3],
+            camera: Arcball { rx: 1.0, ry: 2.0, dz: 3.0 },
+            fov_y_degrees: 45.0,
+            width: 64,
+            height: 64,
+            step: 1.0,
+            shading: Shading::None,
+            skipping: Skipping::Blocks,
+            termination: 0.99,
+            lobes: parse_lobes("0.5 0.1 1").expect("a lobe"),
+        };
+        Self { table: 0, number: 0, scene, repeats: Vec::new() }
+    }
+
+    /// Median of the repeats by a clock (mean of the middle two for an even number), over the repeats that
+    /// have it and are longer than zero; `None` without any.
+    pub fn seconds(&self, clock: Clock) -> Option<f64> {
+        let mut seconds: Vec<f64> =
+            self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
+        median(&mut seconds)
+    }
+
+    /// Seconds of the frame without disturbance. Other programs lengthen wall time and never shorten it, so
+    /// by wall time it is the lower quartile of the repeats; by other clocks, it is [`TimedFrame::seconds`].
+    pub fn undisturbed(&self, clock: Clock) -> Option<f64> {
+        if clock != Clock::Wall {
+            return self.seconds(clock);
+        }
+        let mut seconds: Vec<f64> = self.repeats.iter().filter_map(|r| r.wall).filter(|&t| t > 0.0).collect();
+        seconds.sort_by(f64::total_cmp);
+        (!seconds.is_empty()).then(|| percentile(&seconds, 0.25))
+    }
+
+    /// The work counts of the first repeat that has them.
+    pub fn counts(&self) -> Option<WorkCounts> {
+        self.repeats.iter().find_map(|r| r.counts)
+    }
+}
+
+/// Frames with their seconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Timed<'a> {
+    /// The frames.
+    pub frames: &'a [&'a TimedFrame],
+    /// Seconds of each.
+    pub seconds: &'a [f64],
+}
+
+/// Frames that have seconds by the clock (and the requested shading), with those seconds.
+///
+/// # Errors
+/// When there are none.
+pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result<Vec<(&TimedFrame, f64)>> {
+    let all = || tables.iter().flat_map(|t| &t.frames);
+    let frames: Vec<(&TimedFrame, f64)> = all()
+        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
+        .filter_map(|f| Some((f, f.seconds(clock)?)))
+        .collect();
+    ensure!(
+        !frames.is_empty(),
+        "none of {} frames has {} and a time by the clock {:?}; choose another --clock{}",
+        all().count(),
+        shading.map_or("any shading".to_owned(), |s| format!("shading {s}")),
+        clock.name(),
+        if shading.is_some() { " or --shade" } else { "" },
+    );
+    Ok(frames)
+}
+
+/// Note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` where it leaves
+/// out none of them, or all.
+pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Option<String> {
+    let frames: Vec<&TimedFrame> = tables
+        .iter()
+        .flat_map(|t| &t.frames)
+        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
+        .collect();
+    let without = |clock: Clock| frames.iter().filter(|f| f.seconds(clock).is_none()).count();
+    let missing = without(clock);
+    if missing == 0 || missing == frames.len() {
+        return None;
+    }
+    let whole: Vec<&str> = [Clock::Cpu, Clock::Wall, Clock::Device]
+        .into_iter()
+        .filter(|c| without(*c) == 0)
+        .map(Clock::name)
+        .collect();
+    let instead = match &whole[..] {
+        [] => String::new(),
+        names => format!(", or choose a clock that all frames have: --clock {}", names.join(" or ")),
+    };
+    Some(format!(
+        "{missing} of {} frames are left out, since they have no {} time; measure it in every frame{instead}",
+        frames.len(),
+        clock.name()
+    ))
+}
+
+/// Scatter of repeats of one frame, which is the floor of every predictor's error. Every number is a median,
+/// and so robust to disturbed repeats.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NoiseFloor {
+    /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a
+    /// frame in the same pass (of different passes where a pass has one repeat), over 0.6745·√2, as for a
+    /// normal distribution. The common trend of repeats by their order, such as a slow first one, is removed
+    /// before, among frames of similar duration.
+    pub log_sd: f64,
+    /// The same for the median of each frame's repeats, taking its standard error as sqrt(π/2) times the
+    /// mean's for three repeats or more, and the mean's for two.
+    pub log_sd_of_median: f64,
+    /// Median over repeats of |t − frame median| / frame median.
+    pub median_relative_deviation: f64,
+    /// Median over frames of ln(first repeat / last one) within a pass: the cost of warming up.
+    pub warm_up: f64,
+    /// Range of the passes' medians of ln(pass median / geometric mean of the frame's pass medians): drift of
+    /// the machine. `None` for a single pass.
+    pub drift: Option<f64>,
+    /// Frames with at least two repeats.
+    pub frames: usize,
+}
+
+impl NoiseFloor {
+    /// In words.
+    pub fn describe(&self) -> String {
+        let drift =
+            self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
+        format!(
+            "log-SD of a repeat {:.4} (of the median of repeats {:.4}), the first repeat takes {:.1} % \
+             longer than the last{drift}; {} repeated frames",
+            self.log_sd,
+            self.log_sd_of_median,
+            100.0 * self.warm_up.exp_m1(),
+            self.frames
+        )
+    }
+
+    /// The median of |predicted / measured − 1| of perfect predictions.
+    pub fn mdape(&self) -> f64 {
+        0.6745 * self.log_sd_of_median
+    }
+}
+
+/// Minimum number of frames of similar duration for estimating their common trend.
+const TREND_FRAMES: usize = 20;
+
+/// ln(seconds) of every repeat of a frame that has at least two, and their number of passes.
+struct Logs {
+    repeats: Vec<f64>,
+    median: f64,
+    passes: usize,
+}
+
+impl Logs {
+    fn of(frame: &TimedFrame, clock: Clock, passes: usize) -> Option<Self> {
+        let repeats: Vec<f64> =
+            frame.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).map(f64::ln).collect();
+        // Without the times of some repeats, repeats cannot be assigned to passes.
+        let whole = repeats.len() == frame.repeats.len() && repeats.len().is_multiple_of(passes);
+        let median = median(&mut repeats.clone())?;
+        (repeats.len() > 1).then_some(Self { repeats, median, passes: if whole { passes } else { 1 } })
+    }
+
+    fn by_pass(&self) -> std::slice::Chunks<'_, f64> {
+        self.repeats.chunks(self.repeats.len() / self.passes)
+    }
+}
+
+/// The noise of repeats by a clock, or `None` when no frame was repeated. `passes` is the number of passes of
+/// a frame's repeats, from its table's manifest ([`Table::passes`]).
+pub fn noise_floor<'a>(
+    frames: impl IntoIterator<Item = &'a TimedFrame>,
+    clock: Clock,
+    passes: impl Fn(&TimedFrame) -> usize,
+) -> Option<NoiseFloor> {
+    let mut logs: Vec<Logs> =
+        frames.into_iter().filter_map(|f| Logs::of(f, clock, passes(f).max(1))).collect();
+    if logs.is_empty() {
+        return None;
+    }
+    let middle = |mut values: Vec<f64>| median(&mut values);
+    let warm_up = middle(
+        logs.iter()
+            .flat_map(|l| l.by_pass().filter(|p| p.len() > 1).map(|p| p[0] - p[p.len() - 1]))
+            .collect(),
+    );
+    let drift = drift(&logs);
+    let deviations =
+        logs.iter().flat_map(|l| l.repeats.iter().map(|r| (r - l.median).exp_m1().abs())).collect();
+    let median_relative_deviation = middle(deviations)?;
+    logs.sort_by(|a, b| a.median.total_cmp(&b.median));
+    without_trend(&mut logs);
+    let mut differences = Vec::new();
+    let mut inverse_repeats = 0.0;
+    for l in &logs {
+        let n = l.repeats.len() as f64;
+        inverse_repeats += if n > 2.0 { std::f64::consts::FRAC_PI_2 / n } else { 1.0 / n };
+        let several = l.repeats.len() > l.passes;
+        let groups: Vec<&[f64]> = if several { l.by_pass().collect() } else { vec![&l.repeats[..]] };
+        for group in groups {
+            for (i, a) in group.iter().enumerate() {
+                differences.extend(group[..i].iter().map(|b| (a - b).abs()));
+            }
+        }
+    }
+    // The median of |difference| of two draws from a normal distribution, in its standard deviations.
+    let log_sd = middle(differences)? / (0.674_489_75 * std::f64::consts::SQRT_2);
+    Some(NoiseFloor {
+        log_sd,
+        log_sd_of_median: log_sd * (inverse_repeats / logs.len() as f64).sqrt(),
+        median_relative_deviation,
+        warm_up: warm_up.unwrap_or(0.0),
+        drift,
+        frames: logs.len(),
+    })
+}
+
+/// Removes the common trend of repeats by their order, among frames of similar duration. `logs` is ordered by
+/// duration.
+fn without_trend(logs: &mut [Logs]) {
+    let parts = (logs.len() / TREND_FRAMES).min(10);
+    let count = logs.len();
+    for part in 0..parts {
+        let part = &mut logs[part * count / parts..(part + 1) * count / parts];
+        let longest = part.iter().map(|l| l.repeats.len()).max().unwrap_or(0);
+        for place in 0..longest {
+            let mut common: Vec<f64> =
+                part.iter().filter_map(|l| Some(l.repeats.get(place)? - l.median)).collect();
+            let Some(common) = (common.len() >= TREND_FRAMES).then(|| median(&mut common)).flatten() else {
+                continue;
+            };
+            for l in part.iter_mut() {
+                if let Some(r) = l.repeats.get_mut(place) {
+                    *r -= common;
+                }
+            }
+        }
+    }
+}
+
+fn drift(logs: &[Logs]) -> Option<f64> {
+    let most = logs.iter().map(|l| l.passes).max().filter(|&p| p > 1)?;
+    let mut offsets: Vec<Vec<f64>> = vec![Vec::new(); most];
+    for l in logs.iter().filter(|l| l.passes > 1) {
+        let medians: Vec<f64> = l.by_pass().filter_map(|p| median(&mut p.to_vec())).collect();
+        let mean = medians.iter().sum::<f64>() / medians.len() as f64;
+        for (offsets, m) in offsets.iter_mut().zip(&medians) {
+            offsets.push(m - mean);
+        }
+    }
+    let offsets: Vec<f64> = offsets.iter_mut().filter_map(|o| median(o)).collect();
+    let ends = |f: fn(f64, f64) -> f64| offsets.iter().copied().reduce(f);
+    Some(ends(f64::max)? - ends(f64::min)?)
+}

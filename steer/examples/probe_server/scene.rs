@@ -1,0 +1,20 @@
+//! How this version of the crate makes what is timed.
+
+use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeOptions, VolumeView};
+use entire_steer::control::Session;
+
+/// A volume of a known range.
+pub(crate) fn volume(scalars: Scalars<'_>, dims: [usize; 3], range: (f32, f32)) -> VolumeView<'_> {
+    VolumeView::with(scalars, dims, VolumeOptions { range: Some(range), ..VolumeOptions::default() })
+        .expect("a volume")
+}
+
+/// A frame of 1024 × 768 pixels.
+pub(crate) fn frame(camera: Camera, shading: Shading) -> Frame {
+    Frame { shading, ..Frame::new(camera, 1024, 768).expect("a frame") }
+}
+
+/// A session whose probe has so many rays along each side.
+pub(crate) fn session(side: usize) -> Session {
+    Session::untrained().with_probe(side, None).expect("a side")
+}

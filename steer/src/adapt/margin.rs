@@ -1,0 +1,87 @@
+//! An upper-bound margin that keeps its promised miss rate whatever the errors look like.
+
+use super::state::{Reader, Writer};
+use entire_core::Result;
+
+/// Multiple of the expected error that an upper bound adds, moved after every frame so that the share of
+/// frames above the bound tends to the rate asked for (adaptive conformal inference: Gibbs and Candès 2021).
+/// O(1) state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Margin {
+    z: f64,
+    rate: f64,
+    pace: f64,
+}
+
+/// Guards: below, a bound would hardly exceed what is expected; beyond, no finite multiple was missing.
+const LOW: f64 = 0.5;
+const HIGH: f64 = 8.0;
+
+impl Margin {
+    /// A margin that aims at a miss rate in (0, 0.5] from a multiple on, which is clamped to 0.5…8; so are
+    /// out-of-range rates.
+    pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
+        let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
+        let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
+        let z = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
+        Self { z, rate, pace }
+    }
+
+    /// The multiple.
+    pub(crate) fn multiple(&self) -> f64 {
+        self.z
+    }
+
+    /// Takes note of an error in units of what was expected of it (positive: slower than predicted).
+    pub(crate) fn observe(&mut self, normalized_error: f64) {
+        if normalized_error.is_nan() {
+            return;
+        }
+        let missed = if normalized_error > self.z { 1.0 } else { 0.0 };
+        self.z = (self.z + self.pace * (missed - self.rate)).clamp(LOW, HIGH);
+    }
+
+    pub(crate) fn save(&self, w: &mut Writer<'_>) {
+        w.f64(self.z);
+    }
+
+    pub(crate) fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
+        self.z = r.f64(LOW, HIGH)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_miss_rate_tends_to_the_rate_asked_for() {
+        // Heavy-tailed errors from a fixed generator: the promise does not depend on their shape.
+        for rate in [0.03f32, 0.05, 0.2] {
+            let mut margin = Margin::starting_at(2.0, rate, 0.1);
+            let mut state = 1u64;
+            let (mut misses, n) = (0, 20_000);
+            for _ in 0..n {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                let u = (state >> 11) as f64 / (1u64 << 53) as f64;
+                let e = 0.3 * (u - 0.5) / (u * (1.0 - u) + 0.02);
+                misses += usize::from(e > margin.multiple());
+                margin.observe(e);
+            }
+            let share = misses as f32 / n as f32;
+            assert!((share - rate).abs() < 0.25 * rate, "{share} {rate}");
+        }
+    }
+
+    #[test]
+    fn nothing_drives_it_out_of_bounds() {
+        let mut margin = Margin::starting_at(f64::NAN, f32::NAN, f32::NAN);
+        for e in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300] {
+            for _ in 0..1000 {
+                margin.observe(e);
+                assert!((LOW..=HIGH).contains(&margin.multiple()));
+            }
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! Saved state as bytes: little-endian numbers behind a tag, checked when read.
+
+use alloc::vec::Vec;
+use entire_core::bail;
+use entire_core::{Error, ErrorKind, Result};
+
+/// Appends numbers to a byte string.
+pub(crate) struct Writer<'a>(pub(crate) &'a mut Vec<u8>);
+
+impl Writer<'_> {
+    pub(crate) fn tag(&mut self, tag: [u8; 4]) {
+        self.0.extend_from_slice(&tag);
+    }
+
+    pub(crate) fn u64(&mut self, v: u64) {
+        self.0.extend_from_slice(&v.to_le_bytes());
+    }
+
+    pub(crate) fn f64(&mut self, v: f64) {
+        self.u64(v.to_bits());
+    }
+
+    pub(crate) fn f64s(&mut self, v: &[f64]) {
+        v.iter().for_each(|&v| self.f64(v));
+    }
+
+    pub(crate) fn text(&mut self, text: &str) {
+        self.u64(text.len() as u64);
+        self.0.extend_from_slice(text.as_bytes());
+    }
+}
+
+/// Appends the checksum of everything before it (CRC-32).
+pub(crate) fn seal(bytes: &mut Vec<u8>) {
+    let sum = crc32fast::hash(bytes);
+    bytes.extend_from_slice(&sum.to_le_bytes());
+}
+
+/// The bytes without the checksum that [`seal`] appended.
+///
+/// # Errors
+/// [`ErrorKind::InvalidArgument`] for a checksum that does not fit.
+pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
+    let Some((body, sum)) = bytes.split_last_chunk::<4>() else {
+        bail!(InvalidArgument, "the saved state is cut short: it has {} bytes", bytes.len());
+    };
+    let (stated, found) = (u32::from_le_bytes(*sum), crc32fast::hash(body));
+    if stated != found {
+        bail!(
+            InvalidArgument,
+            "the saved state is damaged or cut short: its checksum is {stated:08x}, its bytes give {found:08x}; start \
+             without it"
+        );
+    }
+    Ok(body)
+}
+
+/// Reads them back.
+pub(crate) struct Reader<'a>(pub(crate) &'a [u8]);
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
+        let Some((head, rest)) = self.0.split_first_chunk::<N>() else {
+            bail!(
+                InvalidArgument,
+                "the saved state is cut short: {N} more bytes were expected, {} are left",
+                self.0.len()
+            );
+        };
+        self.0 = rest;
+        Ok(*head)
+    }
+
+    pub(crate) fn tag(&mut self, tag: [u8; 4]) -> Result<()> {
+        let found: [u8; 4] = self.take()?;
+        if found != tag {
+            bail!(
+                InvalidArgument,
+                "the saved state holds {:?} where {:?} was expected; it was written by another controller or version",
+                core::str::from_utf8(&found).unwrap_or("?"),
+                core::str::from_utf8(&tag).unwrap_or("?")
+            );
+        }
+        Ok(())
+    }
+
+    pub(crate) fn u64(&mut self) -> Result<u64> {
+        Ok(u64::from_le_bytes(self.take()?))
+    }
+
+    /// Text of at most `limit` bytes.
+    pub(crate) fn text(&mut self, limit: usize) -> Result<&str> {
+        let length = self.u64()?;
+        let split =
+            usize::try_from(length).ok().filter(|&n| n <= limit).and_then(|n| self.0.split_at_checked(n));
+        let Some((head, rest)) = split else {
+            bail!(InvalidArgument, "the saved state holds a name of {length} bytes; it is damaged");
+        };
+        self.0 = rest;
+        match core::str::from_utf8(head) {
+            Ok(text) => Ok(text),
+            Err(_) => bail!(InvalidArgument, "the saved state holds a name that is not UTF-8; it is damaged"),
+        }
+    }
+
+    /// A finite number within bounds.
+    pub(crate) fn f64(&mut self, low: f64, high: f64) -> Result<f64> {
+        let v = f64::from_bits(self.u64()?);
+        if (low..=high).contains(&v) {
+            Ok(v)
+        } else {
+            Err(Error::new(
+                ErrorKind::InvalidArgument,
+                alloc::format!("the saved state holds {v} where {low}…{high} is possible; it is damaged"),
+            ))
+        }
+    }
+
+    pub(crate) fn f64s(&mut self, out: &mut [f64], low: f64, high: f64) -> Result<()> {
+        for v in out {
+            *v = self.f64(low, high)?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn end(&self) -> Result<()> {
+        if !self.0.is_empty() {
+            bail!(InvalidArgument, "the saved state has {} bytes too many; it is damaged", self.0.len());
+        }
+        Ok(())
+    }
+}

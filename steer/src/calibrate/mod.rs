@@ -1,0 +1,317 @@
+//! Fitting a model to frames that were timed on the machine at hand.
+//!
+//! A [`Calibration`] keeps timed frames and fits a model of another machine to them. A session
+//! fills one from what it observes ([`crate::Session::record`]), so that a host never leaves its render
+//! loop. [`PriorModel::choose`] is the fit itself.
+
+mod pictures;
+mod posterior;
+#[cfg(test)]
+pub(crate) mod tests;
+
+pub use pictures::{FEWEST_SCENES, FittedQuality, Picture, fit_quality};
+pub use posterior::{Chosen, Observed, PriorModel, hidden_activations};
+
+use crate::features::{UnitCosts, VolumeSummary};
+use crate::numeric::{median, rmse_over_sd};
+use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
+use alloc::string::ToString;
+use alloc::vec::Vec;
+use core::ops::RangeInclusive;
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::kernels::Executor;
+use entire_core::memory::{filled, mixed, reserve, room};
+use entire_core::model::{Key, ModelFile};
+use entire_core::names;
+use entire_core::scene::TransferTable;
+use posterior::FEWEST_GROUPS;
+
+/// Fewest frames that a model is fitted to.
+pub const FEWEST_FRAMES: usize = 8;
+
+/// How many frames a [`Calibration`] may keep.
+pub const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
+
+/// Stretches of time that are left out in turn where there are too few volumes and transfer functions.
+const STRETCHES: u64 = 5;
+
+/// What a timed frame showed: frames of one volume have one number, and so have those of one transfer
+/// function.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Shown {
+    /// The volume's number.
+    pub volume: u64,
+    /// The transfer function's number.
+    pub transfer: u64,
+}
+
+impl Shown {
+    /// Numbers that the same volume and the same transfer function have again, and hardly others.
+    pub fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
+        Self { volume: volume.fingerprint(), transfer: transfer.fingerprint() }
+    }
+}
+
+/// Frames that were left out in turn to find the error to expect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum HeldOut {
+    /// Nothing: there were too few frames. The error is that of frames that the model was fitted to.
+    Nothing = 0,
+    /// Volumes: the error to expect is that of other volumes.
+    Volumes = 1,
+    /// Transfer functions: the error to expect is that of the same volumes under other transfer functions.
+    TransferFunctions = 2,
+    /// Stretches of time: the error to expect is that of other views of what was shown.
+    Stretches = 3,
+}
+
+names! { HeldOut:
+    Nothing "nothing",
+    Volumes "volumes",
+    TransferFunctions "transfer functions",
+    Stretches "stretches of time",
+}
+
+/// A model that was fitted to a [`Calibration`]'s frames.
+#[derive(Clone, Debug)]
+pub struct Calibrated {
+    /// The model file.
+    pub file: ModelFile,
+    /// Frames that it was fitted to.
+    pub frames: usize,
+    /// What the errors below were found by leaving out.
+    pub held_out: HeldOut,
+    /// Median of |predicted / measured − 1| over frames that were left out.
+    pub median_error: f64,
+    /// Root of their mean squared error over the standard deviation of their times.
+    pub rmse_over_sd: f64,
+    /// The upper bound that they give.
+    pub upper: UpperBound,
+    /// What pictures said of coarser steps and smaller images, where enough of them were added.
+    pub quality: Option<FittedQuality>,
+}
+
+/// Timed frames of one renderer, as many as there is room for: once it is full, each new one takes the place
+/// of another, so that those kept are a fair sample of all.
+#[derive(Clone, Debug)]
+pub struct Calibration {
+    prior: PriorModel,
+    /// Inputs of the kept frames, one row after the other.
+    rows: Vec<f32>,
+    kept: Vec<Kept>,
+    /// Where a row is written.
+    row: Vec<f32>,
+    capacity: usize,
+    offered: u64,
+    pictures: Vec<Picture>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    work: [f64; COSTS],
+    seconds: f64,
+    shown: Shown,
+    /// How many were offered before.
+    order: u64,
+}
+
+impl Calibration {
+    /// With room for `frames`, [`KEPT_FRAMES`]; nothing is allocated afterwards but by [`Calibration::fit`].
+    /// `prior` is a model of another machine or renderer, analytic, or analytic times a learned factor; without one,
+    /// the unit costs of a software renderer are where the fit begins.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for another number of frames,
+    /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
+    pub fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
+        if !KEPT_FRAMES.contains(&frames) {
+            bail!(
+                InvalidArgument,
+                "a calibration is to keep {frames} frames; {} to {} are accepted",
+                KEPT_FRAMES.start(),
+                KEPT_FRAMES.end()
+            );
+        }
+        let prior = match prior {
+            Some(file) => PriorModel::new(core::slice::from_ref(file))?,
+            None => PriorModel::default(),
+        };
+        let width = prior.width();
+        let (rows, row) = (room(frames * width)?, filled(width, 0.0)?);
+        Ok(Self { rows, row, kept: room(frames)?, capacity: frames, offered: 0, prior, pictures: Vec::new() })
+    }
+
+    /// The model that calibration starts from.
+    pub fn prior(&self) -> &PriorModel {
+        &self.prior
+    }
+
+    /// Frames that are kept.
+    pub fn len(&self) -> usize {
+        self.kept.len()
+    }
+
+    /// Whether none is.
+    pub fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    /// Adds a frame that was drawn at the inputs' setting and took `seconds`.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`],
+    /// [`crate::ErrorKind::MissingInput`] when the prior needs an input that was not supplied. Nothing is
+    /// added then.
+    pub fn add(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
+        if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
+            bail!(InvalidArgument, "a frame took {seconds} seconds; 0 to {LONGEST_FRAME} are accepted");
+        }
+        let mut row = core::mem::take(&mut self.row);
+        let written = self.prior.write(inputs, &mut row);
+        if written.is_ok() {
+            let Measurement { work, seconds } = Measurement::new(inputs.features, &inputs.setting, seconds);
+            self.add_written(&row, &work, shown, seconds);
+        }
+        self.row = row;
+        written
+    }
+
+    /// Adds a picture that was compared with the same view at full quality: [`Calibration::fit`] then says in the
+    /// model what coarser steps and smaller images cost ([`fit_quality`]), where at least [`FEWEST_SCENES`] scenes
+    /// were drawn at the same settings. The first 65 536 are kept.
+    ///
+    /// # Errors
+    /// As [`Picture::check`], and [`crate::ErrorKind::OutOfMemory`].
+    pub fn add_picture(&mut self, picture: Picture) -> Result<()> {
+        picture.check()?;
+        if self.pictures.len() < *KEPT_FRAMES.end() {
+            let wanted = self.pictures.len() + 1;
+            reserve(&mut self.pictures, wanted)?;
+            self.pictures.push(picture);
+        }
+        Ok(())
+    }
+
+    /// As [`Calibration::add`], of a frame whose row and work were written before.
+    pub(crate) fn add_written(&mut self, row: &[f32], work: &[f64; COSTS], shown: Shown, seconds: f64) {
+        let frame = Kept { work: *work, seconds, shown, order: self.offered };
+        // Each of all frames offered stays with the same probability.
+        let drawn = (mixed(0, self.offered) % (self.offered + 1)) as usize;
+        self.offered += 1;
+        if self.kept.len() < self.capacity {
+            self.rows.extend_from_slice(row);
+            self.kept.push(frame);
+        } else if let Some(slot) = self.kept.get_mut(drawn) {
+            self.rows[drawn * row.len()..(drawn + 1) * row.len()].copy_from_slice(row);
+            *slot = frame;
+        }
+    }
+
+    /// What is left out together, by frame, and what it is.
+    fn groups(&self) -> (HeldOut, Vec<u64>) {
+        let distinct = |numbers: &[u64]| {
+            let mut sorted = numbers.to_vec();
+            sorted.sort_unstable();
+            sorted.dedup();
+            sorted.len()
+        };
+        let volumes: Vec<u64> = self.kept.iter().map(|k| k.shown.volume).collect();
+        if distinct(&volumes) >= FEWEST_GROUPS {
+            return (HeldOut::Volumes, volumes);
+        }
+        let of = |k: &Kept| k.shown.volume ^ k.shown.transfer.rotate_left(32);
+        let transfers: Vec<u64> = self.kept.iter().map(of).collect();
+        if distinct(&transfers) >= FEWEST_GROUPS {
+            return (HeldOut::TransferFunctions, transfers);
+        }
+        if self.kept.len() < 3 * STRETCHES as usize {
+            return (HeldOut::Nothing, volumes.iter().map(|_| 0).collect());
+        }
+        // Frames that follow each other are alike: whole stretches are left out.
+        let last = self.kept.iter().map(|k| k.order).max().unwrap_or(0);
+        let first = self.kept.iter().map(|k| k.order).min().unwrap_or(0);
+        let stretch = |k: &Kept| STRETCHES * (k.order - first) / (last - first + 1);
+        (HeldOut::Stretches, self.kept.iter().map(stretch).collect())
+    }
+
+    /// Fits a model to the frames: a second or less for 500 of them on one thread. `source` names the renderer
+    /// and the clock of their times, and stands in the file.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`].
+    pub fn fit(&self, source: [&str; 2], executor: Executor<'_>) -> Result<Calibrated> {
+        if self.kept.len() < FEWEST_FRAMES {
+            bail!(
+                NotReady,
+                "{} frames were observed; a model is fitted to {FEWEST_FRAMES} at least, better to 50 or more of several \
+                 volumes and transfer functions",
+                self.kept.len()
+            );
+        }
+        // The fit asks for memory piece by piece: whether it is there is found out first.
+        let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.width() + 512);
+        drop(room::<u8>(pieces)?);
+        let (held_out, groups) = self.groups();
+        let width = self.prior.width();
+        let row = |i: usize| self.rows[i * width..(i + 1) * width].to_vec();
+        let frames: Vec<Observed> = self
+            .kept
+            .iter()
+            .zip(&groups)
+            .enumerate()
+            .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
+            .collect();
+        // A renderer that nothing is known of may convert stored values.
+        let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, executor)?;
+        let pairs: Vec<(f64, f64)> =
+            chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();
+        let mut errors: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();
+        let mut out = Calibrated {
+            file: chosen.file,
+            frames: frames.len(),
+            held_out,
+            median_error: median(&mut errors).unwrap_or(f64::NAN),
+            rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
+            upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
+            // Too few scenes say nothing: the model then states nothing of pictures.
+            quality: fit_quality(&self.pictures).ok(),
+        };
+        out.write_metadata(source)?;
+        Ok(out)
+    }
+}
+
+impl Calibrated {
+    /// What the file says of itself.
+    fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
+        self.upper.store(&mut self.file)?;
+        // What the prior knows is of another renderer's pictures.
+        self.file.metadata.remove(Key::Quality.name());
+        if let Some(fitted) = &self.quality {
+            fitted.quality.store(&mut self.file)?;
+        }
+        let stated = |name: &str| if name.is_empty() { "not stated" } else { name }.to_string();
+        let metadata = &mut self.file.metadata;
+        metadata.insert(Key::Renderer.into(), stated(renderer));
+        metadata.insert(Key::Device.into(), stated(""));
+        metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
+        // Programs that check clocks know these.
+        if ["cpu", "wall", "device"].contains(&clock) {
+            metadata.insert(Key::Clock.into(), clock.into());
+        } else {
+            metadata.remove(Key::Clock.name());
+        }
+        let provenance = serde_json::json!({
+            "what": "Calibrated to its host's renderer",
+            "clock": stated(clock),
+            "frames": self.frames,
+            "held_out": self.held_out.to_string(),
+            "median_error": self.median_error,
+            "rmse_over_sd": self.rmse_over_sd,
+        });
+        metadata.insert(Key::Provenance.into(), provenance.to_string());
+        Ok(())
+    }
+}

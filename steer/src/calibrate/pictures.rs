@@ -1,0 +1,444 @@
+//! What coarser steps and smaller images cost a renderer's pictures, fitted to compared pictures.
+//!
+//! The law of [`Quality`] is fitted in two parts. Time over that of full quality gives the share of rays.
+//! The picture's distance from full quality, to any power, gives the weight and the exponents: by least
+//! squares in logarithms of the means over scenes, then moved to where choosing by the law costs least among
+//! what was drawn.
+
+use crate::numeric::{median, solve};
+use crate::predict::Quality;
+use alloc::collections::BTreeMap;
+use alloc::vec;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+use serde::Serialize;
+
+/// Fewest scenes that a law is fitted to.
+pub const FEWEST_SCENES: usize = 3;
+
+/// Pictures that take more than this share of the time of full quality do not count in the error's law: so
+/// near to it colors differ by their rounding alone.
+const LONGEST: f64 = 0.75;
+
+/// Image sample distances of a path are powers of this, and its c is gone along in such factors.
+const RATIO: f64 = 1.2;
+const FINER: f64 = 1.03;
+
+/// How much nearer to full quality than what was drawn next to it full quality itself counts as, in ln of the
+/// error: equal pictures have no logarithm.
+const FULL: f64 = 3.0;
+
+/// Shares of the time of full quality at which choices by the law are judged: from, to, apart.
+const SHARES: (f64, f64, f64) = (0.2, LONGEST, 0.025);
+
+/// Least distance from full quality: equal pictures have no logarithm.
+const LEAST_ERROR: f64 = 1.0e-7;
+
+/// What a law's own misfit weighs against what choices by it cost.
+const MISFIT: f64 = 0.1;
+
+/// One picture that was compared with the same view at full quality.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Picture {
+    /// What is shown, from where: pictures of one view have one number.
+    pub scene: u64,
+    /// Ray step, finest ones: 1 for full quality.
+    pub step: f32,
+    /// Pixels between neighboring rays along each side: 1 for full quality.
+    pub distance: f32,
+    /// Seconds that it took.
+    pub seconds: f64,
+    /// How far it lies from the picture at full quality by any measure that is 0 for equal pictures and grows:
+    /// root mean squared difference, 1 − SSIM.
+    pub error: f64,
+}
+
+impl Picture {
+    /// Checks the numbers.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] unless step and distance are 1 at least, seconds positive and the error
+    /// not negative, all finite.
+    pub fn check(&self) -> Result<()> {
+        let Self { scene, step, distance, seconds, error } = self;
+        let sound = *step >= 1.0 && step.is_finite() && *distance >= 1.0 && distance.is_finite();
+        let measured = *seconds > 0.0 && seconds.is_finite() && *error >= 0.0 && error.is_finite();
+        if sound && measured {
+            return Ok(());
+        }
+        bail!(
+            InvalidArgument,
+            "a picture of scene {scene} has step {step}, image sample distance {distance}, {seconds} seconds and error \
+             {error}; step and distance are 1 at least, seconds positive, the error not negative"
+        )
+    }
+}
+
+/// A law that was fitted to pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FittedQuality {
+    /// The law.
+    pub quality: Quality,
+    /// Scenes that it was fitted to: those that were drawn at every setting.
+    pub scenes: usize,
+    /// Settings of each.
+    pub settings: usize,
+    /// What its choices cost, over the best of all that was drawn at the same share of the time: mean ratio of the
+    /// errors, at least 1.
+    pub over_best: f64,
+    /// The same of the ray step alone, at the shares that it reaches; `None` where it reaches none of those that count.
+    pub step_over_best: Option<f64>,
+    /// Share of the time of full quality that the coarsest step alone takes.
+    pub step_least_time: f64,
+}
+
+/// A step with ln of time over that of full quality and ln of the error, means over scenes.
+type Point = (f64, f64, f64);
+
+/// An image sample distance with its steps, ascending.
+type Line = (f64, Vec<Point>);
+
+/// Seconds of every drawing, and the error, by bits of distance and step.
+type Settings = BTreeMap<(u32, u32), (Vec<f64>, f64)>;
+
+/// What the fit needs: by setting, ln of time over that of full quality and ln of the error, means over scenes.
+struct Grid {
+    /// Image sample distances, ascending, each with its steps, ascending, and their two logarithms.
+    lines: Vec<Line>,
+}
+
+impl Grid {
+    fn points(&self) -> impl Iterator<Item = (f64, f64, f64, f64)> {
+        self.lines.iter().flat_map(|(d, line)| line.iter().map(|&(s, time, error)| (s, *d, time, error)))
+    }
+
+    /// ln of time over that of full quality and ln of the error at a setting, by straight lines between what was
+    /// drawn.
+    fn at(&self, step: f64, distance: f64) -> (f64, f64) {
+        let along = |line: &[Point]| {
+            let mut before = line[0];
+            for &next in line {
+                if step <= next.0 {
+                    return between(
+                        libm::log(step),
+                        (libm::log(before.0), before),
+                        (libm::log(next.0), next),
+                    );
+                }
+                before = next;
+            }
+            (before.1, before.2)
+        };
+        let after = self.lines.partition_point(|(d, _)| *d < distance).min(self.lines.len() - 1);
+        let (far, near) = (&self.lines[after], &self.lines[after.saturating_sub(1)]);
+        let [far_point, near_point] = [far, near].map(|(_, line)| along(line));
+        let wrap = |(time, error): (f64, f64)| (0.0, time, error);
+        between(
+            libm::log(distance),
+            (libm::log(near.0), wrap(near_point)),
+            (libm::log(far.0), wrap(far_point)),
+        )
+    }
+
+    /// What is drawn at c = step · distance² along the path that a law lays: its ln of time and of error, for c
+    /// from 1 on, ascending.
+    fn path(&self, law: &Quality) -> Vec<(f64, f64)> {
+        let largest = self.lines.last().map_or(1.0, |l| l.0);
+        let coarsest = self.lines[0].1.last().map_or(1.0, |p| p.0);
+        let distances = powers(RATIO, largest);
+        let mut from = vec![0.0; distances.len()];
+        law.lay(&distances, &mut from);
+        powers(FINER, coarsest * largest * largest)
+            .into_iter()
+            .map(|c| {
+                let level = from[1..].iter().take_while(|&&from| c > from).count();
+                let distance = distances[level];
+                self.at((c / (distance * distance)).clamp(1.0, coarsest), distance)
+            })
+            .collect()
+    }
+}
+
+/// Powers of a number from 1 up to an end.
+fn powers(of: f64, end: f64) -> Vec<f64> {
+    (0..).map(|i| libm::pow(of, f64::from(i))).take_while(|v| *v <= end * 1.001).collect()
+}
+
+/// Time and error on the line between two points.
+fn between(x: f64, a: (f64, Point), b: (f64, Point)) -> (f64, f64) {
+    let part = if b.0 > a.0 { ((x - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 1.0 };
+    (a.1.1 + part * (b.1.1 - a.1.1), a.1.2 + part * (b.1.2 - a.1.2))
+}
+
+/// The least ln of the error among points that take no longer than each share of the time of full quality, or, along
+/// a path, that of the first which does.
+fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
+    let at = |share: &f64| {
+        let mut fitting = points.iter().filter(|p| p.0 <= libm::log(*share)).map(|p| p.1);
+        if path { fitting.next() } else { fitting.reduce(f64::min) }
+    };
+    shares.iter().map(|share| at(share).unwrap_or(f64::INFINITY)).collect()
+}
+
+/// Fits the law to pictures: each scene drawn at the same settings, full quality among them, some at coarser
+/// steps and some of smaller images. Scenes that lack a setting which most have are passed over.
+///
+/// # Errors
+/// [`crate::ErrorKind::InvalidArgument`] for numbers that are not finite or out of order, and where fewer than
+/// [`FEWEST_SCENES`] scenes, or no two steps and no two distances, are there.
+pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
+    let (grid, scenes) = grid_of(pictures)?;
+    let settings = grid.points().count();
+    let times: Vec<(f64, f64, f64)> = grid.points().map(|(s, d, time, _)| (s, d, time)).collect();
+    let rays = least_on_line(0.0, 0.9, &|rays| {
+        let law = Quality::within([1.0, 1.0, 1.0, rays]);
+        times.iter().map(|&(s, d, time)| square(libm::log(law.time_share(s, d)) - time)).sum()
+    });
+    let law = |v: &[f64; 3]| Quality::within([libm::exp(v[0]), v[1], v[2], rays]);
+    let counted: Vec<(f64, f64, f64)> = grid
+        .points()
+        .filter(|(s, d, time, _)| (*s > 1.0 || *d > 1.0) && *time <= libm::log(LONGEST))
+        .map(|(s, d, _, error)| (s, d, error))
+        .collect();
+    if counted.len() < 4 {
+        bail!(
+            InvalidArgument,
+            "{} pictures of every scene take at most {LONGEST} of the time of full quality; draw coarser steps and \
+             smaller images",
+            counted.len()
+        );
+    }
+    // Errors may add up in any power: the law's logarithm times a slope.
+    let off = |v: &[f64; 3]| {
+        let law = law(v);
+        let model: Vec<f64> = counted.iter().map(|&(s, d, _)| libm::log(law.error(s, d))).collect();
+        let n = counted.len() as f64;
+        let (mx, my) = (model.iter().sum::<f64>() / n, counted.iter().map(|c| c.2).sum::<f64>() / n);
+        let mut gram = [model.iter().map(|m| square(m - mx)).sum::<f64>() + 1.0e-9];
+        let product = model.iter().zip(&counted).map(|(m, c)| (m - mx) * (c.2 - my)).sum();
+        let slope = solve(&mut gram, vec![product]).map_or(1.0e-3, |b| b[0].max(1.0e-3));
+        model.iter().zip(&counted).map(|(m, c)| square(slope * (m - mx) - (c.2 - my))).sum::<f64>() / n
+    };
+    let shares: Vec<f64> =
+        (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect();
+    // Every step at every distance that a path has.
+    let largest = grid.lines.last().map_or(1.0, |l| l.0);
+    let steps = powers(FINER, grid.lines[0].1.last().map_or(1.0, |p| p.0));
+    let all: Vec<(f64, f64)> = powers(RATIO, largest)
+        .iter()
+        .flat_map(|&d| steps.iter().map(move |&s| (s, d)))
+        .map(|(s, d)| grid.at(s, d))
+        .collect();
+    let best = at_shares(&all, &shares, false);
+    // Mean ln of the error along a path over the best one.
+    let over_best = |path: &[(f64, f64)]| {
+        let own = at_shares(path, &shares, true);
+        let both = own.iter().zip(&best).filter(|(own, best)| own.is_finite() && best.is_finite());
+        let (sum, n) = both.fold((0.0, 0.0), |(sum, n), (own, best)| (sum + own - best, n + 1.0));
+        (n > 0.0).then(|| sum / n)
+    };
+    let regret = |law: &Quality| over_best(&grid.path(law)).unwrap_or(0.0);
+    let inside =
+        |v: &[f64; 3]| v[0].abs() < 6.5 && (0.2..=6.0).contains(&v[1]) && (0.2..=6.0).contains(&v[2]);
+    let fitted = descend([1.0, 1.5, 1.5], 400, &|v| if inside(v) { off(v) } else { f64::INFINITY });
+    let judged = |v: &[f64; 3]| regret(&law(v)) + MISFIT * libm::sqrt(off(v));
+    let moved = descend(fitted, 25, &|v| if inside(v) { judged(v) } else { f64::INFINITY });
+    let quality = law(&moved);
+    let alone: Vec<(f64, f64)> = steps.iter().map(|&step| grid.at(step, 1.0)).collect();
+    Ok(FittedQuality {
+        quality,
+        scenes,
+        settings,
+        over_best: libm::exp(regret(&quality)),
+        step_over_best: over_best(&alone).map(libm::exp),
+        step_least_time: alone.iter().map(|p| libm::exp(p.0)).fold(1.0, f64::min),
+    })
+}
+
+fn square(x: f64) -> f64 {
+    x * x
+}
+
+/// Means over the scenes that were drawn at every setting, and how many these are.
+fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
+    pictures.iter().try_for_each(Picture::check)?;
+    // Bits of positive numbers order as the numbers do.
+    let key = |p: &Picture| (p.distance.to_bits(), p.step.to_bits());
+    let full = (1f32.to_bits(), 1f32.to_bits());
+    let mut scenes: BTreeMap<u64, Settings> = BTreeMap::new();
+    for p in pictures {
+        let slot = scenes.entry(p.scene).or_default().entry(key(p)).or_default();
+        slot.0.push(p.seconds);
+        slot.1 = p.error;
+    }
+    let most = scenes.values().map(BTreeMap::len).max().unwrap_or(0);
+    scenes.retain(|_, settings| settings.len() == most && settings.contains_key(&full));
+    let Some(first) = scenes.values().next() else {
+        bail!(InvalidArgument, "no scene was drawn at full quality: step 1, image sample distance 1");
+    };
+    let wanted: Vec<(u32, u32)> = first.keys().copied().collect();
+    scenes.retain(|_, settings| settings.keys().eq(&wanted));
+    let distinct = |of: fn(&(u32, u32)) -> u32| {
+        let mut all: Vec<u32> = wanted.iter().map(of).collect();
+        all.sort_unstable();
+        all.dedup();
+        all.len()
+    };
+    if scenes.len() < FEWEST_SCENES || distinct(|k| k.0) < 2 || distinct(|k| k.1) < 2 {
+        bail!(
+            InvalidArgument,
+            "{} scenes were drawn at the same {} settings; at least {FEWEST_SCENES} scenes, two steps and two image \
+             sample distances are needed",
+            scenes.len(),
+            wanted.len()
+        );
+    }
+    let count = scenes.len();
+    let mut lines: BTreeMap<u32, Vec<Point>> = BTreeMap::new();
+    for at in &wanted {
+        let (mut time, mut error) = (0.0, 0.0);
+        for settings in scenes.values_mut() {
+            let mut seconds = |at| settings.get_mut(at).and_then(|s: &mut (Vec<f64>, f64)| median(&mut s.0));
+            if let (Some(own), Some(whole)) = (seconds(at), seconds(&full)) {
+                time += libm::log(own / whole) / count as f64;
+            }
+            error += libm::log(settings[at].1.max(LEAST_ERROR)) / count as f64;
+        }
+        lines.entry(at.0).or_default().push((f64::from(f32::from_bits(at.1)), time, error));
+    }
+    let mut lines: Vec<Line> =
+        lines.into_iter().map(|(d, line)| (f64::from(f32::from_bits(d)), line)).collect();
+    if let [whole, next, ..] = &mut lines[0].1[..] {
+        whole.2 = next.2 - FULL;
+    }
+    Ok((Grid { lines }, count))
+}
+
+/// The least of a function between two ends: of 181 values.
+fn least_on_line(low: f64, high: f64, of: &dyn Fn(f64) -> f64) -> f64 {
+    let at = |i: u32| low + (high - low) * f64::from(i) / 180.0;
+    let mut best = (f64::INFINITY, low);
+    for i in 0..=180 {
+        let value = of(at(i));
+        if value < best.0 {
+            best = (value, at(i));
+        }
+    }
+    best.1
+}
+
+/// The least of a function nearby, by steps along each axis that shrink where none helps.
+fn descend(mut at: [f64; 3], rounds: usize, of: &dyn Fn(&[f64; 3]) -> f64) -> [f64; 3] {
+    let mut reach = [0.5, 0.2, 0.2];
+    let mut least = of(&at);
+    for _ in 0..rounds {
+        let before = least;
+        for axis in 0..3 {
+            for sign in [1.0, -1.0] {
+                let mut other = at;
+                other[axis] += sign * reach[axis];
+                let value = of(&other);
+                if value < least {
+                    (at, least) = (other, value);
+                }
+            }
+        }
+        if least == before {
+            reach.iter_mut().for_each(|r| *r *= 0.5);
+        }
+    }
+    at
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEPS: [f32; 5] = [1.0, 1.5, 2.2, 3.2, 4.5];
+    const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0];
+    const TRUTH: Quality =
+        Quality { image_weight: 5.0, step_exponent: 1.2, image_exponent: 0.9, ray_share: 0.2 };
+
+    fn pictures(truth: &Quality, scenes: u64, noise: f64) -> Vec<Picture> {
+        let mut state = 3u64;
+        let mut wobble = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            libm::exp(noise * (((state >> 11) as f64) / (1u64 << 52) as f64 - 1.0))
+        };
+        let mut out = Vec::new();
+        for scene in 0..scenes {
+            for distance in DISTANCES {
+                for step in STEPS {
+                    let (s, d) = (f64::from(step), f64::from(distance));
+                    out.push(Picture {
+                        scene,
+                        step,
+                        distance,
+                        seconds: 0.01 * (1.0 + scene as f64) * truth.time_share(s, d) * wobble(),
+                        // In the power of 1.4, in units of each scene.
+                        error: (0.02 + 0.01 * scene as f64) * libm::pow(truth.error(s, d), 1.4) * wobble(),
+                    });
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn a_law_is_found_again() {
+        let found = fit_quality(&pictures(&TRUTH, 4, 0.0)).unwrap();
+        assert_eq!((found.scenes, found.settings), (4, 20));
+        let q = found.quality;
+        let near = |own: f32, wanted: f32| (own / wanted - 1.0).abs() < 0.02;
+        assert!(near(q.image_weight, 5.0) && near(q.step_exponent, 1.2), "{found:?}");
+        assert!(near(q.image_exponent, 0.9) && near(q.ray_share, 0.2), "{found:?}");
+        // Distances are drawn from powers of a ratio, so that the best is not met exactly.
+        assert!(found.over_best < 1.05 && found.step_over_best.unwrap() > 1.1, "{found:?}");
+    }
+
+    #[test]
+    fn renderers_that_differ_are_told_apart_through_noise() {
+        let blurred = Quality { image_weight: 60.0, image_exponent: 0.3, ..TRUTH };
+        let (sharp, blurred) = (
+            fit_quality(&pictures(&TRUTH, 6, 0.1)).unwrap(),
+            fit_quality(&pictures(&blurred, 6, 0.1)).unwrap(),
+        );
+        assert!(sharp.over_best < 1.1 && blurred.over_best < 1.1, "{sharp:?} {blurred:?}");
+        let alone = [sharp, blurred].map(|found| found.step_over_best.unwrap());
+        assert!(alone[1] < 1.05 && alone[0] > 1.1, "{sharp:?} {blurred:?}");
+        sharp.quality.check().unwrap();
+        blurred.quality.check().unwrap();
+    }
+
+    #[test]
+    fn scenes_that_lack_a_setting_are_passed_over_and_too_few_are_refused() {
+        let mut all = pictures(&TRUTH, 4, 0.0);
+        all.pop();
+        assert_eq!(fit_quality(&all).unwrap().scenes, 3);
+        let says = |pictures: &[Picture]| fit_quality(pictures).unwrap_err().to_string();
+        assert!(says(&[]).contains("no scene was drawn at full quality"));
+        assert!(says(&pictures(&TRUTH, 2, 0.0)).contains("at least 3 scenes"));
+        let steps: Vec<Picture> = all.iter().copied().filter(|p| p.distance == 1.0).collect();
+        assert!(says(&steps).contains("two image sample distances"));
+        let fine: Vec<Picture> = all.iter().copied().filter(|p| p.step < 2.0 && p.distance < 1.3).collect();
+        assert!(says(&fine).contains("draw coarser steps"));
+        for bad in [
+            Picture { step: 0.5, ..all[3] },
+            Picture { distance: f32::NAN, ..all[3] },
+            Picture { seconds: 0.0, ..all[3] },
+            Picture { error: -1.0, ..all[3] },
+        ] {
+            let mut broken = all.clone();
+            broken[3] = bad;
+            assert!(says(&broken).contains("a picture of scene 0"), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn equal_pictures_have_a_law_too() {
+        let blank: Vec<Picture> =
+            pictures(&TRUTH, 3, 0.0).into_iter().map(|p| Picture { error: 0.0, ..p }).collect();
+        fit_quality(&blank).unwrap().quality.check().unwrap();
+    }
+}

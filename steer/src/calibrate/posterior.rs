@@ -1,0 +1,360 @@
+//! Models of other machines fitted to frames of this one: unit costs, and where the prior has one the last layer of
+//! its learned factor, held near what they were as strongly as few frames need and as loosely as many allow.
+//!
+//! The fit is [`CostFit`]'s; the factor's last layer is held within [`FACTOR_SD`] of its root mean square.
+
+use crate::features::{SceneFeature, SceneQuantity};
+use crate::numeric::{dot, median};
+use crate::predict::{
+    AnalyticModel, COST_SD, COSTS, CostFit, Expected, FitRow, InputLayout, InputRange, Inputs, UnitCosts,
+};
+use alloc::collections::BTreeMap;
+use alloc::vec;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::kernels::Executor;
+use entire_core::model::ModelFile;
+use entire_core::nn::{Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE, Target};
+
+const NOT_A_PRIOR: &str = "a calibration starts from analytic models, or from one analytic model times a learned factor \
+     (entire train --model-kind analytic and residual make them); give another, or none";
+
+/// Standard deviation of the logarithm of a unit cost that the prior does not know.
+const UNKNOWN_SD: f64 = 1.5;
+
+/// Standard deviation of a weight of the factor's last layer, over their root mean square.
+const FACTOR_SD: f64 = 0.2;
+
+/// A cost that a machine's model has at 0, as a share of what a software renderer as fast pays: how far its frames
+/// could tell one kind of work from another says little of the next machine.
+const ZERO_SHARE: f64 = 0.1;
+
+/// Parts for cross-validation at most, and groups of frames that it needs.
+const FOLDS: usize = 7;
+pub(super) const FEWEST_GROUPS: usize = 3;
+
+/// The models that a calibration starts from: unit costs, and at most one learned factor.
+#[derive(Clone, Debug)]
+pub struct PriorModel {
+    costs: [f64; COSTS],
+    factor: Option<Factor>,
+}
+
+/// A learned factor, split into the last layer and the rest.
+#[derive(Clone, Debug)]
+struct Factor {
+    file: ModelFile,
+    parts: PredNetParts,
+    layout: InputLayout,
+    /// Mean and deviation of each input, and the deviation of the output.
+    inputs: Vec<(f64, f64)>,
+    deviation: f64,
+    weights: Vec<f64>,
+    /// ln t besides the estimate and the factor.
+    constant: f64,
+    root_mean_square: f64,
+    /// Range that the factor's inputs are held within.
+    range: Option<InputRange>,
+}
+
+/// One frame, as the fit sees it.
+#[derive(Clone, Debug)]
+pub struct Observed {
+    /// Inputs of the prior's factor, in its order; empty where it has none.
+    pub row: Vec<f32>,
+    /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
+    pub work: [f64; COSTS],
+    /// Measured seconds.
+    pub seconds: f64,
+    /// Number of the frames that are left out together in cross-validation: that of their volume.
+    pub group: u64,
+}
+
+/// A fitted model and its errors.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    /// The model file.
+    pub file: ModelFile,
+    /// Seconds that each frame was predicted to take by the fit to all groups but its own; as fitted where there are
+    /// fewer than three groups.
+    pub crossed: Vec<f64>,
+    /// Parts that were left out in turn; 0 where nothing was.
+    pub folds: usize,
+}
+
+impl Factor {
+    fn new(file: &ModelFile) -> Result<(Self, [f64; COSTS])> {
+        let model = file.to_model()?;
+        let layout = InputLayout::of_model(&model)?;
+        let carried = layout.scene_features.last()
+            == Some(&SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
+        let (Some(parts), Some(UnitCosts(costs)), true) = (model.prednet(), layout.unit_costs, carried)
+        else {
+            bail!(Unsupported, "{NOT_A_PRIOR}");
+        };
+        let Some(last) = parts.layers.last().filter(|_| parts.target == Target::LogSeconds) else {
+            bail!(Unsupported, "{NOT_A_PRIOR}");
+        };
+        let width = last.inputs - 1;
+        let weights: Vec<f64> = last.weight[..width].iter().map(|&w| f64::from(w)).collect();
+        let square = dot(&weights, &weights) / width.max(1) as f64;
+        let inputs: Vec<(f64, f64)> = match &parts.input {
+            Some(Normalization { mean, std }) => {
+                mean.iter().zip(std).map(|(&m, &s)| (f64::from(m), f64::from(s))).collect()
+            }
+            None => vec![(0.0, 1.0); layout.width()],
+        };
+        let deviation = parts.output.as_ref().and_then(|n| n.std.first()).map_or(1.0, |&s| f64::from(s));
+        // At the inputs' means every standardized input is 0, the estimate's too.
+        let mean: Vec<f32> = inputs.iter().map(|i| i.0 as f32).collect();
+        let net = PredNet::new(parts)?;
+        let total = libm::log(f64::from(net.predict(&mean, &mut net.scratch(1)?)));
+        let mut out = Self {
+            file: file.clone(),
+            parts: parts.clone(),
+            inputs,
+            deviation,
+            weights,
+            constant: 0.0,
+            root_mean_square: libm::sqrt(square).max(1e-3),
+            range: InputRange::of(&model, layout.width())?,
+            layout,
+        };
+        let psi = out.activations(&mean);
+        out.constant = total - mean.last().map_or(0.0, |&m| f64::from(m)) - dot(&psi, &out.weights);
+        Ok((out, costs))
+    }
+
+    /// Values that enter the last layer, in units of the output.
+    fn activations(&self, row: &[f32]) -> Vec<f64> {
+        let mut held = row.to_vec();
+        if let Some(range) = &self.range {
+            range.hold(&mut held);
+        }
+        let standardized =
+            held.iter().zip(&self.inputs).map(|(&x, (mean, std))| (f64::from(x) - mean) / std).collect();
+        let mut values = hidden_activations(&self.parts, standardized);
+        values.truncate(self.weights.len());
+        values.iter_mut().for_each(|v| *v *= self.deviation);
+        values
+    }
+
+    /// The model file with fitted costs and last layer.
+    fn with(&self, fitted: &CostFit) -> Result<ModelFile> {
+        let mut file = self.file.clone();
+        let mut parts = self.parts.clone();
+        if let Some(layer) = parts.layers.last_mut() {
+            for (slot, &w) in layer.weight.iter_mut().zip(&fitted.weights) {
+                *slot = w as f32;
+            }
+            layer.bias[0] =
+                (f64::from(layer.bias[0]) + (fitted.bias - self.constant) / self.deviation) as f32;
+        }
+        let mut layout = self.layout.clone();
+        layout.unit_costs = Some(UnitCosts(fitted.costs));
+        layout.store(&parts, &mut file)?;
+        Ok(file)
+    }
+}
+
+impl Default for PriorModel {
+    /// The unit costs of a software renderer.
+    fn default() -> Self {
+        Self { costs: UnitCosts::SOFTWARE.0, factor: None }
+    }
+}
+
+impl PriorModel {
+    /// From analytic models, of as many makes of machine as there are: the geometric mean of their unit costs; or
+    /// from one analytic model times a learned factor. From none, the unit costs of a software renderer.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Unsupported`] for other models.
+    pub fn new(files: &[ModelFile]) -> Result<Self> {
+        let mut logs = [0.0; COSTS];
+        for file in files {
+            let Some(model) = AnalyticModel::from_model(&file.to_model()?)? else {
+                if files.len() > 1 {
+                    bail!(Unsupported, "{NOT_A_PRIOR}");
+                }
+                let (factor, costs) = Factor::new(file)?;
+                return Ok(Self { costs, factor: Some(factor) });
+            };
+            let UnitCosts(costs) = with_unknown(&model.costs(), &UnitCosts::SOFTWARE);
+            for (log, cost) in logs.iter_mut().zip(costs) {
+                *log += libm::log(cost) / files.len() as f64;
+            }
+        }
+        Ok(if files.is_empty() { Self::default() } else { Self { costs: logs.map(libm::exp), factor: None } })
+    }
+
+    /// The prior's unit costs; 0 of work that it does not know.
+    pub fn costs(&self) -> &[f64; COSTS] {
+        &self.costs
+    }
+
+    /// Inputs of the prior's factor; `None` where it has none and a frame's work is all.
+    pub fn layout(&self) -> Option<&InputLayout> {
+        self.factor.as_ref().map(|f| &f.layout)
+    }
+
+    /// Numbers in a row of those inputs.
+    pub(crate) fn width(&self) -> usize {
+        self.factor.as_ref().map_or(0, |f| f.inputs.len())
+    }
+
+    /// Rays along each side of the probe that the factor was fitted with; 0 where any will do.
+    pub fn probe_side(&self) -> usize {
+        self.factor.as_ref().map_or(0, |f| f.layout.probe_side)
+    }
+
+    /// Writes such a row.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] when an input was not supplied.
+    pub(crate) fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
+        match &self.factor {
+            Some(factor) => factor.layout.write(inputs, row),
+            None => Ok(()),
+        }
+    }
+
+    /// Fits unit costs, the weights of the factor and the speed to `frames`, near `prior` in seconds per unit of work.
+    fn fit(&self, prior: &[f64; COSTS], frames: &[&FitRow]) -> CostFit {
+        let (weights, weight_sd): (&[f64], f64) = match &self.factor {
+            Some(f) => (&f.weights, FACTOR_SD * f.root_mean_square),
+            None => (&[], 1.0),
+        };
+        let known = |i: usize| self.costs[i] > 0.0;
+        let cost_sd = core::array::from_fn(|i| if known(i) { COST_SD } else { UNKNOWN_SD });
+        CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
+    }
+
+    /// Fits frames of this machine. `renderer` holds costs of a renderer of the kind, for work whose cost the prior
+    /// does not know; work that costs nothing there either stays free.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or when rows
+    /// are not those of the prior's factor.
+    pub fn choose(
+        &self,
+        frames: &[Observed],
+        renderer: &UnitCosts,
+        executor: Executor<'_>,
+    ) -> Result<Chosen> {
+        let inputs = self.width();
+        if frames.is_empty() {
+            bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
+        }
+        for (i, f) in frames.iter().enumerate() {
+            if f.row.len() != inputs || !(f.seconds.is_finite() && f.seconds > 0.0) {
+                bail!(
+                    InvalidArgument,
+                    "frame {i} has {} inputs and took {} seconds; the model takes {inputs} inputs, and times are finite \
+                     and positive",
+                    f.row.len(),
+                    f.seconds
+                );
+            }
+        }
+        let UnitCosts(prior) = with_unknown(&UnitCosts(self.costs), renderer);
+        let prepared: Vec<FitRow> = frames
+            .iter()
+            .map(|f| FitRow {
+                psi: self.factor.as_ref().map_or(Vec::new(), |factor| factor.activations(&f.row)),
+                work: f.work,
+                log: libm::log(f.seconds),
+            })
+            .collect();
+        let folds = folds(frames);
+        let mut count = folds.iter().max().map_or(0, |m| m + 1);
+        if count < FEWEST_GROUPS {
+            count = 0;
+        }
+        // The fit to all, then the fits without each part.
+        let mut fits: Vec<(usize, Option<CostFit>)> = (0..=count).map(|part| (part, None)).collect();
+        each(executor, &mut fits, &|(part, fit): &mut (usize, Option<CostFit>)| {
+            let kept = prepared.iter().zip(&folds).filter(|(_, f)| *part == 0 || **f + 1 != *part);
+            *fit = Some(self.fit(&prior, &kept.map(|(p, _)| p).collect::<Vec<_>>()));
+        });
+        let fits: Vec<CostFit> = fits.into_iter().filter_map(|(_, fit)| fit).collect();
+        let without = |fold: usize| &fits[if count == 0 { 0 } else { fold + 1 }];
+        let crossed: Vec<f64> =
+            prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(without(f).log_seconds(p))).collect();
+        if !crossed.iter().all(|p| p.is_finite()) {
+            bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
+        }
+        let file = match &self.factor {
+            Some(factor) => factor.with(&fits[0])?,
+            None => {
+                let works = frames.iter().map(|f| &f.work);
+                AnalyticModel::from_costs(fits[0].unit_costs())?.ranging_over(works).to_model_file()?
+            }
+        };
+        Ok(Chosen { file, crossed, folds: count })
+    }
+}
+
+/// Unit costs with [`ZERO_SHARE`] of what a renderer of the kind pays, at the same speed, where they are 0.
+fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
+    let known = costs.0.iter().zip(&renderer.0).filter(|(c, r)| **c > 0.0 && **r > 0.0);
+    let mut ratios: Vec<f64> = known.map(|(c, r)| c / r).collect();
+    let speed = median(&mut ratios).unwrap_or(1.0);
+    let mut out = *costs;
+    for (cost, typical) in out.0.iter_mut().zip(&renderer.0) {
+        if *cost == 0.0 {
+            *cost = ZERO_SHARE * speed * typical;
+        }
+    }
+    out
+}
+
+/// Values that enter a network's last layer, of standardized inputs.
+pub fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
+    let hidden = parts.layers.split_last().map_or(&[][..], |(_, hidden)| hidden);
+    for layer in hidden {
+        values = layer
+            .weight
+            .chunks_exact(layer.inputs)
+            .zip(&layer.bias)
+            .map(|(weights, &bias)| {
+                let sum: f64 = weights.iter().zip(&values).map(|(&w, x)| f64::from(w) * x).sum();
+                let sum = sum + f64::from(bias);
+                SELU_SCALE * if sum > 0.0 { sum } else { SELU_ALPHA * libm::expm1(sum) }
+            })
+            .collect();
+    }
+    values
+}
+
+/// Calls `f` with each item, on as many threads as the executor has.
+fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) + Sync)) {
+    match items {
+        [] => {}
+        [one] => f(one),
+        _ => {
+            let (a, b) = items.split_at_mut(items.len() / 2);
+            executor.join(|| each(executor, a, f), || each(executor, b, f));
+        }
+    }
+}
+
+/// The part of cross-validation that each frame is left out with: whole groups, spread so that parts have
+/// about as many frames.
+fn folds(frames: &[Observed]) -> Vec<usize> {
+    let mut sizes: BTreeMap<u64, usize> = BTreeMap::new();
+    for f in frames {
+        *sizes.entry(f.group).or_default() += 1;
+    }
+    let mut groups: Vec<(u64, usize)> = sizes.into_iter().collect();
+    groups.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+    let mut loads = vec![0usize; FOLDS.min(groups.len())];
+    let mut fold_of = BTreeMap::new();
+    for (group, size) in groups {
+        let least = (0..loads.len()).min_by_key(|&i| loads[i]).unwrap_or(0);
+        loads[least] += size;
+        fold_of.insert(group, least);
+    }
+    frames.iter().map(|f| fold_of[&f.group]).collect()
+}

@@ -1,0 +1,235 @@
+//! The fit against work whose costs are known, and what a calibration keeps.
+
+use super::*;
+use crate::features::{
+    COST_QUANTITIES, Changes, FrameFeatures, PROBE_SIDE, SceneFeature, SceneQuantity, Setting,
+};
+use crate::predict::{AnalyticModel, GroupKind, InputLayout};
+use alloc::vec;
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
+use entire_core::scene::{Arcball, Camera, Frame};
+
+/// Unit costs of a software renderer times a factor of 1 that is linear in a few logarithms, of a probe with `side`²
+/// rays.
+pub(crate) fn unit_factor(side: usize) -> ModelFile {
+    let inputs = [
+        (SceneQuantity::Pixels, 10.5, 1.6),
+        (SceneQuantity::RaySpacing, 0.0, 1.0),
+        (SceneQuantity::Voxels, 15.0, 1.3),
+        (SceneQuantity::EstimatedSeconds, -3.5, 1.8),
+    ];
+    let parts = PredNetParts {
+        // The estimate as it is: its logarithm, standardized, times its deviation and past its mean.
+        layers: vec![DenseParts {
+            inputs: 4,
+            outputs: 1,
+            weight: vec![0.0, 0.0, 0.0, 1.8],
+            bias: vec![-3.5],
+            dtype: Dtype::F32,
+        }],
+        input: Some(Normalization {
+            mean: inputs.iter().map(|i| i.1).collect(),
+            std: inputs.iter().map(|i| i.2).collect(),
+        }),
+        output: Some(Normalization { mean: vec![0.0], std: vec![1.0] }),
+        target: Target::LogSeconds,
+    };
+    let features = inputs.iter().map(|&(quantity, ..)| SceneFeature { quantity, log: true }).collect();
+    let mut layout = InputLayout::new(&[GroupKind::SceneFeatures], features, 0, 0).unwrap();
+    layout.unit_costs = Some(UnitCosts::SOFTWARE);
+    layout.probe_side = side;
+    let mut file = ModelFile::default();
+    layout.store(&parts, &mut file).unwrap();
+    file
+}
+
+/// Of each kind of work another amount, as frames hold it.
+fn work(i: usize) -> [f64; COSTS] {
+    core::array::from_fn(|k| match k {
+        0 => 1.0,
+        _ => 1e4 * ((i * (7 * k + 3) + k * k) % 29) as f64 + 1e3,
+    })
+}
+
+fn seconds_by(costs: &[f64; COSTS], work: &[f64; COSTS]) -> f64 {
+    costs.iter().zip(work).map(|(c, w)| c * w).sum()
+}
+
+#[test]
+fn a_calibration_finds_another_machines_unit_costs() {
+    let prior = PriorModel::new(&[AnalyticModel::default().to_model_file().unwrap()]).unwrap();
+    assert!(prior.layout().is_none());
+    for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
+        assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
+    }
+    // Three kinds cost something else here, and the machine is slower.
+    let mut machine = UnitCosts::SOFTWARE.0;
+    (machine[1], machine[4], machine[13]) = (4.0 * machine[1], 2.0 * machine[4], 0.5 * machine[13]);
+    let seconds = |i: usize| 1.7 * seconds_by(&machine, &work(i));
+    let frames: Vec<Observed> = (0..80)
+        .map(|i| Observed { row: vec![], work: work(i), seconds: seconds(i), group: i as u64 % 6 })
+        .collect();
+    let chosen = prior.choose(&frames, &UnitCosts::SOFTWARE, Executor::Serial).unwrap();
+    assert_eq!(chosen.folds, 6);
+    let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
+    let mut errors: Vec<f64> =
+        (100..160).map(|i| (seconds_by(&there.costs().0, &work(i)) / seconds(i) - 1.0).abs()).collect();
+    let middle = median(&mut errors).unwrap();
+    assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
+    // Too few volumes to leave any out: the errors are those of frames that were fitted.
+    let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
+    assert_eq!(prior.choose(&few, &UnitCosts::SOFTWARE, Executor::Serial).unwrap().folds, 0);
+    assert!(prior.choose(&[], &UnitCosts::SOFTWARE, Executor::Serial).is_err());
+}
+
+#[test]
+fn three_frames_set_the_speed_alone() {
+    let prior = PriorModel::default();
+    let frames: Vec<Observed> = (0..3)
+        .map(|i| Observed {
+            row: vec![],
+            work: work(i),
+            seconds: 3.0 * seconds_by(prior.costs(), &work(i)),
+            group: i as u64,
+        })
+        .collect();
+    let chosen = prior.choose(&frames, &UnitCosts::SOFTWARE, Executor::Serial).unwrap();
+    let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
+    for (found, known) in there.costs().0.iter().zip(prior.costs()) {
+        assert!(*known == 0.0 || (found / known / 3.0 - 1.0).abs() < 1e-3, "{found} {known}");
+    }
+}
+
+#[test]
+fn several_machines_make_one_prior_and_a_factor_stands_alone() {
+    let model = |scale: f64| {
+        let costs = UnitCosts::SOFTWARE.0.map(|c| scale * c);
+        AnalyticModel::from_costs(costs).unwrap().to_model_file().unwrap()
+    };
+    let prior = PriorModel::new(&[model(0.5), model(8.0)]).unwrap();
+    for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
+        assert!((found - 2.0 * stored).abs() <= 1e-6 * stored, "{found} {stored}");
+    }
+    // A cost that one machine's frames could not tell from another is not thought to be nothing.
+    let mut blind = UnitCosts::SOFTWARE.0;
+    blind[2] = 0.0;
+    let blind = AnalyticModel::from_costs(blind).unwrap().to_model_file().unwrap();
+    let prior = PriorModel::new(&[model(1.0), blind]).unwrap();
+    let ratio = prior.costs()[2] / UnitCosts::SOFTWARE.0[2];
+    assert!((0.1..1.0).contains(&ratio), "{ratio}");
+    let factor = unit_factor(PROBE_SIDE);
+    assert_eq!(PriorModel::new(core::slice::from_ref(&factor)).unwrap().layout().unwrap().width(), 4);
+    let error = PriorModel::new(&[factor, model(1.0)]).err().unwrap().to_string();
+    assert!(error.contains("--model-kind"), "{error}");
+}
+
+#[test]
+fn a_factor_is_kept_and_its_costs_are_fitted() {
+    let prior = PriorModel::new(&[unit_factor(PROBE_SIDE)]).unwrap();
+    let row = |i: usize, costs: &[f64; COSTS]| -> Vec<f32> {
+        let mut row: Vec<f32> = (0..4).map(|k| ((i * (k + 2)) % 7) as f32).collect();
+        row[3] = seconds_by(costs, &work(i)).ln() as f32;
+        row
+    };
+    let frames: Vec<Observed> = (0..40)
+        .map(|i| Observed {
+            row: row(i, prior.costs()),
+            work: work(i),
+            seconds: 3.0 * seconds_by(prior.costs(), &work(i)),
+            group: i as u64 % 3,
+        })
+        .collect();
+    let chosen = prior.choose(&frames, &UnitCosts::SOFTWARE, Executor::Serial).unwrap();
+    for (p, f) in chosen.crossed.iter().zip(&frames) {
+        assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
+    }
+    let model = chosen.file.to_model().unwrap();
+    let costs = UnitCosts::of(&model).unwrap().unwrap().0;
+    let net = PredNet::new(model.prednet().unwrap()).unwrap();
+    let mut scratch = net.scratch(1).unwrap();
+    for (i, f) in frames.iter().enumerate() {
+        let p = f64::from(net.predict(&row(i, &costs), &mut scratch));
+        assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
+    }
+}
+
+/// A renderer that pays for two kinds of work alone.
+fn seconds_of(features: &FrameFeatures, setting: &Setting) -> f64 {
+    let work = Measurement::new(features, setting, 1.0).work;
+    let pixels = 1 + COST_QUANTITIES.iter().position(|q| q.to_string() == "pixels").unwrap();
+    5e-4 + 9e-8 * work[pixels]
+}
+
+#[test]
+fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
+    assert!(Calibration::new(None, 7).is_err() && Calibration::new(None, 100_000).is_err());
+    let prior = unit_factor(PROBE_SIDE);
+    let mut calibration = Calibration::new(Some(&prior), 60).unwrap();
+    assert!(calibration.is_empty());
+    assert_eq!(
+        calibration.fit(["", ""], Executor::Serial).unwrap_err().kind(),
+        entire_core::ErrorKind::NotReady
+    );
+    let features = FrameFeatures::default();
+    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
+    let at = |size: u32| Setting::from(&Frame::new(camera, size, size).unwrap());
+    let inputs = |size: u32| Inputs {
+        features: &features,
+        setting: at(size),
+        changes: Changes::default(),
+        camera: features.pose(),
+        volume_features: None,
+        lobes: None,
+    };
+    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        assert!(calibration.add(&inputs(64), Shown::default(), bad).is_err());
+    }
+    assert!(calibration.is_empty());
+    let rows = calibration.rows.as_ptr();
+    for i in 0..600u64 {
+        let size = 40 + (i * 37 % 200) as u32;
+        let shown = Shown { volume: i / 150, transfer: i / 50 };
+        calibration.add(&inputs(size), shown, seconds_of(&features, &at(size))).unwrap();
+    }
+    assert_eq!((calibration.len(), calibration.offered), (60, 600));
+    assert_eq!(rows, calibration.rows.as_ptr(), "moved");
+    // Of every quarter about as many stay: 15 expected, a standard deviation of 3.2.
+    for quarter in 0..4 {
+        let n = calibration.kept.iter().filter(|k| k.order / 150 == quarter).count();
+        assert!((5..=25).contains(&n), "{quarter}: {n}");
+    }
+    let fitted = calibration.fit(["my renderer", "wall"], Executor::Serial).unwrap();
+    assert_eq!((fitted.held_out, fitted.frames), (HeldOut::Volumes, 60));
+    assert!(fitted.median_error < 0.02, "{}", fitted.median_error);
+    assert!(fitted.upper.factor() >= 0.95 && fitted.upper.factor() < 1.1, "{:?}", fitted.upper);
+    assert_eq!(fitted.file.metadata["entire.clock"], "wall");
+    assert_eq!(fitted.file.metadata[Key::Renderer.name()], "my renderer");
+    // The file as any other: it is written, read, and predicts what was measured.
+    let model = entire_core::Model::from_bytes(&fitted.file.to_bytes().unwrap()).unwrap();
+    let mut predictor = crate::predict::load(&model).unwrap();
+    for size in [45, 90, 200] {
+        let p = predictor.predict(&inputs(size)).unwrap();
+        let t = seconds_of(&features, &at(size));
+        assert!((f64::from(p.seconds) / t - 1.0).abs() < 0.05, "{size}: {} {t}", p.seconds);
+        assert!(p.upper >= p.seconds);
+    }
+    // It is a prior in turn.
+    assert!(Calibration::new(Some(&fitted.file), 8).is_ok());
+}
+
+#[test]
+fn what_is_left_out_follows_from_what_was_shown() {
+    let held_out = |frames: u64, shown: fn(u64) -> Shown| {
+        let mut calibration = Calibration::new(None, 500).unwrap();
+        for i in 0..frames {
+            calibration.add_written(&[], &[1.0; COSTS], shown(i), 0.01 + 1e-4 * (i % 5) as f64);
+        }
+        let fitted = calibration.fit(["", ""], Executor::Serial).unwrap();
+        assert!(!fitted.file.metadata.contains_key("entire.clock"));
+        fitted.held_out
+    };
+    assert_eq!(held_out(30, |i| Shown { volume: i % 3, transfer: 0 }), HeldOut::Volumes);
+    assert_eq!(held_out(30, |i| Shown { volume: 5, transfer: i % 4 }), HeldOut::TransferFunctions);
+    assert_eq!(held_out(30, |_| Shown::default()), HeldOut::Stretches);
+    assert_eq!(held_out(14, |_| Shown::default()), HeldOut::Nothing);
+}

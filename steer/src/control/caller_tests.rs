@@ -1,0 +1,229 @@
+//! Plans and settings that a caller chooses, takes back or cuts short, and clocks that it names.
+
+use super::tests::{frame, lobes, make_ready, ready_session};
+use super::*;
+use crate::adapt::{ObserveFlags, Verdict};
+use crate::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
+use crate::predict::{AnalyticModel, Clock};
+use alloc::vec;
+use entire_core::ErrorKind;
+use entire_core::scene::{Scalars, TransferFunction, VolumeView};
+
+#[test]
+fn a_plan_taken_back_leaves_its_id_to_the_next() {
+    let (f, flags) = (frame(20.0, 30.0, 2.0), ObserveFlags::default());
+    let mut session = ready_session();
+    let first = session.plan(&f, 0.02).unwrap();
+    session.withdraw(first.id);
+    assert_eq!(
+        session.observe(first.id, 0.01, flags).unwrap_err().kind(),
+        ErrorKind::RejectedObservation,
+        "a plan taken back is observed"
+    );
+    let again = session.plan(&f, 0.02).unwrap();
+    assert_eq!((again.id, again.step, again.reason), (first.id, first.step, first.reason));
+    session.observe(again.id, 0.01, flags).unwrap();
+    let next = session.plan(&f, 0.02).unwrap();
+    // Neither an observed plan, nor an older one, nor one that never was.
+    for id in [again.id, 0, next.id + 1, u64::MAX] {
+        session.withdraw(id);
+    }
+    session.observe(next.id, 0.01, flags).unwrap();
+    session.withdraw(next.id);
+    assert_eq!(session.plan(&f, 0.02).unwrap().id, next.id + 1);
+}
+
+#[test]
+fn frames_whose_setting_is_chosen_elsewhere_go_on_with_their_scene() {
+    let f = frame(0.0, 0.0, 2.0);
+    let settings = [1.0f32, 2.0, 4.0].map(|step| Setting { step, ..Setting::from(&f) });
+    let other = TransferFunction::Gaussian(lobes(0.3, 0.9)).to_table().unwrap();
+    for off in [false, true] {
+        let mut session = ready_session();
+        session.set_enabled(!off);
+        let begins = |session: &mut Session| {
+            let id = if off {
+                session.plan(&f, 0.02).unwrap().id
+            } else {
+                session.choose(&f, &settings, 0.02).unwrap().1.id
+            };
+            session.observe(id, 0.01, ObserveFlags::default()).unwrap();
+            session.controller.scene().first
+        };
+        assert!(begins(&mut session));
+        assert!((0..5).all(|_| !begins(&mut session)), "off: {off}");
+        session.set_transfer(&other, None).unwrap();
+        assert!(begins(&mut session), "off: {off}");
+        assert!(!begins(&mut session), "off: {off}");
+    }
+}
+
+#[test]
+fn a_scene_begins_with_the_first_frame_that_is_drawn() {
+    let f = frame(20.0, 30.0, 2.0);
+    let mut session = ready_session();
+    for _ in 0..5 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
+    }
+    assert!(!session.controller.scene().first);
+    session.set_transfer(&TransferFunction::Gaussian(lobes(0.3, 0.9)).to_table().unwrap(), None).unwrap();
+    for _ in 0..3 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        assert!(session.controller.scene().first);
+        session.withdraw(plan.id);
+    }
+}
+
+#[test]
+fn a_cancelled_frame_says_something_only_when_it_took_longer_than_expected() {
+    let f = frame(20.0, 30.0, 2.0);
+    let cancelled = ObserveFlags { cancelled: true, ..ObserveFlags::default() };
+    let raw = ready_session().predict(&f).unwrap().seconds;
+    // Machines far slower and far faster than the model thinks.
+    for speed in [20.0, 0.05] {
+        let mut session = ready_session();
+        for _ in 0..30 {
+            let plan = session.plan(&f, 1e-9).unwrap();
+            session.observe(plan.id, speed * plan.step.recip() * raw, ObserveFlags::default()).unwrap();
+        }
+        let plan = session.plan(&f, 1e-9).unwrap();
+        assert_eq!(session.observe(plan.id, 0.8 * plan.seconds, cancelled).unwrap(), Verdict::Ignored);
+        let plan = session.plan(&f, 1e-9).unwrap();
+        assert_ne!(session.observe(plan.id, 1.2 * plan.seconds, cancelled).unwrap(), Verdict::Ignored);
+    }
+}
+
+#[test]
+fn settings_to_choose_from_are_held_to_the_limits_of_frames() {
+    let f = frame(0.0, 0.0, 2.0);
+    let mut session = ready_session();
+    let good = Setting::from(&f);
+    for bad in [
+        Setting { step: 1.0e-45, ..good },
+        Setting { step: f32::NAN, ..good },
+        Setting { width: 0, ..good },
+        Setting { height: u32::MAX, ..good },
+    ] {
+        let error = session.choose(&f, &[good, bad], 0.02).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert!(std::format!("{error}").contains("setting 1: "), "{error}");
+    }
+}
+
+#[test]
+fn choose_takes_the_first_setting_that_fits() {
+    let mut session = ready_session();
+    let f = frame(0.0, 0.0, 2.0);
+    let setting = Setting::from(&f);
+    let settings = [0.25f32, 0.5, 1.0, 2.0, 4.0, 8.0].map(|s| Setting { step: s, ..setting });
+    // Teach it the machine.
+    for _ in 0..30 {
+        let (index, plan) = session.choose(&f, &settings, 0.02).unwrap();
+        let seconds = 0.001 + 0.04 / settings[index].step;
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+    }
+    let (index, plan) = session.choose(&f, &settings, 0.025).unwrap();
+    assert_eq!((index, plan.reason), (3, Reason::Fits), "{plan:?}");
+    let (index, plan) = session.choose(&f, &settings, 1e-6).unwrap();
+    assert_eq!((index, plan.reason), (5, Reason::TargetUnreachable));
+    assert_eq!(session.choose(&f, &settings, 10.0).unwrap().0, 0);
+}
+
+#[test]
+fn options_that_steering_cannot_hold_to_are_refused() {
+    let good = HybridOptions::default();
+    assert_eq!(good.checked(), Ok(good));
+    let ends = HybridOptions { miss_rate: 0.5, tolerance: 0.0, trust_limit: f32::INFINITY, ..good };
+    assert_eq!(ends.checked(), Ok(ends));
+    for bad in [0.0, -0.1, 0.51, f32::NAN] {
+        let error = HybridOptions { miss_rate: bad, ..good }.checked().unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert!(std::format!("{error}").contains("miss_rate"), "{error}");
+    }
+    for bad in [-0.1, f32::NAN, f32::INFINITY] {
+        assert!(HybridOptions { tolerance: bad, ..good }.checked().is_err(), "{bad}");
+    }
+    for bad in [0.0, -1.0, f32::NAN] {
+        assert!(HybridOptions { trust_limit: bad, ..good }.checked().is_err(), "{bad}");
+    }
+}
+
+#[test]
+fn a_time_step_keeps_the_transfer_function_and_the_scene() {
+    let f = frame(20.0, 30.0, 2.0);
+    let summary = |voxels: &[u8], dims| {
+        VolumeSummary::new(&VolumeView::new(Scalars::U8(voxels), dims).unwrap(), SummaryOptions::default())
+            .unwrap()
+    };
+    let mut voxels = vec![0u8; 32 * 32 * 32];
+    let mut session = Session::untrained();
+    let error = session.set_time_step(summary(&voxels, [32; 3]), None).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::NotReady);
+    session = ready_session();
+    for _ in 0..5 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
+    }
+    voxels[9000..20_000].fill(130);
+    let next = summary(&voxels, [32; 3]);
+    session.set_time_step(next.clone(), None).unwrap();
+    session.plan(&f, 0.02).unwrap();
+    assert!(!session.controller.scene().first);
+    // The frame's features are those of the next step under the same table.
+    let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
+    let mut expected = FrameFeatures::with_probe_side(session.features().probe_side());
+    let mut transfer = TransferSummary::new(&next, &table).unwrap();
+    expected.measure(&next, &mut transfer, &f).unwrap();
+    assert_eq!(*session.features(), expected);
+    // Of other sizes or another type it is no time step.
+    let error = session.set_time_step(summary(&voxels[..16 * 32 * 32], [32, 32, 16]), None).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::SizeMismatch);
+    let words: Vec<u16> = voxels.iter().map(|&v| u16::from(v)).collect();
+    let view = VolumeView::new(Scalars::U16(&words), [32; 3]).unwrap();
+    let other = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    assert_eq!(session.set_time_step(other, None).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    session.plan(&f, 0.02).unwrap();
+    assert_eq!(*session.features(), expected);
+}
+
+#[test]
+fn a_model_of_another_clock_is_converted_by_the_first_frames() {
+    let costs = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0).unwrap();
+    let quarter = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0.map(|c| c / 4.0)).unwrap();
+    let stated = |clock: Option<&str>| {
+        let mut file = costs.to_model_file().unwrap();
+        if let Some(clock) = clock {
+            file.metadata.insert(entire_core::model::Key::Clock.into(), clock.into());
+        }
+        crate::predict::load(&file.to_model().unwrap()).unwrap()
+    };
+    // Four processors: every frame takes a quarter of its processor time. What is expected of the second
+    // frame, over what it takes.
+    let second = |model: Option<&str>, clock: &str| {
+        let mut session = Session::new(stated(model), HybridOptions::default());
+        session.set_timing_source("a renderer", clock).unwrap();
+        assert_eq!(session.model_clock().map(Clock::name), model);
+        assert_eq!(session.clock().map(Clock::name), Some(clock).filter(|c| *c != "a watch"));
+        make_ready(&mut session);
+        let frame = frame(10.0, 20.0, 2.0);
+        let takes = |session: &mut Session| {
+            let plan = session.plan(&frame, 0.05).unwrap();
+            let setting = Setting { step: plan.step, ..Setting::from(&frame) };
+            (plan, quarter.parts(session.features(), &setting).seconds())
+        };
+        let (plan, seconds) = takes(&mut session);
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+        let (plan, seconds) = takes(&mut session);
+        plan.seconds / seconds
+    };
+    for clock in ["wall", "device"] {
+        let ratio = second(Some("cpu"), clock);
+        assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
+    }
+    // What states no other clock is believed.
+    for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
+        let ratio = second(model, clock);
+        assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");
+    }
+}

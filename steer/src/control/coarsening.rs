@@ -1,0 +1,315 @@
+//! Ray step and image size as one quantity that a controller can choose.
+
+use super::StepLimits;
+use crate::features::Setting;
+use crate::predict::Quality;
+
+/// Each image sample distance is this factor times the one before: a choice between many sizes, each of which needs
+/// other buffers, and steps that jump where the size changes (by its square, 1.44). No recorded path decides it.
+const RATIO: f64 = 1.2;
+
+/// ln of [`RATIO`].
+const LN_RATIO: f64 = 0.182_321_556_793_954_6;
+
+/// The step over the finest one, for each unit of distance, that goes with a coarser image where nothing is
+/// known of the renderer's pictures: by theory near 1, samples as far apart along a ray as rays are; the
+/// tenth is a choice.
+const TOGETHER: f64 = 1.1;
+
+/// How far beyond the bounds of a distance it is kept. Bounds are a factor of `RATIO`³ = 1.73 of c apart; below its
+/// square root, 1.31, a distance is still the best one of some c, and half of that in ln(c) is taken.
+const KEEP: f64 = 1.15;
+
+/// Room for every distance up to 64, and for 1.
+const LEVELS: usize = 24;
+
+/// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
+///
+/// The controller chooses c = step · distance², where neighboring rays stand `distance` pixels apart: the
+/// time of a frame goes about as 1/c. Along the path both grow together, which at equal cost shows fewer
+/// differences from full quality than coarsening one of them alone; where any smaller image is blurred by
+/// much, the step alone is coarsened first. What is known of the renderer's pictures ([`Quality`]) decides
+/// better. Distances are powers of [`RATIO`], so that buffers seldom change, and one is kept while the step
+/// that goes with it is not far off. Where a distance changes, so does the step, and c is met; unless the
+/// limits of the step are closer together than two distances are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Coarsening {
+    steps: StepLimits,
+    /// The largest image sample distance, and the finest steps that come before any over 1.
+    largest: (f32, f32),
+    quality: Option<Quality>,
+    /// How many distances over 1 there are.
+    levels: usize,
+    /// All distances, 1 first.
+    distances: [f64; LEVELS],
+    /// c over the finest step from which each is taken.
+    from: [f64; LEVELS],
+    /// The level of the frame before; 0 at distance 1.
+    last: usize,
+}
+
+impl Coarsening {
+    /// The step alone.
+    pub(super) fn of_step(steps: StepLimits) -> Self {
+        Self {
+            steps,
+            largest: (1.0, 1.0),
+            quality: None,
+            levels: 0,
+            distances: [1.0; LEVELS],
+            from: [0.0; LEVELS],
+            last: 0,
+        }
+    }
+
+    #[cfg(test)]
+    pub(super) fn steps(&self) -> StepLimits {
+        self.steps
+    }
+
+    pub(super) fn set_steps(&mut self, steps: StepLimits) {
+        self.steps = steps;
+    }
+
+    /// Sets the largest image sample distance, and how many times the finest step comes before any distance
+    /// over 1, where no quality is known; numbers of at least 1 and at most 64.
+    pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
+        if self.largest != (distance, step_alone) {
+            self.largest = (distance, step_alone);
+            self.lay();
+        }
+    }
+
+    /// Sets what is known of the renderer's pictures; checked numbers.
+    pub(super) fn set_quality(&mut self, quality: Option<Quality>) {
+        if self.quality != quality {
+            self.quality = quality;
+            self.lay();
+        }
+    }
+
+    /// Lays the path.
+    fn lay(&mut self) {
+        let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / LN_RATIO + 1.0e-6) as usize;
+        let (distance, step_alone) = self.largest;
+        let first = if self.quality.is_some() { 1 } else { (powers(step_alone) / 2).max(1) };
+        self.levels = (powers(distance) + 1).saturating_sub(first).min(LEVELS - 1);
+        self.from[0] = 0.0;
+        for level in 1..=self.levels {
+            let power = (level - 1 + first) as f64;
+            self.distances[level] = libm::pow(RATIO, power);
+            self.from[level] = TOGETHER * libm::pow(RATIO, 3.0 * (power - 0.5));
+        }
+        if let Some(quality) = self.quality {
+            quality.lay(&self.distances[..=self.levels], &mut self.from[..=self.levels]);
+        } else if step_alone > 1.0 {
+            let alone = f64::from(step_alone);
+            self.from[1] = alone;
+            for from in &mut self.from[2..] {
+                *from = from.max(alone);
+            }
+        }
+    }
+
+    /// The values of c that may be chosen.
+    pub(super) fn limits(&self) -> StepLimits {
+        let distance = self.distances[self.levels];
+        let coarsest = f64::from(self.steps.coarsest) * distance * distance;
+        StepLimits { coarsest: coarsest as f32, ..self.steps }
+    }
+
+    /// Step, level and image sample distance at c.
+    fn at(&self, c: f32) -> (f32, usize, f64) {
+        if self.levels == 0 {
+            return (c, 0, 1.0);
+        }
+        let c = f64::from(c);
+        let (finest, coarsest) = (f64::from(self.steps.finest), f64::from(self.steps.coarsest));
+        let alone = c / finest;
+        let last = self.last.min(self.levels);
+        let kept =
+            alone * KEEP >= self.from[last] && (last == self.levels || alone <= self.from[last + 1] * KEEP);
+        let mut level = last;
+        if !kept {
+            level = self.from[1..=self.levels].iter().take_while(|&&from| alone > from).count();
+        }
+        let step = |level: usize| c / (self.distances[level] * self.distances[level]);
+        while level < self.levels && step(level) > coarsest * 1.000_001 {
+            level += 1;
+        }
+        while level > 0 && step(level) < finest && step(level - 1) <= coarsest {
+            level -= 1;
+        }
+        (step(level).clamp(finest, coarsest.max(finest)) as f32, level, self.distances[level])
+    }
+
+    /// What is drawn at c of an image whose full size is that of `full`.
+    pub(super) fn setting(&self, full: Setting, c: f32) -> Setting {
+        let (step, level, distance) = self.at(c);
+        if level == 0 {
+            return Setting { step, ..full };
+        }
+        let shrunk = |side: u32| ((f64::from(side) / distance) as u32).max(1);
+        Setting { step, width: shrunk(full.width), height: shrunk(full.height), ..full }
+    }
+
+    /// Step and image sample distance of a frame that is drawn at c.
+    pub(super) fn take(&mut self, c: f32) -> (f32, f32) {
+        let (step, level, distance) = self.at(c);
+        self.last = level;
+        (step, distance as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::scene::{Shading, Skipping};
+    use proptest::prelude::*;
+
+    fn path(finest: f32, coarsest: f32, distance: f32, step_alone: f32) -> Coarsening {
+        let mut path = Coarsening::of_step(StepLimits { finest, coarsest });
+        path.set_max_distance(distance, step_alone);
+        path
+    }
+
+    #[test]
+    fn without_smaller_images_it_is_the_step() {
+        let mut path = path(1.0, 8.0, 1.19, 1.0);
+        assert_eq!(path.limits(), path.steps());
+        for c in [1.0f32, 1.7, 8.0, 100.0] {
+            assert_eq!(path.take(c), (c, 1.0));
+        }
+    }
+
+    #[test]
+    fn its_ends_are_full_quality_and_the_coarsest_of_both() {
+        let mut path = path(0.5, 8.0, 4.0, 1.0);
+        assert_eq!(path.take(path.limits().finest), (0.5, 1.0));
+        let (step, distance) = path.take(path.limits().coarsest);
+        assert!((step - 8.0).abs() < 1e-4 && distance > 3.5 && distance <= 4.0, "{step} {distance}");
+    }
+
+    #[test]
+    fn an_image_size_is_kept_when_the_step_wavers() {
+        let mut path = path(1.0, 8.0, 4.0, 1.0);
+        let mut changes = 0;
+        let mut before = path.take(4.4).1;
+        for i in 0..200 {
+            let distance = path.take(if i % 2 == 0 { 4.1 } else { 4.9 }).1;
+            changes += usize::from(distance != before);
+            before = distance;
+        }
+        assert!(changes <= 1, "{changes}");
+    }
+
+    #[test]
+    fn the_step_alone_comes_first_where_it_is_to() {
+        let mut path = path(1.0, 8.0, 4.0, 2.1);
+        for i in 0..50 {
+            let c = 1.0 + 0.2 * i as f32;
+            let (step, distance) = path.take(c);
+            assert_eq!(distance == 1.0, c < 2.41, "{c}: {step} {distance}");
+            assert!(distance == 1.0 || distance > 1.43, "{c}: {step} {distance}");
+        }
+        path.take(3.0);
+        assert!(path.take(2.2).1 > 1.43);
+        assert_eq!(path.take(2.0), (2.0, 1.0));
+    }
+
+    fn judged(quality: Quality) -> Coarsening {
+        quality.check().unwrap();
+        let mut path = path(1.0, 16.0, 4.0, 1.0);
+        path.set_quality(Some(quality));
+        path
+    }
+
+    const EVEN: Quality =
+        Quality { image_weight: 1.0, step_exponent: 1.0, image_exponent: 1.0, ray_share: 0.0 };
+
+    #[test]
+    fn what_costs_the_picture_less_is_coarsened_first() {
+        // A smaller image costs next to nothing: the step stays until there is no smaller one.
+        let mut images = judged(Quality { image_weight: 0.002, ..EVEN });
+        for c in [1.8f32, 2.5, 4.5, 9.0] {
+            let (step, distance) = images.take(c);
+            assert!(step < 1.45 && distance > 1.0, "{c}: {step} {distance}");
+        }
+        // Any smaller image costs more than any step.
+        let mut steps = judged(Quality { image_weight: 500.0, image_exponent: 0.1, ..EVEN });
+        for c in [1.6f32, 2.2, 4.5, 9.0, 15.0] {
+            assert_eq!(steps.take(c), (c, 1.0));
+        }
+        assert!(steps.take(40.0).1 > 1.0);
+    }
+
+    #[test]
+    fn time_that_goes_with_rays_speaks_for_smaller_images() {
+        let at = |ray_share: f32| {
+            let quality = Quality { image_weight: 4.0, step_exponent: 1.3, image_exponent: 1.3, ray_share };
+            judged(quality).take(8.0).1
+        };
+        assert!(at(0.6) > at(0.0), "{} {}", at(0.6), at(0.0));
+    }
+
+    #[test]
+    fn the_path_taken_shows_less_than_other_distances_at_the_same_time() {
+        let quality = Quality { image_weight: 2.0, step_exponent: 1.4, image_exponent: 1.2, ray_share: 0.0 };
+        // Nearer to full quality distance 1 is kept.
+        for i in 4..40 {
+            let c = 1.0 + 0.3 * i as f32;
+            let (step, distance) = judged(quality).take(c);
+            let own = quality.error(f64::from(step), f64::from(distance));
+            for level in 0..8 {
+                let d = libm::pow(RATIO, f64::from(level));
+                let s = f64::from(c) / (d * d);
+                // Distances are kept somewhat beyond their bounds.
+                assert!(s < 1.0 || own <= 1.2 * quality.error(s, d), "{c}: {step} {distance}, {s} {d}");
+            }
+        }
+    }
+
+    #[test]
+    fn qualities_out_of_range_are_refused() {
+        for bad in [
+            Quality { image_weight: 0.0, ..EVEN },
+            Quality { step_exponent: f32::NAN, ..EVEN },
+            Quality { image_exponent: 9.0, ..EVEN },
+            Quality { ray_share: 1.0, ..EVEN },
+        ] {
+            assert!(bad.check().is_err(), "{bad:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn c_is_met_within_the_limits_and_work_never_rises(
+            finest in 0.1f32..2.0, coarsening in 1.0f32..20.0, distance in 1.0f32..8.0, alone in 1.0f32..4.0, from in 0.0f32..1.0,
+            known in proptest::option::of((0.01f32..100.0, 0.1f32..3.0, 0.1f32..3.0, 0.0f32..0.9))) {
+            let mut path = path(finest, finest * coarsening, distance, alone);
+            path.set_quality(known.map(|(image_weight, step_exponent, image_exponent, ray_share)| {
+                Quality { image_weight, step_exponent, image_exponent, ray_share }
+            }));
+            let limits = path.limits();
+            let c_at = |u: f32| limits.clamp(limits.finest * (limits.coarsest / limits.finest).powf(u));
+            path.take(c_at(from));
+            let full = Setting { step: 1.0, width: 4096, height: 4096, shading: Shading::None, skipping: Skipping::None };
+            let mut before = (f64::INFINITY, f64::INFINITY);
+            for i in 0..=60 {
+                let c = c_at(i as f32 / 60.0);
+                let (step, _, by) = path.at(c);
+                prop_assert!(step >= finest && step <= path.steps().coarsest);
+                prop_assert!(by <= f64::from(distance) * 1.0001);
+                let off = f64::from(step) * by * by / f64::from(c) - 1.0;
+                prop_assert!(off.abs() < if coarsening > 2.0 * alone { 1e-5 } else { 7.0 }, "{off}");
+                let s = path.setting(full, c);
+                let pixels = f64::from(s.width) * f64::from(s.height);
+                // Rays alone, and samples alone; an image of whole pixels is a little smaller than it should
+                // be.
+                let work = (pixels, pixels / f64::from(s.step));
+                prop_assert!(work.0 <= before.0 && work.1 <= before.1 * 1.005, "{work:?} {before:?}");
+                before = work;
+            }
+        }
+    }
+}

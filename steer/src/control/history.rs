@@ -1,0 +1,131 @@
+//! What the last frames alone foretell.
+
+use crate::adapt::state::{Reader, Writer};
+use entire_core::Result;
+
+/// Errors beyond this, in ln(time), count as this: a guard against one frame that decides alone.
+const LARGEST_ERROR: f64 = 2.0;
+
+/// The expected error before any was seen, in ln(time); ten frames are compared before it decides anything but a
+/// bound.
+const SPREAD: f64 = 0.1;
+
+/// Standard deviation of a normal error over its mean size, sqrt(π / 2).
+const SD_OF_MEAN: f64 = 1.25;
+
+/// Frames that are compared before recent ones may lead: fewer say little about a mean error.
+const COMPARED: u32 = 10;
+
+/// Mean error of the prediction, in ln(time), from which recent frames may lead, and how many times theirs it must be:
+/// guards against predictions that are of no use. On the training paths they never lead.
+const LEAST_ERROR: f64 = 0.15;
+const LEAD: f64 = 1.5;
+
+/// Slowest pace at which both errors are followed: over some twelve frames.
+const PACE: f64 = 0.08;
+
+/// Share of a frame's time that does not fall with the step: a guess that is between all renderers.
+const FIXED_SHARE: f64 = 0.1;
+
+/// Recent frames lead until the prediction's error is within this factor of theirs: nearer to 1 than what lets them
+/// begin, so that the two do not alternate.
+const RETURN: f64 = 1.1;
+
+/// The last three frames, and how well they foretell the next one compared with the prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct History {
+    /// (step, seconds).
+    frames: [(f64, f64); 3],
+    len: usize,
+    next: usize,
+    spread: f64,
+    /// Mean |ln error| of the forecast from history, and of the corrected prediction, over calm frames.
+    history_error: f64,
+    own_error: f64,
+    leads: bool,
+    compared: u32,
+}
+
+impl History {
+    pub(super) const fn new() -> Self {
+        Self {
+            frames: [(1.0, 1.0); 3],
+            len: 0,
+            next: 0,
+            spread: SPREAD,
+            history_error: 0.0,
+            own_error: 0.0,
+            leads: false,
+            compared: 0,
+        }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub(super) fn leads(&self) -> bool {
+        self.leads
+    }
+
+    /// Time of a frame like the last three at another step: mean and upper bound. A share of a
+    /// frame's time is taken as fixed and the rest as falling with 1/step: flatter than 1/step, as every renderer
+    /// is.
+    pub(super) fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
+        let step = f64::from(step);
+        let mut sum = 0.0;
+        for &(s, t) in &self.frames[..self.len] {
+            sum += t * (FIXED_SHARE + (1.0 - FIXED_SHARE) * s / step);
+        }
+        let seconds = sum / self.len.max(1) as f64;
+        (seconds, seconds * libm::exp(margin * self.spread))
+    }
+
+    pub(super) fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
+        if self.len == 0 || changed {
+            return;
+        }
+        let (forecast, _) = self.forecast(step, 0.0);
+        let history = libm::fabs(libm::log(seconds / forecast)).min(LARGEST_ERROR);
+        let own = if own.is_finite() { own.min(LARGEST_ERROR) } else { LARGEST_ERROR };
+        self.compared = self.compared.saturating_add(1);
+        let pace = (1.0 / f64::from(self.compared)).max(PACE);
+        self.history_error += pace * (history - self.history_error);
+        self.own_error += pace * (own - self.own_error);
+        self.spread = (SD_OF_MEAN * self.history_error).clamp(0.01, 1.0);
+        if self.compared >= COMPARED {
+            self.leads = if self.leads {
+                self.own_error > RETURN * self.history_error
+            } else {
+                self.own_error > LEAST_ERROR && self.own_error > LEAD * self.history_error
+            };
+        }
+    }
+
+    pub(super) fn push(&mut self, step: f32, seconds: f64, changed: bool) {
+        if changed {
+            self.len = 0;
+            self.next = 0;
+        }
+        self.frames[self.next] = (f64::from(step), seconds);
+        self.next = (self.next + 1) % 3;
+        self.len = (self.len + 1).min(3);
+    }
+
+    pub(super) fn save(&self, w: &mut Writer<'_>) {
+        w.f64(self.spread);
+        w.f64(self.history_error);
+        w.f64(self.own_error);
+        w.u64(u64::from(self.leads));
+        w.u64(u64::from(self.compared));
+    }
+
+    pub(super) fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
+        self.spread = r.f64(0.01, 1.0)?;
+        self.history_error = r.f64(0.0, LARGEST_ERROR)?;
+        self.own_error = r.f64(0.0, LARGEST_ERROR)?;
+        self.leads = r.u64()? == 1;
+        self.compared = u32::try_from(r.u64()?).unwrap_or(u32::MAX);
+        Ok(())
+    }
+}

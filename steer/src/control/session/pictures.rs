@@ -1,0 +1,123 @@
+//! What coarser steps and smaller images cost the renderer's pictures.
+
+use super::Session;
+use crate::calibrate::Picture;
+use crate::predict::Quality;
+use entire_core::Result;
+use entire_core::bail;
+
+impl Session {
+    /// Allows plans to coarsen the image: neighboring rays stand up to `distance` pixels apart along each
+    /// side (VTK's ImageSampleDistance). Ray step and image are then coarsened together
+    /// ([`Plan::image_sample_distance`](super::Plan::image_sample_distance)), from `step_alone` times the finest step on; 1 is from the start. A
+    /// `distance` of 1, where sessions start, leaves the image alone. For predictors that know the image
+    /// size.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
+    pub fn set_max_image_sample_distance(&mut self, distance: f32, step_alone: f32) -> Result<()> {
+        for (what, v) in
+            [("largest image sample distance", distance), ("coarsening of the step alone", step_alone)]
+        {
+            if !(1.0..=64.0).contains(&v) {
+                bail!(InvalidArgument, "the {what} is {v}; it must be 1 to 64");
+            }
+        }
+        self.coarsening.set_max_distance(distance, step_alone);
+        Ok(())
+    }
+
+    /// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
+    /// shows less. `None`, where sessions start, takes what the model states of the renderer's pictures, where it
+    /// was calibrated with pictures of the renderer that [`Session::set_timing_source`] names (or none is named).
+    /// Takes the place of `step_alone` in [`Session::set_max_image_sample_distance`].
+    ///
+    /// # Errors
+    /// As [`Quality::check`].
+    pub fn set_quality(&mut self, quality: Option<Quality>) -> Result<()> {
+        if let Some(quality) = &quality {
+            quality.check()?;
+        }
+        self.quality = quality;
+        self.weigh_pictures();
+        Ok(())
+    }
+
+    /// What plans coarsen by: what [`Session::set_quality`] set, else what the model states of the renderer's
+    /// pictures; `None` where nothing is known.
+    #[must_use]
+    pub fn quality(&self) -> Option<Quality> {
+        self.quality.or_else(|| self.predictor.quality(&self.timing[0]))
+    }
+
+    /// Lays the path by what is known now.
+    pub(super) fn weigh_pictures(&mut self) {
+        self.coarsening.set_quality(self.quality());
+    }
+
+    /// Keeps a picture that was compared with the same view at full quality, for [`Session::calibrate`]: the model
+    /// then states what coarser steps and smaller images cost this renderer's pictures
+    /// ([`crate::calibrate::fit_quality`]). Draw each scene at the same settings, full quality among them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] before [`Session::record`], [`crate::ErrorKind::OutOfMemory`], and as
+    /// [`Picture::check`].
+    pub fn record_picture(&mut self, picture: Picture) -> Result<()> {
+        let Some(recording) = &mut self.recording else {
+            bail!(
+                NotReady,
+                "nothing is recorded; call record before the pictures that are to be learned from"
+            );
+        };
+        recording.add_picture(picture)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::HybridOptions;
+    use crate::predict::AnalyticModel;
+    use crate::predict::load;
+    use alloc::boxed::Box;
+    use entire_core::ErrorKind;
+    use entire_core::kernels::Executor;
+
+    const SOME: Quality =
+        Quality { image_weight: 4.0, step_exponent: 1.3, image_exponent: 0.8, ray_share: 0.25 };
+
+    #[test]
+    fn what_the_model_states_holds_for_its_renderer_until_the_caller_knows_better() {
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
+        SOME.store(&mut file).unwrap();
+        file.metadata.insert(entire_core::model::Key::Renderer.into(), "mine".into());
+        let mut session = Session::new(load(&file.to_model().unwrap()).unwrap(), HybridOptions::default());
+        session.set_max_image_sample_distance(4.0, 1.0).unwrap();
+        let path = |session: &Session| session.coarsening;
+        let by_model = path(&session);
+        assert_eq!(session.quality(), Some(SOME));
+        session.set_timing_source("other", "cpu").unwrap();
+        assert!(session.quality().is_none() && path(&session) != by_model);
+        session.set_timing_source("mine", "cpu").unwrap();
+        assert_eq!(path(&session), by_model);
+        let own = Quality { image_weight: 40.0, ..SOME };
+        session.set_quality(Some(own)).unwrap();
+        assert!(session.quality() == Some(own) && path(&session) != by_model);
+        session.set_quality(None).unwrap();
+        assert_eq!((session.quality(), path(&session)), (Some(SOME), by_model));
+        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
+        assert!(session.quality().is_none() && path(&session) != by_model);
+    }
+
+    #[test]
+    fn pictures_are_kept_once_frames_are() {
+        let mut session = Session::untrained();
+        let picture = Picture { scene: 1, step: 1.0, distance: 1.0, seconds: 0.1, error: 0.0 };
+        assert_eq!(session.record_picture(picture).unwrap_err().kind(), ErrorKind::NotReady);
+        session.record(None, 8).unwrap();
+        session.record_picture(picture).unwrap();
+        let broken = Picture { seconds: f64::NAN, ..picture };
+        assert_eq!(session.record_picture(broken).unwrap_err().kind(), ErrorKind::InvalidArgument);
+        assert_eq!(session.calibrate(Executor::Serial).unwrap_err().kind(), ErrorKind::NotReady);
+    }
+}

@@ -1,0 +1,318 @@
+//! Frames that a session plans and hears of, kept to fit a model to.
+
+use super::{PENDING_PLANS, Session};
+use crate::calibrate::{Calibrated, Calibration, Picture, Shown};
+use crate::features::{Changes, FrameFeatures, Setting, VolumeSummary};
+use crate::predict::{COSTS, Inputs, Measurement, Predictor};
+use alloc::boxed::Box;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::kernels::Executor;
+use entire_core::memory::filled;
+use entire_core::model::ModelFile;
+use entire_core::scene::TransferTable;
+
+/// What is kept of a plan until its frame's time is known.
+#[derive(Clone, Copy)]
+struct Planned {
+    /// The plan's id; 0 where there is nothing to keep.
+    id: u64,
+    work: [f64; COSTS],
+    shown: Shown,
+}
+
+/// A calibration that a session fills.
+pub(super) struct Recording {
+    calibration: Calibration,
+    planned: Box<[Planned]>,
+    /// Inputs of the planned frames, one row after the other.
+    rows: Vec<f32>,
+    /// What the session shows now.
+    shown: Shown,
+}
+
+impl Recording {
+    pub(super) fn add_picture(&mut self, picture: Picture) -> Result<()> {
+        self.calibration.add_picture(picture)
+    }
+
+    fn place(id: u64) -> usize {
+        (id % PENDING_PLANS as u64) as usize
+    }
+
+    /// Another volume is shown: a number that the same volume has again.
+    pub(super) fn set_volume(&mut self, volume: &VolumeSummary) {
+        self.shown = Shown { volume: volume.fingerprint(), transfer: 0 };
+    }
+
+    /// Another transfer function is shown.
+    pub(super) fn set_transfer(&mut self, table: &TransferTable) {
+        self.shown.transfer = table.fingerprint();
+    }
+
+    /// Keeps what a plan's frame will do, drawn at the inputs' setting. A frame that lacks an input which the
+    /// prior takes is not kept.
+    fn plan(&mut self, id: u64, inputs: &Inputs<'_>) {
+        let prior = self.calibration.prior();
+        let (at, width) = (Self::place(id), prior.width());
+        // The first frame of all and of a volume pays for uploads.
+        let counts = !inputs.changes.first
+            && !inputs.changes.volume
+            && prior.write(inputs, &mut self.rows[at * width..(at + 1) * width]).is_ok();
+        self.planned[at].id = 0;
+        if counts {
+            let Measurement { work, .. } = Measurement::new(inputs.features, &inputs.setting, 1.0);
+            self.planned[at] = Planned { id, work, shown: self.shown };
+        }
+    }
+
+    /// Hears a planned frame's time.
+    pub(super) fn observe(&mut self, id: u64, seconds: f32) {
+        let (at, width) = (Self::place(id), self.calibration.prior().width());
+        let Planned { id: kept, work, shown } = self.planned[at];
+        if kept == id {
+            let row = &self.rows[at * width..(at + 1) * width];
+            self.calibration.add_written(row, &work, shown, f64::from(seconds));
+            self.planned[at].id = 0;
+        }
+    }
+}
+
+impl Session {
+    /// From now on keeps the frames that are planned and observed, up to `frames` of them
+    /// ([`crate::calibrate::KEPT_FRAMES`]; later ones take the place of earlier ones, so that those kept are
+    /// a fair sample), for [`Session::calibrate`]. What was kept before is forgotten.
+    ///
+    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic one, or one times a
+    /// learned factor, whose probe must be the session's. Without one, unit costs of a software renderer are
+    /// what is started from. Frames whose observation is unusual or cancelled do not count, nor do the first
+    /// one of all and of a volume, nor those that lack an input which the prior takes. Planning and observing
+    /// go on without allocating.
+    ///
+    /// A log of frames that were timed earlier is learned from in the same way: with steering off
+    /// ([`Session::set_enabled`]), plan each frame as it was drawn, and observe its time.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for another number of frames or a prior with another probe,
+    /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
+    pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
+        let side = self.features.probe_side();
+        let calibration = Calibration::new(prior, frames)?;
+        let wanted = calibration.prior().probe_side();
+        if ![0, side].contains(&wanted) {
+            bail!(
+                InvalidArgument,
+                "the model to start from was fitted with a probe of {wanted} rays along each side, the session's has \
+                 {side}; make the session with that model, or with its probe"
+            );
+        }
+        let width = calibration.prior().width();
+        let nothing = Planned { id: 0, work: [0.0; COSTS], shown: Shown::default() };
+        self.recording = Some(Recording {
+            planned: filled(PENDING_PLANS, nothing)?.into_boxed_slice(),
+            rows: filled(PENDING_PLANS * width, 0.0)?,
+            shown: Shown {
+                volume: self.volume.as_ref().map_or(0, VolumeSummary::fingerprint),
+                transfer: self.transfer.as_ref().map_or(0, |_| u64::MAX),
+            },
+            calibration,
+        });
+        Ok(())
+    }
+
+    /// Frames that were kept since [`Session::record`]; `None` before.
+    pub fn recorded(&self) -> Option<usize> {
+        self.recording.as_ref().map(|r| r.calibration.len())
+    }
+
+    /// Fits a model to the frames that were kept: for 500 of them a second or less on one thread. The session
+    /// goes on as it was, and goes on recording; [`Session::set_predictor`] puts the model into it.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] before [`Session::record`] and for fewer than
+    /// [`crate::calibrate::FEWEST_FRAMES`].
+    pub fn calibrate(&self, executor: Executor<'_>) -> Result<Calibrated> {
+        let Some(recording) = &self.recording else {
+            bail!(
+                NotReady,
+                "no frames were recorded; call record before the frames that are to be learned from"
+            );
+        };
+        let [renderer, clock] = &self.timing;
+        recording.calibration.fit([renderer, clock], executor)
+    }
+
+    /// Steers by another predictor from now on. What was observed is forgotten, pending plans too; volume,
+    /// transfer function, limits and recorded frames stay, and so does VolumeNet's output, which a predictor
+    /// with another encoder needs anew ([`Session::set_volume`]).
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] while frames are recorded for a model with another probe than
+    /// this predictor's.
+    pub fn set_predictor(
+        &mut self,
+        predictor: Box<dyn Predictor + Send>,
+        options: super::HybridOptions,
+    ) -> Result<()> {
+        let side = match predictor.probe_side() {
+            _ if predictor.any_probe_side() => self.features.probe_side(),
+            0 => FrameFeatures::default().probe_side(),
+            side => side,
+        };
+        if let Some(recording) = &self.recording
+            && ![0, side].contains(&recording.calibration.prior().probe_side())
+        {
+            bail!(
+                InvalidArgument,
+                "frames are being recorded with a probe of {} rays along each side, the new model's has {side}; take one \
+                 with the same probe",
+                recording.calibration.prior().probe_side()
+            );
+        }
+        if side != self.features.probe_side() {
+            self.features = FrameFeatures::with_probe_side(side);
+        }
+        if !predictor.any_probe_side() {
+            self.ladder = None;
+        }
+        self.controller = super::controller_for(&*predictor, options);
+        self.predictor = predictor;
+        self.weigh_pictures();
+        self.converted = false;
+        self.reconcile_clocks();
+        self.reset();
+        Ok(())
+    }
+
+    /// Notes a plan for the recording, if there is one.
+    pub(super) fn record_plan(&mut self, id: u64, changes: Changes, setting: Setting) {
+        if let Some(recording) = &mut self.recording {
+            let (features, lobes) = (&self.features, &self.lobes);
+            recording.plan(id, &super::inputs_of(features, setting, changes, &self.volume_features, lobes));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::adapt::ObserveFlags;
+    use crate::calibrate::HeldOut;
+    use crate::calibrate::tests::unit_factor;
+    use crate::control::HybridOptions;
+    use crate::features::SummaryOptions;
+    use crate::predict::{UnitCosts, load};
+    use alloc::vec;
+    use entire_core::ErrorKind;
+    use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+
+    fn summary(edge: usize) -> VolumeSummary {
+        let voxels: Vec<u8> = (0..edge.pow(3)).map(|i| (i * 7 % 256) as u8).collect();
+        let view = VolumeView::new(Scalars::U8(&voxels), [edge; 3]).unwrap();
+        VolumeSummary::new(&view, SummaryOptions::default()).unwrap()
+    }
+
+    fn table(center: f32) -> TransferTable {
+        let lobe = GaussianLobe { center, width: 0.05, height: 0.2 };
+        TransferFunction::Gaussian(vec![lobe]).to_table().unwrap()
+    }
+
+    fn frame(i: u32) -> Frame {
+        let pose = Arcball { rx: (i * 13 % 80) as f32, ry: (i * 29 % 360) as f32, dz: 1.5 + (i % 4) as f32 };
+        Frame::new(Camera::from_arcball(pose).unwrap(), 64 + i * 37 % 400, 64 + i * 53 % 300).unwrap()
+    }
+
+    /// Seconds of a machine whose unit costs are far from those that a session starts from.
+    fn drawn(session: &Session, frame: &Frame, step: f32) -> f32 {
+        let mut costs = UnitCosts::SOFTWARE;
+        (costs.0[1], costs.0[4], costs.0[5]) = (8.0 * costs.0[1], 3.0 * costs.0[4], 0.3 * costs.0[5]);
+        let setting = Setting { step, ..Setting::from(frame) };
+        let work = Measurement::new(session.features(), &setting, 1.0).work;
+        2.0 * costs.0.iter().zip(work).map(|(c, w)| c * w).sum::<f64>() as f32
+    }
+
+    /// Plans and draws frames; the relative error of every plan's seconds.
+    fn play(session: &mut Session, frames: core::ops::Range<u32>) -> Vec<f32> {
+        frames
+            .map(|i| {
+                let frame = frame(i);
+                let plan = session.plan(&frame, 1.0).unwrap();
+                let seconds = drawn(session, &frame, plan.step);
+                session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+                (plan.seconds / seconds - 1.0).abs()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_session_makes_a_model_of_its_renderer_and_steers_by_it() {
+        let mut session = Session::untrained();
+        assert_eq!(
+            (session.recorded(), session.calibrate(Executor::Serial).unwrap_err().kind()),
+            (None, ErrorKind::NotReady)
+        );
+        session.record(None, 400).unwrap();
+        for edge in [24, 32, 40] {
+            session.set_volume(summary(edge), None);
+            for center in [0.2, 0.6] {
+                session.set_transfer(&table(center), None).unwrap();
+                play(&mut session, 0..30);
+            }
+        }
+        // The first frame of each volume does not count.
+        assert_eq!(session.recorded(), Some(180 - 3));
+        session.set_timing_source("a test", "cpu").unwrap();
+        let made = session.calibrate(Executor::Serial).unwrap();
+        assert_eq!((made.held_out, made.frames), (HeldOut::Volumes, 177));
+        assert!(made.median_error < 0.05, "{}", made.median_error);
+        let model = made.file.to_model().unwrap();
+        session.set_predictor(load(&model).unwrap(), HybridOptions::default()).unwrap();
+        // From the first frame on, of a volume that was never shown.
+        session.set_volume(summary(48), None);
+        session.set_transfer(&table(0.4), None).unwrap();
+        let mut errors = play(&mut session, 100..120);
+        errors.sort_by(f32::total_cmp);
+        assert!(errors[10] < 0.08 && errors[19] < 0.4, "{errors:?}");
+    }
+
+    #[test]
+    fn what_was_not_an_ordinary_frame_is_not_kept() {
+        let mut session = Session::untrained();
+        session.set_volume(summary(24), None);
+        session.set_transfer(&table(0.3), None).unwrap();
+        session.record(None, 100).unwrap();
+        let flags = |unusual, cancelled| ObserveFlags { unusual, cancelled };
+        // The first of all, then an ordinary one, a stall, one that was abandoned, and one never heard of.
+        for (i, flags) in [flags(false, false), flags(false, false), flags(true, false), flags(false, true)]
+            .into_iter()
+            .enumerate()
+        {
+            let plan = session.plan(&frame(i as u32), 1.0).unwrap();
+            session.observe(plan.id, 0.01, flags).unwrap();
+        }
+        session.plan(&frame(9), 1.0).unwrap();
+        assert_eq!(session.recorded(), Some(1));
+        // A plan from before the recording began is not of it.
+        let plan = session.plan(&frame(10), 1.0).unwrap();
+        session.record(None, 100).unwrap();
+        session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
+        assert_eq!(session.recorded(), Some(0));
+    }
+
+    #[test]
+    fn a_recording_and_its_predictor_keep_to_one_probe() {
+        let prior = unit_factor(5);
+        let mut session = Session::untrained();
+        assert_eq!(session.record(Some(&prior), 100).unwrap_err().kind(), ErrorKind::InvalidArgument);
+        assert_eq!(session.recorded(), None);
+        let mut session = Session::untrained().with_probe(5, None).unwrap();
+        session.record(Some(&prior), 100).unwrap();
+        let other = load(&unit_factor(11).to_model().unwrap()).unwrap();
+        let refused = session.set_predictor(other, HybridOptions::default()).unwrap_err();
+        assert!(refused.to_string().contains("11"), "{refused}");
+        let same = load(&prior.to_model().unwrap()).unwrap();
+        session.set_predictor(same, HybridOptions::default()).unwrap();
+        assert_eq!(session.features().probe_side(), 5);
+    }
+}

@@ -1,0 +1,119 @@
+//! What a session learned, as bytes: bound to the model, the renderer and the clock.
+
+use super::Session;
+use crate::adapt::state::{Reader, Writer, seal, unseal};
+use crate::predict::Clock;
+use alloc::borrow::ToOwned;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+
+/// What saved states begin with: kind and version.
+const TAG: [u8; 4] = *b"ENS2";
+
+/// Longest name of a renderer or clock, bytes.
+const MAX_NAME: usize = 256;
+
+impl Session {
+    /// Names the renderer whose frames are observed and the clock that times them. What was learned of one
+    /// does not hold for another: saved states carry both names, and [`Session::load_state`] refuses those of
+    /// others. Sessions start with empty names.
+    ///
+    /// A clock named `cpu`, `wall` or `device` is compared with the one that the model predicts
+    /// ([`Session::model_clock`]). Where they differ, the session keeps what the model says of scenes against
+    /// each other and learns the factor from the first frames; what was learned before is forgotten.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a name of more than 256 bytes.
+    pub fn set_timing_source(&mut self, renderer: &str, clock: &str) -> Result<()> {
+        for (what, name) in [("renderer", renderer), ("clock", clock)] {
+            if name.len() > MAX_NAME {
+                bail!(
+                    InvalidArgument,
+                    "the {what}'s name has {} bytes, at most {MAX_NAME} are accepted; shorten it",
+                    name.len()
+                );
+            }
+        }
+        self.timing = [renderer.to_owned(), clock.to_owned()];
+        self.weigh_pictures();
+        if self.reconcile_clocks() {
+            self.reset();
+        }
+        Ok(())
+    }
+
+    /// The clock that times the observed frames; `None` where [`Session::set_timing_source`] named none of
+    /// `cpu`, `wall` and `device`.
+    #[must_use]
+    pub fn clock(&self) -> Option<Clock> {
+        Clock::named(&self.timing[1])
+    }
+
+    /// The clock whose seconds the model predicts; `None` where its file states none.
+    #[must_use]
+    pub fn model_clock(&self) -> Option<Clock> {
+        self.predictor.clock()
+    }
+
+    /// Tells the controller whether both clocks are known and differ; returns whether that is new, so that the
+    /// caller resets the session.
+    pub(super) fn reconcile_clocks(&mut self) -> bool {
+        let converted =
+            matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
+        let new = converted != self.converted;
+        if new {
+            self.converted = converted;
+            self.controller.convert(converted);
+        }
+        new
+    }
+
+    /// What was learned, as bytes for [`Session::load_state`]: little-endian numbers behind a tag and
+    /// version, bound to the model and the timing source, with a checksum at the end.
+    #[must_use]
+    pub fn save_state(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        let mut w = Writer(&mut out);
+        w.tag(TAG);
+        w.u64(u64::from(self.predictor.identity()));
+        self.timing.iter().for_each(|name| w.text(name));
+        self.controller.save(&mut out);
+        seal(&mut out);
+        out
+    }
+
+    /// Takes up what an earlier session with the same model, timing source and kind of controller learned; on
+    /// an error nothing changes.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or another version's or
+    /// controller's; [`crate::ErrorKind::Unsupported`] for a whole state of another model or timing source.
+    pub fn load_state(&mut self, bytes: &[u8]) -> Result<()> {
+        // The tag first: bytes of another kind are not called damaged.
+        Reader(bytes).tag(TAG)?;
+        let mut r = Reader(unseal(bytes)?);
+        r.tag(TAG)?;
+        let (found, own) = (r.u64()?, u64::from(self.predictor.identity()));
+        if found != own {
+            bail!(
+                Unsupported,
+                "the saved state was learned with another model (its checksum is {found:08x}, this one's \
+                 {own:08x}); load it into a session with that model, or start without it"
+            );
+        }
+        for (what, own) in ["renderer", "clock"].into_iter().zip(&self.timing) {
+            let found = r.text(MAX_NAME)?;
+            if found != own {
+                bail!(
+                    Unsupported,
+                    "the saved state was learned from the {what} {found:?}, this session's is {own:?}; name the \
+                     timing source before loading, or start without the state"
+                );
+            }
+        }
+        self.controller.load(r.0)?;
+        self.pending.fill(None);
+        Ok(())
+    }
+}

@@ -1,0 +1,693 @@
+//! Closed loops with a scripted clock: no renderer, a known cost law.
+
+use super::*;
+use crate::adapt::{ObserveFlags, Prior, Verdict};
+use crate::features::{Setting, SummaryOptions, VolumeSummary};
+use crate::predict::{AnalyticModel, Source, TERMS};
+use entire_core::ErrorKind;
+use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+use std::boxed::Box;
+use std::vec::Vec;
+
+/// A deterministic source of noise.
+pub(super) struct Noise(pub(super) u64);
+
+impl Noise {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+    }
+
+    pub(super) fn normal(&mut self) -> f64 {
+        (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+fn sphere(n: usize) -> Vec<u8> {
+    let mut out = Vec::with_capacity(n * n * n);
+    for z in 0..n {
+        for y in 0..n {
+            for x in 0..n {
+                let r = [x, y, z].map(|i| (i as f32 + 0.5) / n as f32 * 2.0 - 1.0);
+                let d = (r[0] * r[0] + r[1] * r[1] + r[2] * r[2]).sqrt();
+                out.push((255.0 * (1.0 - d).max(0.0)) as u8);
+            }
+        }
+    }
+    out
+}
+
+pub(super) fn lobes(center: f32, height: f32) -> Vec<GaussianLobe> {
+    std::vec![GaussianLobe { center, width: 0.002, height }]
+}
+
+pub(super) fn frame(rx: f32, ry: f32, dz: f32) -> Frame {
+    Frame::new(Camera::from_arcball(Arcball { rx, ry, dz }).unwrap(), 512, 512).unwrap()
+}
+
+#[test]
+fn a_session_learns_an_unknown_machine_and_holds_its_target() {
+    let voxels = sphere(64);
+    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
+    let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let mut session = Session::untrained();
+    session.set_volume(summary, None);
+    // The machine: another mix of unit costs, 40 times slower than the defaults.
+    let truth = AnalyticModel::from_costs([
+        4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, 0.0,
+    ])
+    .unwrap();
+    let mut noise = Noise(7);
+    let target = 1.0;
+    let mut misses = 0;
+    for i in 0..240 {
+        if i % 60 == 0 {
+            let l = lobes([0.3, 0.7, 0.5, 0.2][i / 60], [0.05, 0.9, 0.3, 0.02][i / 60]);
+            session
+                .set_transfer(&TransferFunction::Gaussian(l.clone()).to_table().unwrap(), Some(&l))
+                .unwrap();
+        }
+        let frame = frame(20.0, i as f32 * 2.0, 1.6);
+        let plan = session.plan(&frame, target).unwrap();
+        let work = session.features.clone();
+        let setting = Setting { step: plan.step, ..Setting::from(&frame) };
+        let seconds = truth.parts(&work, &setting).seconds() * (0.03 * noise.normal()).exp() as f32;
+        if i > 20 {
+            misses += usize::from(seconds > 1.1 * target);
+            if plan.reason != Reason::FinestAllowed && plan.step > 1.01 && i % 60 > 3 {
+                assert!(
+                    seconds > 0.6 * target,
+                    "frame {i}: {seconds} at step {} ({:?})",
+                    plan.step,
+                    plan.reason
+                );
+            }
+        }
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+    }
+    assert!(misses <= 8, "{misses} misses");
+}
+
+#[test]
+fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
+    let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Unknown, ..HybridOptions::default() });
+    let mut cost =
+        |_: f32| CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };
+    let mut request = PlanRequest {
+        target: 0.02,
+        limits: StepLimits::default(),
+        changes: Changes::default(),
+        cost: &mut cost,
+    };
+    let d = hybrid.plan(&mut request);
+    assert_eq!((d.step, d.reason), (16.0, Reason::NoInformation));
+}
+
+#[test]
+fn every_controller_survives_any_observation() {
+    let controllers: Vec<Box<dyn Controller>> = std::vec![Box::new(Hybrid::new(HybridOptions::default()))];
+    for mut controller in controllers {
+        let mut noise = Noise(3);
+        for i in 0..3000 {
+            let target = [1e-3, 0.03, 5.0][i / 7 % 3];
+            let base = (noise.normal() * 2.0).exp() as f32 * 0.02;
+            let mut cost = |step: f32| CostTerms::whole(base / step, 0.0, Source::Analytic);
+            let changes = Changes { transfer: i % 50 == 0, first: i == 0, ..Changes::default() };
+            let limits = StepLimits { finest: 0.5, coarsest: 20.0 };
+            let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
+            assert!((0.5..=20.0).contains(&decision.step), "{} {i} {decision:?}", controller.name());
+            let seconds = match i % 11 {
+                3 => 1e-9,
+                7 => 9_999.0,
+                _ => base / decision.step,
+            };
+            let terms = cost(decision.step);
+            controller.observe(&Observed {
+                seconds,
+                step: decision.step,
+                target,
+                changes,
+                terms,
+                scene: controller.scene(),
+                unusual: i % 97 == 0,
+            });
+        }
+    }
+}
+
+#[test]
+fn an_impossible_target_is_said_and_leaves_nothing_behind() {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
+    let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
+    let mut cost = |step: f32| CostTerms::whole(0.016 / step, 0.0, Source::Analytic);
+    let mut drive = |hybrid: &mut Hybrid, target: f32| {
+        let decision =
+            hybrid.plan(&mut PlanRequest { target, limits, changes: Changes::default(), cost: &mut cost });
+        let terms = cost(decision.step);
+        let seconds = terms.seconds();
+        hybrid.observe(&Observed {
+            seconds,
+            step: decision.step,
+            target,
+            changes: Changes::default(),
+            terms,
+            scene: hybrid.scene(),
+            unusual: false,
+        });
+        decision
+    };
+    for _ in 0..200 {
+        drive(&mut hybrid, 0.004);
+    }
+    for _ in 0..500 {
+        let d = drive(&mut hybrid, 1e-6);
+        assert_eq!((d.reason, d.step), (Reason::TargetUnreachable, 16.0));
+    }
+    // No windup: back on target within a few damped frames.
+    for _ in 0..8 {
+        drive(&mut hybrid, 0.004);
+    }
+    let d = drive(&mut hybrid, 0.004);
+    assert!((d.step / 4.0).ln().abs() < 0.1, "{d:?}");
+    for _ in 0..8 {
+        drive(&mut hybrid, 10.0);
+    }
+    let d = drive(&mut hybrid, 10.0);
+    assert!(d.step < 1.05, "{d:?}");
+}
+
+#[test]
+fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
+    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
+    // Nonsense that changes from frame to frame, far out of range.
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
+    let mut noise = Noise(11);
+    let (mut history, mut misses) = (0, 0);
+    for i in 0..300 {
+        let nonsense = (1.5 * noise.normal()).exp() as f32;
+        let mut cost = |step: f32| CostTerms::whole(0.06 * nonsense / step, 9.0, Source::Network);
+        let changes = Changes { first: i == 0, ..Changes::default() };
+        let decision = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let seconds = (0.002 + 0.058 / decision.step) * (0.03 * noise.normal()).exp() as f32;
+        history += i32::from(decision.reason == Reason::History);
+        misses += i32::from(i > 5 && seconds > 0.022);
+        let terms = cost(decision.step);
+        hybrid.observe(&Observed {
+            seconds,
+            step: decision.step,
+            target: 0.02,
+            changes,
+            terms,
+            scene: hybrid.scene(),
+            unusual: false,
+        });
+    }
+    assert!(history > 280 && misses < 15, "{history} {misses}");
+}
+
+#[test]
+fn state_survives_saving_and_damaged_state_is_refused() {
+    let make = || Hybrid::new(HybridOptions::default());
+    let mut hybrid = make();
+    let limits = StepLimits::default();
+    let mut cost = |step: f32| CostTerms::whole(0.1 / step, 0.0, Source::Analytic);
+    for i in 0..50 {
+        let changes = Changes { first: i == 0, ..Changes::default() };
+        let d = hybrid.plan(&mut PlanRequest { target: 0.05, limits, changes, cost: &mut cost });
+        let terms = cost(d.step);
+        hybrid.observe(&Observed {
+            seconds: 0.3 / d.step,
+            step: d.step,
+            target: 0.05,
+            changes,
+            terms,
+            scene: hybrid.scene(),
+            unusual: false,
+        });
+    }
+    let mut bytes = Vec::new();
+    hybrid.save(&mut bytes);
+    let mut back = make();
+    back.load(&bytes).unwrap();
+    let terms = cost(2.0);
+    assert_eq!(back.correct(&terms, Changes::default()), hybrid.correct(&terms, Changes::default()));
+    let before = back.correct(&terms, Changes::default());
+    for cut in [0, 3, 10, bytes.len() - 1] {
+        assert!(back.load(&bytes[..cut]).is_err());
+    }
+    for at in (4..bytes.len()).step_by(8) {
+        let mut damaged = bytes.clone();
+        damaged[at..(at + 8).min(bytes.len())].fill(0xff);
+        let _ = back.load(&damaged);
+        let p = back.correct(&terms, Changes::default());
+        assert!(p.seconds.is_finite() && p.seconds > 0.0);
+        back.load(&bytes).unwrap();
+    }
+    assert_eq!(back.correct(&terms, Changes::default()), before);
+}
+
+#[test]
+fn the_state_stays_bounded_over_long_runs() {
+    // The full million takes seconds; a tenth of it in the default run finds the same faults.
+    let mut hybrid = Hybrid::new(HybridOptions::default());
+    let mut noise = Noise(5);
+    for i in 0..100_000u32 {
+        let scale = [1e-6f32, 1.0, 1e3][(i / 20_000) as usize % 3];
+        let mut cost = |step: f32| CostTerms::whole(0.02 * scale / step, 0.0, Source::Analytic);
+        let changes = Changes { transfer: i % 1000 == 0, ..Changes::default() };
+        let d = hybrid.plan(&mut PlanRequest {
+            target: 0.01,
+            limits: StepLimits::default(),
+            changes,
+            cost: &mut cost,
+        });
+        let terms = cost(d.step);
+        let seconds = (terms.seconds() * (0.1 * noise.normal()).exp() as f32).max(1e-9);
+        hybrid.observe(&Observed {
+            seconds,
+            step: d.step,
+            target: 0.01,
+            changes,
+            terms,
+            scene: hybrid.scene(),
+            unusual: false,
+        });
+    }
+    for f in hybrid.correction().factors() {
+        assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction().factors());
+    }
+    let cost = |step: f32| CostTerms::whole(20.0 / step, 0.0, Source::Analytic);
+    let terms = cost(1.0);
+    let p = hybrid.correct(&terms, Changes::default());
+    assert!((p.seconds / 20.0).ln().abs() < 0.5 && p.upper > p.seconds && p.upper < 4.0 * p.seconds, "{p:?}");
+}
+
+pub(super) fn ready_session() -> Session {
+    let mut session = Session::untrained();
+    make_ready(&mut session);
+    session
+}
+
+pub(super) fn make_ready(session: &mut Session) {
+    let voxels = sphere(32);
+    let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).unwrap();
+    session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), None);
+    let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
+    session.set_transfer(&table, None).unwrap();
+}
+
+#[test]
+fn broken_timings_are_refused_by_name_and_leave_no_trace() {
+    let flags = ObserveFlags::default();
+    let mut session = ready_session();
+    let f = frame(0.0, 0.0, 2.0);
+    for _ in 0..10 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        session.observe(plan.id, 0.013, flags).unwrap();
+    }
+    let plan = session.plan(&f, 0.02).unwrap();
+    let before = session.save_state();
+    let rejects = |session: &mut Session, id: u64, seconds: f32, text: &str| {
+        let e = session.observe(id, seconds, flags).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::RejectedObservation);
+        assert!(e.to_string().contains(text), "{e}");
+    };
+    for (seconds, text) in [
+        (f32::NAN, "is not finite"),
+        (f32::INFINITY, "is not finite"),
+        (0.0, "is not positive"),
+        (-1.0, "is not positive"),
+        (1e5, "is over 10000 s"),
+    ] {
+        rejects(&mut session, plan.id, seconds, text);
+        assert_eq!(session.save_state(), before);
+    }
+    rejects(&mut session, plan.id + 1, 0.01, "no plan has this id");
+    rejects(&mut session, 0, 0.01, "no plan has this id");
+    assert_eq!(session.save_state(), before);
+    // Late by many frames is welcome, forgotten is not, twice is not.
+    let mut ids = Vec::new();
+    for _ in 0..PENDING_PLANS {
+        ids.push(session.plan(&f, 0.02).unwrap().id);
+    }
+    rejects(&mut session, plan.id, 0.013, "no plan has this id");
+    assert!(session.observe(ids[0], 0.013, flags).is_ok());
+    rejects(&mut session, ids[0], 0.013, "was observed before");
+    let unusual = session.observe(ids[5], 0.013, ObserveFlags { unusual: true, ..flags });
+    assert_eq!(unusual.unwrap(), Verdict::Ignored);
+}
+
+/// A session that has seen frames of two settings.
+fn taught(mut session: Session) -> Session {
+    for i in 0..40 {
+        let plan = session.plan(&frame(0.0, 3.0 * (i % 20) as f32, 2.0), 0.02).unwrap();
+        session.observe(plan.id, 0.05 / plan.step, ObserveFlags::default()).unwrap();
+    }
+    session
+}
+
+#[test]
+fn no_saved_state_with_a_flipped_bit_a_cut_or_more_bytes_is_loaded() {
+    let state = taught(ready_session()).save_state();
+    let mut session = ready_session();
+    let fresh = session.save_state();
+    let mut refused = |bytes: &[u8], what: &str| {
+        let error = session.load_state(bytes).expect_err(what);
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument, "{what}: {error}");
+        assert_eq!(session.save_state(), fresh, "{what} changed the session");
+    };
+    for bit in 0..8 * state.len() {
+        let mut flipped = state.clone();
+        flipped[bit / 8] ^= 1 << (bit % 8);
+        refused(&flipped, &std::format!("bit {bit} of {}", 8 * state.len()));
+    }
+    for cut in 0..state.len() {
+        refused(&state[..cut], &std::format!("cut to {cut} bytes"));
+    }
+    for extra in [1, 4, 8] {
+        let mut longer = state.clone();
+        longer.resize(state.len() + extra, 0);
+        refused(&longer, &std::format!("{extra} bytes more"));
+    }
+    refused(b"ENS1rubbish", "another version");
+    session.load_state(&state).unwrap();
+    assert_eq!(session.save_state(), state, "the whole state is taken up");
+}
+
+#[test]
+fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
+    let named = |costs: Option<f64>, renderer: &str, clock: &str| {
+        let model = match costs {
+            Some(c) => AnalyticModel::from_costs([c; crate::predict::COSTS]).unwrap(),
+            None => AnalyticModel::default(),
+        };
+        let mut session = Session::new(Box::new(model), HybridOptions::default());
+        session.set_timing_source(renderer, clock).unwrap();
+        session
+    };
+    let state = named(None, "a renderer", "device").save_state();
+    named(None, "a renderer", "device").load_state(&state).unwrap();
+    for (costs, renderer, clock, says) in [
+        (Some(1e-8), "a renderer", "device", "another model"),
+        (None, "another", "device", "renderer \"a renderer\""),
+        (None, "", "device", "renderer"),
+        (None, "a renderer", "wall", "clock \"device\""),
+    ] {
+        let error = named(costs, renderer, clock).load_state(&state).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Unsupported);
+        assert!(error.to_string().contains(says), "{error}");
+    }
+    let mut session = ready_session();
+    assert!(session.set_timing_source(&"x".repeat(257), "").is_err());
+}
+
+/// A session that learned, as a little-endian machine saved it.
+const LEARNED: &str = include_str!("learned_state.hex");
+
+#[test]
+fn a_saved_state_moves_between_machines_of_any_byte_order() {
+    let named = || {
+        let mut session = Session::untrained();
+        session.set_timing_source("a renderer", "device").unwrap();
+        session
+    };
+    let digits: Vec<u8> = LEARNED.bytes().filter(u8::is_ascii_hexdigit).collect();
+    let pairs = digits.chunks(2).map(|pair| std::str::from_utf8(pair).unwrap());
+    let bytes: Vec<u8> = pairs.map(|pair| u8::from_str_radix(pair, 16).unwrap()).collect();
+    let mut session = named();
+    assert_ne!(session.save_state(), bytes, "nothing was learned yet");
+    session.load_state(&bytes).unwrap();
+    assert_eq!(session.save_state(), bytes, "byte for byte");
+}
+
+#[test]
+fn a_linear_cost_model_may_use_a_smaller_probe() {
+    use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE};
+    use entire_core::ErrorKind;
+    let f = frame(20.0, 30.0, 2.0);
+    let of_side = |side| {
+        let mut session = ready_session().with_probe(side, None)?;
+        assert_eq!(session.features.probe_side(), side);
+        session.predict(&f).map(|p| p.seconds)
+    };
+    let usual = ready_session().predict(&f).unwrap().seconds;
+    assert_eq!(of_side(PROBE_SIDE).unwrap(), usual);
+    for side in [4, 7, MAX_PROBE_SIDE] {
+        let seconds = of_side(side).unwrap();
+        assert!(seconds != usual && (seconds / usual - 1.0).abs() < 0.3, "{side}: {seconds} {usual}");
+    }
+    for side in [0, MAX_PROBE_SIDE + 1] {
+        assert_eq!(of_side(side).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    }
+}
+
+#[test]
+fn a_session_says_what_is_missing_and_refuses_bad_targets() {
+    use entire_core::ErrorKind;
+    let f = frame(0.0, 0.0, 2.0);
+    let mut empty = Session::untrained();
+    assert_eq!(empty.plan(&f, 0.02).unwrap_err().kind(), ErrorKind::NotReady);
+    let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
+    assert_eq!(empty.set_transfer(&table, None).unwrap_err().kind(), ErrorKind::NotReady);
+    let mut session = ready_session();
+    for target in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        assert_eq!(session.plan(&f, target).unwrap_err().kind(), ErrorKind::InvalidArgument);
+        assert_eq!(session.choose(&f, &[], target).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    }
+    assert_eq!(session.choose(&f, &[], 0.02).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    let state = session.save_state();
+    session.load_state(&state).unwrap();
+    session.set_enabled(false);
+    let plan = session.plan(&Frame { step: 3.5, ..f }, 1e-9).unwrap();
+    assert_eq!((plan.step, plan.reason), (3.5, Reason::Off));
+}
+
+/// A loop with noise, late and missing observations, a switch, and steering off for a while. Where `log`
+/// holds entries they are played again; else they are written.
+fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
+    let replaying = !log.is_empty();
+    let mut session = ready_session();
+    let mut noise = Noise(21);
+    let mut plans = Vec::new();
+    let mut late: Option<(u64, f32)> = None;
+    for i in 0..150 {
+        if i == 60 {
+            let table = TransferFunction::Gaussian(lobes(0.8, 0.05)).to_table().unwrap();
+            session.set_transfer(&table, None).unwrap();
+        }
+        session.set_enabled(!(100..110).contains(&i));
+        let target = if replaying {
+            f32::from_bits(log[i].0)
+        } else {
+            [0.02, 0.015][i / 40 % 2] * (0.001 * noise.normal()).exp() as f32
+        };
+        let plan = session.plan(&frame(10.0, i as f32, 2.0), target).unwrap();
+        plans.push((plan.step.to_bits(), plan.seconds.to_bits(), plan.upper.to_bits(), plan.reason));
+        let seconds = if replaying {
+            log[i].1.map(f32::from_bits)
+        } else {
+            let t = (0.001 + 0.03 / plan.step) * (0.05 * noise.normal()).exp() as f32;
+            (i % 17 != 5).then_some(t)
+        };
+        if !replaying {
+            log.push((target.to_bits(), seconds.map(f32::to_bits)));
+        }
+        if let Some((id, t)) = late.take() {
+            session.observe(id, t, ObserveFlags::default()).unwrap();
+        }
+        match seconds {
+            Some(t) if i % 10 == 3 => late = Some((plan.id, t)),
+            Some(t) => drop(session.observe(plan.id, t, ObserveFlags::default())),
+            None => {}
+        }
+    }
+    plans
+}
+
+#[test]
+fn a_log_of_targets_and_times_replays_to_the_same_bits() {
+    let mut log = Vec::new();
+    let first = logged(&mut log);
+    assert_eq!(log.len(), 150);
+    assert_eq!(logged(&mut log), first);
+    // One time that is other by a bit shows.
+    log[20].1 = log[20].1.map(|t| t + 1000);
+    assert_ne!(logged(&mut log), first);
+}
+
+#[test]
+fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
+    let mut log = Vec::new();
+    let plans = logged(&mut log);
+    let reasons: std::collections::HashSet<Reason> = plans.iter().map(|p| p.3).collect();
+    assert!(
+        reasons.contains(&Reason::Fits) && reasons.contains(&Reason::Held) && reasons.contains(&Reason::Off)
+    );
+    assert!(plans.iter().all(|p| (p.3 == Reason::Off) == (p.3 as u32 == 8)));
+    assert!(plans[100..110].iter().all(|p| p.3 == Reason::Off && f32::from_bits(p.0) == 1.0));
+    // Off, the session hears that the machine has become three times slower; on again, it knows.
+    let mut session = ready_session();
+    let f = frame(10.0, 0.0, 2.0);
+    for i in 0..80 {
+        session.set_enabled(i < 40);
+        let plan = session.plan(&f, 0.02).unwrap();
+        let speed = if i < 40 { 1.0 } else { 3.0 };
+        session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default()).unwrap();
+    }
+    session.set_enabled(true);
+    // All it saw was step 1: the first frame may be careful, it may not be late, and four frames settle it.
+    for i in 0..8 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        let seconds = 3.0 * (0.0005 + 0.03 / plan.step);
+        let least = if i < 4 { 0.008 } else { 0.016 };
+        assert!((least..0.022).contains(&seconds), "frame {i}: {seconds} {plan:?}");
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+    }
+}
+
+#[test]
+fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
+    let limits = StepLimits::default();
+    let mut cost = |step: f32| CostTerms::whole(0.05 / step, 0.0, Source::Analytic);
+    let mut drive = |hybrid: &mut Hybrid, transfer: bool| {
+        let changes = Changes { transfer, ..Changes::default() };
+        let d = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let terms = cost(d.step);
+        Observed {
+            seconds: terms.seconds(),
+            step: d.step,
+            target: 0.02,
+            changes,
+            terms,
+            scene: hybrid.scene(),
+            unusual: false,
+        }
+    };
+    for _ in 0..20 {
+        let o = drive(&mut hybrid, false);
+        hybrid.observe(&o);
+    }
+    let old = drive(&mut hybrid, false);
+    for transfer in [true, false, false] {
+        let o = drive(&mut hybrid, transfer);
+        hybrid.observe(&o);
+    }
+    let now = |hybrid: &Hybrid| hybrid.correct(&old.terms, Changes::default()).seconds;
+    let before = now(&hybrid);
+    hybrid.observe(&Observed { seconds: 2.0 * old.seconds, ..old });
+    let after = now(&hybrid);
+    assert!((after / before).ln().abs() < 0.02, "{before} {after}");
+    // Nor does it say whether this scene's frames are foretold better by each other than by predictions.
+    for i in 0..40 {
+        // By turns too high and too low, so that no other machine is suspected.
+        let wrong = if i % 2 == 0 { 2.0 } else { 0.5 };
+        let terms = CostTerms::whole(wrong * old.terms.seconds(), 0.0, Source::Analytic);
+        hybrid.observe(&Observed { terms, ..old });
+    }
+    let changes = Changes::default();
+    let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+    assert_ne!(plan.reason, Reason::History);
+}
+
+#[test]
+fn a_ladder_climbs_no_further_than_the_plan_needs() {
+    let voxels = sphere(64);
+    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
+    let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let l = lobes(0.4, 0.05);
+    let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
+    let session = |ladder: Option<f32>, side: usize| {
+        let side = if ladder.is_some() { 24 } else { side };
+        let mut session = Session::untrained().with_probe(side, ladder).unwrap();
+        session.set_volume(summary.clone(), None);
+        session.set_transfer(&table, Some(&l)).unwrap();
+        session
+    };
+    let frame = frame(20.0, 30.0, 1.6);
+    let expected = session(None, 24).predict(&frame).unwrap().seconds;
+    let climbed = |tolerance: f32, target: f32| {
+        let mut ladder = session(Some(tolerance), 11);
+        let plan = ladder.plan(&frame, target).unwrap();
+        let side = ladder.features().probe_side();
+        // The plan is the one of a session with this probe alone.
+        let same = session(None, side).plan(&frame, target).unwrap();
+        assert_eq!((plan.step, plan.seconds), (same.step, same.seconds), "{tolerance} {target}");
+        // Predictions do not climb.
+        assert_eq!(ladder.predict(&frame).unwrap().seconds, expected);
+        side
+    };
+    // Any step will do, or none.
+    assert_eq!(climbed(0.0, 1e3), 4);
+    assert_eq!(climbed(0.0, 1e-9), 4);
+    // In between every error changes the step, a large one is let pass.
+    let target = 0.8 * expected;
+    assert_eq!(climbed(0.0, target), 24);
+    assert_eq!(climbed(1.0, target), 4);
+    let sides: Vec<usize> = [0.2, 0.1, 0.05, 0.02, 0.01].map(|t| climbed(t, target)).to_vec();
+    assert!(sides.is_sorted() && sides.iter().any(|s| (5..24).contains(s)), "{sides:?}");
+    assert!(Session::untrained().with_probe(0, Some(0.1)).is_err());
+    assert!(Session::untrained().with_probe(11, Some(f32::NAN)).is_err());
+}
+
+#[test]
+fn rays_serve_while_the_view_has_hardly_turned() {
+    let voxels = sphere(64);
+    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
+    let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let l = lobes(0.4, 0.05);
+    let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
+    let mut session = Session::untrained().with_probe(7, Some(0.3)).unwrap();
+    session.set_volume(summary, None);
+    session.set_transfer(&table, Some(&l)).unwrap();
+    let seen = |session: &mut Session, frame: &Frame| {
+        session.plan(frame, 1e3).unwrap();
+        let probe = session.features.probe();
+        (probe.mean_chord(), probe.footprint().share)
+    };
+    let first = seen(&mut session, &frame(20.0, 30.0, 2.6));
+    let near = seen(&mut session, &frame(22.0, 32.0, 2.62));
+    assert_eq!(near.0, first.0);
+    assert_ne!(near.1, first.1);
+    // Every further frame is held against the one that the rays were cast for.
+    assert_eq!(seen(&mut session, &frame(24.0, 33.0, 2.64)).0, first.0);
+    assert_ne!(seen(&mut session, &frame(26.0, 36.0, 2.66)).0, first.0);
+    // Whatever else changes, rays are cast.
+    let wide = Frame { width: 300, ..frame(24.0, 34.0, 2.64) };
+    let mut before = seen(&mut session, &wide).0;
+    for change in 0..3 {
+        match change {
+            0 => session.set_transfer(&table, Some(&l)).unwrap(),
+            1 => session.mark(Changes { camera: true, ..Changes::default() }),
+            _ => {}
+        }
+        let near = frame(25.0 + 0.4 * change as f32, 34.0, 2.64);
+        let far = frame(24.0, 34.0, 2.9);
+        let turned = Frame { width: 300, ..if change == 2 { far } else { near } };
+        let now = seen(&mut session, &turned).0;
+        assert_ne!(now, before, "{change}");
+        before = seen(&mut session, &wide).0;
+        if change < 2 {
+            assert_eq!(before, now);
+        }
+    }
+    // So they are for another time step.
+    let thinner: Vec<u8> = voxels.iter().map(|&v| if v < 120 { 0 } else { v }).collect();
+    let next = VolumeView::new(Scalars::U8(&thinner), [64; 3]).unwrap();
+    session.set_time_step(VolumeSummary::new(&next, SummaryOptions::default()).unwrap(), None).unwrap();
+    let step = Setting::from(&wide);
+    let shown = |session: &Session| session.features().work(&step).samples;
+    let of_first = shown(&session);
+    session.plan(&wide, 1e3).unwrap();
+    assert!(shown(&session) < 0.5 * of_first, "{of_first}");
+    // Without a tolerance every plan casts its rays.
+    let mut plain = Session::untrained().with_probe(7, None).unwrap();
+    plain.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), None);
+    plain.set_transfer(&table, Some(&l)).unwrap();
+    let first = seen(&mut plain, &frame(20.0, 30.0, 2.6));
+    assert_ne!(seen(&mut plain, &frame(21.0, 30.0, 2.6)).0, first.0);
+}

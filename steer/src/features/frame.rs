@@ -1,0 +1,361 @@
+//! What one frame will do, for any ray step and image size of the same shape.
+
+use super::{
+    Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneQuantity, TransferSummary, UnitCosts,
+    VolumeSummary,
+};
+use entire_core::Result;
+use entire_core::kernels::Level;
+use entire_core::scene::{Arcball, Frame, Shading, Skipping, ratios};
+use glam::Vec3;
+
+/// Rays along each side of the footprint's rectangle from which [`along`] takes its mean.
+const ALONG_SIDE: usize = 3;
+
+/// Shares of the voxel borders crossed by rays that lie across x, y and z: those of ALONG_SIDE² rays through
+/// the footprint's rectangle, averaged, or of the central ray where the box is not seen.
+fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
+    let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
+    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis, whatever the
+    // unit.
+    let spacing = ratios(spacing);
+    let share = |direction: Vec3| {
+        let crossed = direction.abs() / spacing;
+        crossed / crossed.element_sum()
+    };
+    if !(footprint.share > 0.0) {
+        return share(forward);
+    }
+    let at = |axis: usize, i: usize| {
+        let (low, high) = (footprint.low[axis], footprint.high[axis]);
+        low + (high - low) * (i as f32 + 0.5) / ALONG_SIDE as f32
+    };
+    let mut sum = Vec3::ZERO;
+    for i in 0..ALONG_SIDE * ALONG_SIDE {
+        sum += share(forward + at(0, i % ALONG_SIDE) * right + at(1, i / ALONG_SIDE) * up);
+    }
+    sum / (ALONG_SIDE * ALONG_SIDE) as f32
+}
+
+/// Side of the pixel tiles that a renderer runs in lockstep.
+const TILE_SIDE: f32 = 8.0;
+
+/// What of a frame a controller may vary.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setting {
+    /// Ray step in multiples of the reference step.
+    pub step: f32,
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Shading mode.
+    pub shading: Shading,
+    /// Skipping mode.
+    pub skipping: Skipping,
+}
+
+impl From<&Frame> for Setting {
+    fn from(frame: &Frame) -> Self {
+        let Frame { step, width, height, shading, skipping, .. } = *frame;
+        Self { step, width, height, shading, skipping }
+    }
+}
+
+/// What the caller knows to differ from the frame before. By default nothing but the camera, which moves smoothly.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Changes {
+    /// No frame came before, or the first one after a pipeline was built.
+    pub first: bool,
+    /// Another transfer function.
+    pub transfer: bool,
+    /// Another volume.
+    pub volume: bool,
+    /// Another image size.
+    pub size: bool,
+    /// Another shading, skipping or termination mode.
+    pub mode: bool,
+    /// The camera jumped (a cut, not a move).
+    pub camera: bool,
+}
+
+impl Changes {
+    /// Whether anything did that makes the frames before a bad guide.
+    pub(crate) fn any(&self) -> bool {
+        self.first || self.transfer || self.volume || self.size || self.mode || self.camera
+    }
+}
+
+/// Estimated work of a whole frame. All are counts; none is negative.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Work {
+    /// Pixels of the image.
+    pub pixels: f64,
+    /// Rays that meet the volume's box.
+    pub rays: f64,
+    /// Samples taken along primary rays.
+    pub samples: f64,
+    /// Jumps over empty blocks, those of shadow rays included.
+    pub skips: f64,
+    /// Samples as a machine pays for them that runs a tile of pixels until its longest ray ends.
+    pub lane_samples: f64,
+    /// Samples with opacity, where shading is on; else 0.
+    pub shaded: f64,
+    /// Samples along shadow rays, with single scattering; else 0.
+    pub shadow_samples: f64,
+    /// [`Self::shadow_samples`] where eight rays beside each other wait while any of them shades, …
+    pub lane_shadow_samples: f64,
+    /// … and as if rays beside each other were far apart.
+    pub(crate) parted_shadow_samples: f64,
+    /// Runs of samples between jumps; 0 without skipping.
+    pub runs: f64,
+    /// Segments of those runs, those of shadow rays included; 0 without skipping.
+    pub segments: f64,
+    /// Distance of neighboring rays at the mean depth of the samples, reference steps.
+    pub ray_spacing: f64,
+}
+
+impl Work {
+    /// Share of what a ray reads that no neighboring ray reads, 0…1: s²/(s² + d²) at ray spacing s, where d is
+    /// the spacing at which it is half.
+    pub(crate) fn unshared(&self, half: f64) -> f64 {
+        let square = self.ray_spacing * self.ray_spacing;
+        square / (square + half * half)
+    }
+}
+
+/// Voxels of a volume of which a cache holds half.
+///
+/// The far share, the part of the reads that wait for memory, is the share that no neighboring ray reads times the
+/// share of the volume outside of a cache. This spacing and these voxels are those with the least cross-validated error over the tables of four
+/// machines; see the book's page on the cost of a frame.
+pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
+
+/// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
+pub(crate) const UNSHARED_SPACING: f64 = 2.0;
+
+/// Ray spacing in reference steps at which half of what shading reads is shared with no other ray.
+pub(crate) const UNSHARED_SHADING: f64 = 8.0;
+
+/// What a camera sees of a volume under a transfer function, measured once per frame.
+///
+/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::quantity`] then
+/// evaluate any step, skipping and size (of the same shape) without marching again, and other shadings too
+/// except that single scattering must be the measured frame's. Nothing here allocates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameFeatures {
+    probe_side: usize,
+    level: Level,
+    probe: Probe,
+    pose: Arcball,
+    occupied_share: f32,
+    visible_share: f32,
+    mean_extinction: f32,
+    voxels: f32,
+    remapped: bool,
+    along: Vec3,
+}
+
+impl Default for FrameFeatures {
+    /// Features of nothing, to be measured with [`PROBE_SIDE`]² rays.
+    fn default() -> Self {
+        Self::with_probe_side(PROBE_SIDE)
+    }
+}
+
+impl FrameFeatures {
+    /// Features of nothing: no ray meets anything. Frames are to be measured with `side`² rays, `side` at most [`MAX_PROBE_SIDE`]: the
+    /// time that a measurement takes and the variance of what it estimates both go with the number of rays.
+    /// With 0 no ray is cast, and quantities that [need the probe](SceneQuantity::needs_probe) are those of
+    /// nothing.
+    pub fn with_probe_side(side: usize) -> Self {
+        Self {
+            probe_side: side.min(MAX_PROBE_SIDE),
+            level: Level::detect(),
+            probe: Probe::NOTHING,
+            pose: Arcball { rx: 0.0, ry: 0.0, dz: 0.0 },
+            occupied_share: 0.0,
+            visible_share: 0.0,
+            mean_extinction: 0.0,
+            voxels: 0.0,
+            remapped: false,
+            along: Vec3::splat(1.0 / 3.0),
+        }
+    }
+
+    /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first;
+    /// without it, jumps are counted as with [`Skipping::Blocks`].
+    ///
+    /// # Errors
+    /// As [`Frame::checked`].
+    pub fn measure(
+        &mut self,
+        volume: &VolumeSummary,
+        transfer: &mut TransferSummary,
+        frame: &Frame,
+    ) -> Result<()> {
+        frame.checked()?;
+        self.probe = Probe::on(self.level, volume, transfer, frame, self.probe_side);
+        self.pose = frame.camera.to_arcball();
+        self.occupied_share = transfer.occupied_share();
+        self.visible_share = transfer.visible_share();
+        self.mean_extinction = transfer.mean_extinction();
+        self.voxels = volume.voxels() as f32;
+        self.remapped = volume.remapped();
+        self.along = along(frame, volume.shape().spacing, self.probe.footprint());
+        Ok(())
+    }
+
+    /// Takes a frame's view without casting rays: where the volume stands in the image is new, what its rays met
+    /// stays. For a view close to that of the measured frame, of all else the same. Gives whether that could be
+    /// done.
+    pub(crate) fn turn(&mut self, volume: &VolumeSummary, frame: &Frame) -> Result<bool> {
+        frame.checked()?;
+        if !self.probe.turn(volume.shape(), frame) {
+            return Ok(false);
+        }
+        self.pose = frame.camera.to_arcball();
+        self.along = along(frame, volume.shape().spacing, self.probe.footprint());
+        Ok(true)
+    }
+
+    /// Rays along each side of the probe.
+    pub fn probe_side(&self) -> usize {
+        self.probe_side
+    }
+
+    /// Rays of the probe that met the volume in the frame that was measured last.
+    pub fn probe_rays(&self) -> u32 {
+        self.probe.rays
+    }
+
+    /// Rays along each side of the next probe.
+    pub(crate) fn set_probe_side(&mut self, side: usize) {
+        self.probe_side = side.min(MAX_PROBE_SIDE);
+    }
+
+    /// By how much the probe is likely to be off: the standard error of the length among samples, as a share
+    /// of it; infinite where nobody knows.
+    pub(crate) fn probe_error(&self) -> f32 {
+        self.probe.error
+    }
+
+    /// The probe behind the numbers.
+    #[cfg(test)]
+    pub(crate) fn probe(&self) -> &Probe {
+        &self.probe
+    }
+
+    /// The arcball pose of the frame's camera.
+    pub fn pose(&self) -> Arcball {
+        self.pose
+    }
+
+    /// Estimated work of the frame at a setting. Never decreases when the step gets finer or the image of the
+    /// same shape larger.
+    pub fn work(&self, setting: &Setting) -> Work {
+        let p = &self.probe;
+        let pixels = f64::from(setting.width) * f64::from(setting.height);
+        let rays = pixels * f64::from(p.footprint.share);
+        let inv = 1.0 / setting.step;
+        let skipping = setting.skipping != Skipping::None;
+        let (length, longest) =
+            if skipping { (p.occupied, p.occupied_max) } else { (p.occupied + p.empty, p.all_max) };
+        // A ray that ends early takes the sample that crosses the threshold: half a step more on average.
+        let crossing = 0.5 * p.terminated;
+        let per_ray = length * inv + crossing;
+        let skips =
+            if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
+        // Within a tile, the longest ray is about as far from the mean as the probe's neighbors are, scaled
+        // to the tile's size.
+        let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
+        let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
+        let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
+        let (mut shadow, mut shadow_skips, mut shadow_segments) = (0.0, 0.0, 0.0);
+        if setting.shading == Shading::Scatter {
+            let length = if skipping { p.shadow } else { p.shadow_all };
+            // Shadow rays begin one of their steps away from the sample, and take the sample that crosses the
+            // threshold.
+            shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
+            shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
+            shadow_segments = p.shadow_segments * inv;
+        }
+        let shadow_samples = rays * f64::from(shadow);
+        let waiting = if p.visible > 0.0 { f64::from(p.busy / p.visible).max(1.0) } else { 1.0 };
+        let mut work = Work {
+            pixels,
+            rays,
+            samples: rays * f64::from(per_ray),
+            skips: rays * f64::from(skips + shadow_skips),
+            lane_samples: rays * f64::from(per_lane),
+            shaded: rays * f64::from(shaded),
+            shadow_samples,
+            lane_shadow_samples: 0.0,
+            parted_shadow_samples: shadow_samples * waiting,
+            runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
+            segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
+            ray_spacing: f64::from(p.spread / setting.height as f32),
+        };
+        // Rays nearer than a voxel or two shade together.
+        work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared(UNSHARED_SPACING) * (waiting - 1.0));
+        work
+    }
+
+    /// A quantity at a setting.
+    pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting, work: &Work) -> f64 {
+        use SceneQuantity as Q;
+        let p = &self.probe;
+        let per_pixel = |v: f64| v / work.pixels.max(1.0);
+        let only = |shading: Shading, v: f64| if setting.shading == shading { v } else { 0.0 };
+        let far = |spacing: f64| work.unshared(spacing) * self.uncached();
+        match quantity {
+            Q::Pixels => work.pixels,
+            Q::Rays => work.rays,
+            Q::Skips => work.skips,
+            Q::Samples => work.samples,
+            Q::LaneSamples => work.lane_samples,
+            Q::Runs => work.runs,
+            Q::Segments => work.segments,
+            Q::LocalSamples => only(Shading::Local, work.shaded),
+            Q::ScatterSamples => only(Shading::Scatter, work.shaded),
+            Q::ShadowSamples => work.shadow_samples,
+            Q::LaneShadowSamples => work.lane_shadow_samples,
+            Q::FarSkips => work.skips * far(UNSHARED_SPACING),
+            Q::FarSamples => work.lane_samples * far(UNSHARED_SPACING),
+            Q::FarRuns => work.runs * far(UNSHARED_SPACING),
+            Q::FarSegments => work.segments * far(UNSHARED_SPACING),
+            Q::FarLocalSamples => only(Shading::Local, work.shaded) * far(UNSHARED_SHADING),
+            Q::FarShadowSamples => work.parted_shadow_samples * far(UNSHARED_SHADING),
+            Q::FarX => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.x),
+            Q::FarY => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.y),
+            Q::FarZ => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.z),
+            Q::RemappedSamples => f64::from(u8::from(self.remapped)) * work.samples,
+            Q::EstimatedSeconds => UnitCosts::SOFTWARE.seconds(&self.cost_work(setting)),
+            Q::SamplesPerPixel => per_pixel(work.samples),
+            Q::ShadowPerPixel => per_pixel(work.shadow_samples),
+            Q::SegmentsPerRay => work.segments / work.rays.max(1.0),
+            Q::RaySpacing => work.ray_spacing,
+            Q::FootprintShare => f64::from(p.footprint.share),
+            Q::MeanChord => f64::from(p.mean_chord),
+            Q::TerminatedShare => f64::from(p.terminated),
+            Q::Divergence => {
+                if work.samples > 0.0 {
+                    work.lane_samples / work.samples - 1.0
+                } else {
+                    0.0
+                }
+            }
+            Q::OccupiedShare => f64::from(self.occupied_share),
+            Q::VisibleShare => f64::from(self.visible_share),
+            Q::MeanExtinction => f64::from(self.mean_extinction),
+            Q::Voxels => f64::from(self.voxels),
+            Q::Step => f64::from(setting.step),
+        }
+    }
+
+    /// Share of the volume that lies outside of a cache, 0…1: n / (n + [`CACHED_VOXELS`]).
+    fn uncached(&self) -> f64 {
+        let voxels = f64::from(self.voxels);
+        voxels / (voxels + CACHED_VOXELS)
+    }
+}

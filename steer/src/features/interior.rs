@@ -1,0 +1,164 @@
+//! How deep a cell lies among cells that are not empty: what tells how far a ray gets there before its renderer
+//! looks at the skip map again.
+
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::memory::{fit, longer};
+
+/// Distances in cells to the nearest empty cell from which the classes of depth after the first begin. Class c
+/// stands for 2^c cells.
+const FROM: [usize; 3] = [2, 3, 5];
+
+/// Vectors of words that are worked in: those of [`FROM`], and two to go through.
+const BUFFERS: usize = FROM.len() + 2;
+
+/// Bits of the cells that lie so deep among cells that are not empty, by rows along x: every row begins a word.
+///
+/// Cells beyond the grid count as not empty, as they do to a skip map that ends there.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Interior {
+    bits: [Vec<u64>; BUFFERS],
+    found: bool,
+}
+
+/// Words of a row along x.
+fn row_words(grid: [usize; 3]) -> usize {
+    grid[0].div_ceil(64)
+}
+
+impl Interior {
+    /// Vectors with room for a grid, where the present ones have none.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::OutOfMemory`].
+    pub(super) fn longer(&self, grid: [usize; 3]) -> Result<[Option<Vec<u64>>; BUFFERS]> {
+        let words = row_words(grid) * grid[1] * grid[2];
+        let mut out = [const { None }; BUFFERS];
+        for (slot, present) in out.iter_mut().zip(&self.bits) {
+            *slot = longer(present, words)?;
+        }
+        Ok(out)
+    }
+
+    /// Takes the longer vectors. Nothing is found until [`Interior::find`].
+    pub(super) fn fit(&mut self, longer: [Option<Vec<u64>>; BUFFERS], grid: [usize; 3]) {
+        let words = row_words(grid) * grid[1] * grid[2];
+        for (present, longer) in self.bits.iter_mut().zip(longer) {
+            fit(present, longer, words);
+        }
+        self.found = false;
+    }
+
+    /// Finds the cells of every class from the bits of all cells, unless that was done. Most of what it costs
+    /// is spared where no ray is cast.
+    #[inline(always)]
+    pub(super) fn find(&mut self, grid: [usize; 3], full: &[u64]) {
+        if !self.found {
+            self.find_now(grid, full);
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn find_now(&mut self, grid: [usize; 3], full: &[u64]) {
+        let (words, [nx, ny, _]) = (row_words(grid), grid);
+        self.found = true;
+        let [second, third, fifth, a, b] = &mut self.bits;
+        for (row, to) in b.chunks_exact_mut(words).enumerate() {
+            for (w, to) in to.iter_mut().enumerate() {
+                let left = nx - 64 * w;
+                let outside = if left < 64 { u64::MAX << left } else { 0 };
+                *to = read(full, nx * row + 64 * w) | outside;
+            }
+        }
+        erode(b, second, a, words, ny);
+        erode(second, third, a, words, ny);
+        erode(third, b, a, words, ny);
+        erode(b, fifth, a, words, ny);
+    }
+
+    /// The class of a cell that is not empty: 0 beside an empty cell, else that of the distance to the nearest
+    /// one.
+    #[inline(always)]
+    pub(super) fn class(&self, grid: [usize; 3], cell: usize) -> u32 {
+        let (cell, nx) = (cell as u32, grid[0] as u32);
+        let (row, x) = ((cell / nx) as usize, (cell % nx) as usize);
+        let at = row * row_words(grid) + x / 64;
+        let deep = |bits: &Vec<u64>| (bits.get(at).copied().unwrap_or(0) >> (x % 64) & 1) as u32;
+        self.bits[..FROM.len()].iter().map(deep).sum()
+    }
+}
+
+/// 64 bits from any place on.
+#[inline(always)]
+fn read(bits: &[u64], at: usize) -> u64 {
+    let word = |i: usize| bits.get(i).copied().unwrap_or(0);
+    // Two shifts: one by 64 has no meaning.
+    word(at / 64) >> (at % 64) | word(at / 64 + 1) << 1 << (63 - at % 64)
+}
+
+/// Keeps the cells that are set with all 26 neighbors inside the grid: one pass per axis. Bits beyond the end of
+/// a row are set and stay so.
+fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: usize) {
+    // Along x, from word to word.
+    for (from, to) in from.chunks_exact(words).zip(to.chunks_exact_mut(words)) {
+        for w in 0..words {
+            let before = if w > 0 { from[w - 1] >> 63 } else { 1 };
+            let after = if w + 1 < words { from[w + 1] << 63 } else { 1 << 63 };
+            to[w] = from[w] & (from[w] << 1 | before) & (from[w] >> 1 | after);
+        }
+    }
+    // Along y within slices, then along z.
+    for (from, to) in to.chunks_exact(words * ny).zip(between.chunks_exact_mut(words * ny)) {
+        all_three(from, to, words);
+    }
+    all_three(between, to, words * ny);
+}
+
+/// Every word together with those `stride` before and after it, where there are any.
+fn all_three(from: &[u64], to: &mut [u64], stride: usize) {
+    to.copy_from_slice(from);
+    let end = from.len() - stride.min(from.len());
+    to[..end].iter_mut().zip(&from[from.len() - end..]).for_each(|(to, next)| *to &= next);
+    to[from.len() - end..].iter_mut().zip(&from[..end]).for_each(|(to, last)| *to &= last);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+
+    /// Chebyshev distance to the nearest clear cell inside the grid, by looking at every cell.
+    fn distance(set: &[bool], grid: [usize; 3], cell: usize) -> usize {
+        let place = |c: usize| [c % grid[0], c / grid[0] % grid[1], c / grid[0] / grid[1]];
+        let here = place(cell);
+        let apart = |c: usize| (0..3).map(|k| place(c)[k].abs_diff(here[k])).max().unwrap();
+        (0..set.len()).filter(|&c| !set[c]).map(apart).min().unwrap_or(usize::MAX)
+    }
+
+    #[test]
+    fn classes_are_those_of_the_distance_to_the_nearest_empty_cell() {
+        let mut seen = [0usize; FROM.len() + 1];
+        let mut interior = Interior::default();
+        for grid in [[20, 17, 15], [70, 9, 11], [1, 13, 30], [3, 3, 3], [129, 4, 5], [64, 1, 1], [1, 1, 1]] {
+            let n: usize = grid.iter().product();
+            for seed in 0..6u64 {
+                // A few clear cells: more of them with every seed, none with the first.
+                let clear = |i: usize| (i as u64 * 0x9e37_79b9 + 77 * seed) % 2111 < seed * seed;
+                let set: Vec<bool> = (0..n).map(|i| !clear(i)).collect();
+                let mut full = vec![0u64; n.div_ceil(64)];
+                set.iter().enumerate().for_each(|(i, &s)| full[i / 64] |= u64::from(s) << (i % 64));
+                let longer = interior.longer(grid).unwrap();
+                interior.fit(longer, grid);
+                interior.find(grid, &full);
+                for cell in (0..n).filter(|&c| set[c]) {
+                    let d = distance(&set, grid, cell);
+                    let class = FROM.iter().filter(|&&from| d >= from).count();
+                    assert_eq!(interior.class(grid, cell) as usize, class, "{grid:?} {seed} {cell}: {d}");
+                    seen[class] += 1;
+                }
+            }
+        }
+        assert!(seen.iter().all(|&n| n > 50), "{seen:?}");
+    }
+}

@@ -1,0 +1,528 @@
+//! One ray after another through the grid of cells, and what packets of rays share with it.
+
+use super::{BINS, Chords, SHADOW_DIRECTION, SHADOW_OPACITY};
+use crate::features::{TransferSummary, VolumeSummary};
+use entire_core::kernels::Level;
+use entire_core::scene::Shape;
+use entire_core::scene::{Frame, Shading};
+use glam::Vec3;
+
+/// Numbers that are kept of each ray, each in an array of its own: where it goes through the image, …
+pub(super) const U: usize = 0;
+pub(super) const V: usize = 1;
+/// … the number in [0, 1) that picks the visible point from which a shadow ray starts, …
+pub(super) const DRAW: usize = 2;
+/// … and what it met, lengths in reference steps: in the box, …
+pub(super) const CHORD: usize = 3;
+/// … in occupied and in empty blocks and among visible samples up to termination, …
+pub(super) const OCCUPIED: usize = 4;
+pub(super) const EMPTY: usize = 5;
+pub(super) const VISIBLE: usize = 6;
+/// … runs of samples, …
+pub(super) const RUNS: usize = 7;
+/// … ∫ depth over the length in occupied blocks, …
+pub(super) const DEPTH: usize = 8;
+/// … 1 where it ended early, …
+pub(super) const TERMINATED: usize = 9;
+/// … and its shadow ray's length in occupied blocks, empty blocks, and length, each times the visible length.
+pub(super) const SHADOW: usize = 10;
+pub(super) const SHADOW_SKIPS: usize = 11;
+pub(super) const SHADOW_ALL: usize = 12;
+/// Looks at the skip map for the samples of the ray, and of its shadow ray, times the visible length.
+pub(super) const SEGMENTS: usize = 13;
+pub(super) const SHADOW_SEGMENTS: usize = 14;
+/// Length in which any of 2^[`LANES_LOG2`] rays beside each other meets a visible sample; with a shadow ray only.
+pub(super) const BUSY: usize = 15;
+/// How many numbers.
+pub(super) const FIELDS: usize = 16;
+
+/// Rays that a renderer on the CPU marches side by side: log2 of their number.
+pub(super) const LANES_LOG2: usize = 3;
+
+/// Direction components nearer to zero than this are taken as this.
+pub(super) const TINY: f32 = 1.0e-9;
+
+/// Chords that are counted at a time.
+pub(super) const KEPT: usize = 256;
+
+const FIRST_BIN_EXPONENT: u32 = 127 - 4;
+
+/// Chords through empty space by length, counted in whole numbers so that no order of rays changes a sum.
+#[derive(Clone, Copy)]
+pub(super) struct ChordCounts {
+    count: [u64; BINS],
+    length: [u64; BINS],
+}
+
+impl ChordCounts {
+    const NOTHING: Self = Self { count: [0; BINS], length: [0; BINS] };
+
+    /// Of a chord, and of a reference step.
+    pub(super) const UNIT: f32 = 1048576.0;
+
+    /// Longer chords are taken as this long, in reference steps.
+    pub(super) const LONGEST: f32 = 2040.0;
+
+    #[inline(always)]
+    fn bin(length: f32) -> u32 {
+        let half_octave = length.to_bits() >> 22;
+        half_octave.saturating_sub(FIRST_BIN_EXPONENT << 1).min(BINS as u32 - 1)
+    }
+
+    /// A length in [`Self::UNIT`]s.
+    #[inline(always)]
+    fn units(length: f32) -> u32 {
+        let length = if length < Self::LONGEST { length } else { Self::LONGEST };
+        (length * Self::UNIT) as i32 as u32
+    }
+
+    /// Adds a chord.
+    #[inline(always)]
+    pub(super) fn add_one(&mut self, length: f32) {
+        let bin = Self::bin(length) as usize;
+        self.count[bin] += Self::UNIT as u64;
+        self.length[bin] += u64::from(Self::units(length));
+    }
+
+    /// Adds the first `count` chords, their lengths in [`Self::UNIT`]s beside them.
+    #[inline(always)]
+    pub(super) fn add_all(&mut self, lengths: &[f32; KEPT], units: &[u32; KEPT], count: usize) {
+        /// Where the number of chords stands above their length.
+        const ONE: u64 = 1 << 40;
+        let bins = lengths.map(Self::bin);
+        // Four tables in turn: in one, equal neighbors would wait for each other.
+        let mut sums = [[0u64; 32]; 4];
+        let [a, b, c, d] = &mut sums;
+        let one = |sums: &mut [u64; 32], bin: u32, units: u32| {
+            sums[bin as usize % 32] += ONE + u64::from(units);
+        };
+        let (fours, rest) = bins[..count].as_chunks::<4>();
+        for (&[i, j, k, l], &[s, t, u, v]) in fours.iter().zip(units.as_chunks::<4>().0) {
+            one(a, i, s);
+            one(b, j, t);
+            one(c, k, u);
+            one(d, l, v);
+        }
+        for (&bin, &units) in rest.iter().zip(&units[count - rest.len()..]) {
+            one(a, bin, units);
+        }
+        for bin in 0..BINS {
+            let sum: u64 = sums.iter().map(|s| s[bin]).sum();
+            self.count[bin] += (sum / ONE) * Self::UNIT as u64;
+            self.length[bin] += sum % ONE;
+        }
+    }
+
+    /// Adds as many chords of `length` as make `together`.
+    #[inline(always)]
+    pub(super) fn add_many(&mut self, length: f32, together: f32) {
+        let bin = Self::bin(length) as usize;
+        self.count[bin] += (together / length * Self::UNIT) as u64;
+        self.length[bin] += (together.min(16_777_216.0) * Self::UNIT) as u64;
+    }
+
+    /// The mean over rays, given one over their number.
+    pub(super) fn mean(&self, inv: f32) -> Chords {
+        let scale = |v: u64| v as f32 * (inv / Self::UNIT);
+        Chords { count: self.count.map(scale), length: self.length.map(scale) }
+    }
+}
+
+/// What every ray of a frame needs.
+pub(super) struct March<'a> {
+    pub(super) volume: &'a VolumeSummary,
+    pub(super) transfer: &'a mut TransferSummary,
+    pub(super) grid: [i32; 3],
+    /// As [`entire_core::scene::Camera::ray_basis`] gives them.
+    pub(super) origin: [Vec3; 3],
+    pub(super) direction: [Vec3; 3],
+    pub(super) half_extent: Vec3,
+    /// Cells per scene unit along each axis.
+    pub(super) scale: Vec3,
+    /// Cells begin at voxel centers: half a voxel in cells.
+    pub(super) shift: Vec3,
+    pub(super) scatters: bool,
+    /// Scene length of a reference step, inverted.
+    pub(super) per_step: f32,
+    /// Optical depth at which a ray ends.
+    pub(super) depth_end: f32,
+    /// Optical depth at which a shadow ray ends.
+    pub(super) shadow_end: f32,
+    /// Edges of a block in scene units where cells hold several blocks.
+    pub(super) block: Option<Vec3>,
+    pub(super) block_skips: ChordCounts,
+    pub(super) distance_skips: ChordCounts,
+}
+
+/// What one ray met; names as those of the fields.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Ray {
+    pub(super) chord: f32,
+    pub(super) occupied: f32,
+    pub(super) empty: f32,
+    pub(super) visible: f32,
+    pub(super) runs: f32,
+    pub(super) depth: f32,
+    pub(super) shadow: f32,
+    pub(super) shadow_skips: f32,
+    pub(super) shadow_all: f32,
+    pub(super) segments: f32,
+    pub(super) shadow_segments: f32,
+    pub(super) busy: f32,
+    pub(super) terminated: bool,
+}
+
+impl Ray {
+    const MISS: Self = Self {
+        chord: 0.0,
+        occupied: 0.0,
+        empty: 0.0,
+        visible: 0.0,
+        runs: 0.0,
+        depth: 0.0,
+        shadow: 0.0,
+        shadow_skips: 0.0,
+        shadow_all: 0.0,
+        segments: 0.0,
+        shadow_segments: 0.0,
+        busy: 0.0,
+        terminated: false,
+    };
+}
+
+impl<'a> March<'a> {
+    pub(super) fn new(
+        volume: &'a VolumeSummary,
+        transfer: &'a mut TransferSummary,
+        frame: &Frame,
+        shape: Shape,
+    ) -> Self {
+        let dims = Vec3::from_array(shape.dims.map(|n| n as f32));
+        let edge = Vec3::from_array(volume.cell_edge().map(|n| n as f32));
+        let block = Vec3::from_array(volume.block_edge().map(|n| n as f32));
+        let voxel = 2.0 * shape.half_extent / dims;
+        let termination = frame.termination;
+        let (origin, direction) = frame.camera.ray_basis(frame.width, frame.height);
+        Self {
+            volume,
+            transfer,
+            grid: volume.cells().map(|n| n as i32),
+            origin,
+            direction,
+            half_extent: shape.half_extent,
+            scale: 1.0 / (voxel * edge),
+            shift: 0.5 / edge,
+            scatters: frame.shading == Shading::Scatter,
+            per_step: 1.0 / shape.reference_step,
+            depth_end: if termination < 1.0 { -libm::log1pf(-termination) } else { f32::INFINITY },
+            shadow_end: -libm::log1pf(-SHADOW_OPACITY),
+            block: (block != edge).then_some(block * voxel),
+            block_skips: ChordCounts::NOTHING,
+            distance_skips: ChordCounts::NOTHING,
+        }
+    }
+
+    /// Whether jumps of the distance map are counted apart.
+    pub(super) fn maps_distance(&self) -> bool {
+        self.transfer.distance().is_some()
+    }
+
+    /// Marches the first `count` rays, side by side where there is a level. Jumps of the distance map are
+    /// followed ray by ray.
+    pub(super) fn all(&mut self, level: Option<Level>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
+        match level {
+            Some(level) if !self.maps_distance() => super::packet::march(level, self, rays, count),
+            _ => self.one_by_one(rays, count),
+        }
+    }
+
+    /// Computes what cells do to a ray: a bit in `lanes` for each of `cells`.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn compute(&mut self, cells: &[i32; 16], mut lanes: u32) {
+        while lanes != 0 {
+            let cell = cells[lanes.trailing_zeros() as usize] as usize;
+            if cell < self.transfer.cell_count() {
+                self.transfer.compute(self.volume, cell);
+            }
+            lanes &= lanes - 1;
+        }
+    }
+
+    /// Marches the first `count` rays, one after another.
+    #[allow(clippy::needless_range_loop, reason = "the ray of every field")]
+    pub(super) fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {
+        for i in 0..count {
+            let at = |[middle, right, up]: [Vec3; 3]| middle + rays[U][i] * right + rays[V][i] * up;
+            let ray = self.ray(at(self.origin), at(self.direction), rays[DRAW][i]);
+            rays[CHORD][i] = ray.chord;
+            rays[OCCUPIED][i] = ray.occupied;
+            rays[EMPTY][i] = ray.empty;
+            rays[VISIBLE][i] = ray.visible;
+            rays[RUNS][i] = ray.runs;
+            rays[DEPTH][i] = ray.depth;
+            rays[TERMINATED][i] = f32::from(u8::from(ray.terminated));
+            rays[SHADOW][i] = ray.shadow;
+            rays[SHADOW_SKIPS][i] = ray.shadow_skips;
+            rays[SHADOW_ALL][i] = ray.shadow_all;
+            rays[SEGMENTS][i] = ray.segments;
+            rays[SHADOW_SEGMENTS][i] = ray.shadow_segments;
+            rays[BUSY][i] = ray.busy;
+        }
+    }
+
+    /// Marches one ray. `draw` in [0, 1) picks the visible point that a shadow ray starts from.
+    pub(super) fn ray(&mut self, origin: Vec3, direction: Vec3, mut draw: f32) -> Ray {
+        let safe = Vec3::from_array(direction.to_array().map(|d| {
+            let least = if d < 0.0 { -TINY } else { TINY };
+            if d.abs() < TINY { least } else { d }
+        }));
+        let inverse = 1.0 / safe;
+        let (a, b) = ((-self.half_extent - origin) * inverse, (self.half_extent - origin) * inverse);
+        let t_enter = a.min(b).max_element().max(0.0);
+        let t_exit = a.max(b).min_element();
+        if !(t_enter < t_exit) {
+            return Ray::MISS;
+        }
+        // Reference steps per unit of t.
+        let rate = direction.length() * self.per_step;
+        let mut out = Ray { chord: (t_exit - t_enter) * rate, ..Ray::MISS };
+        let start = (origin + t_enter * safe + self.half_extent) * self.scale - self.shift;
+        let mut walk = Walk::new(start, safe * self.scale, t_enter, self.grid);
+        let mean_block_chord = self.block.map(|b| {
+            let d = direction.abs();
+            rate * (b.x * b.y * b.z) / (d.x * b.y * b.z + d.y * b.x * b.z + d.z * b.x * b.y)
+        });
+        // Borders of cells that are crossed per reference step.
+        let crossings = crossings(safe * self.scale) / rate;
+        let mut t = t_enter;
+        let mut depth = 0.0f32;
+        // Current jump of the distance map: where it began, how far it reaches, its length so far.
+        let mut jump = Jump::NONE;
+        let mut was_occupied = false;
+        // Where on the ray the shadow ray starts; negative for none.
+        let mut lit = -1.0f32;
+        loop {
+            let t_next = walk.leaves().min(t_exit);
+            let length = (t_next - t).max(0.0) * rate;
+            let cell = walk.index as usize;
+            if let Some(here) = self.transfer.optics(self.volume, cell) {
+                jump.finish(&mut self.distance_skips);
+                jump = Jump::NONE;
+                let d = here.extinction * length;
+                let (used, ends) = if depth + d >= self.depth_end {
+                    ((self.depth_end - depth) / d * length, true)
+                } else {
+                    (length, false)
+                };
+                let inside = used * here.occupied;
+                out.occupied += inside;
+                // A view's rays have unit length along its axis: t is depth.
+                out.depth += inside * (t + t_next);
+                out.segments += used * here.looks * crossings;
+                out.runs += if was_occupied { 0.0 } else { 1.0 };
+                was_occupied = true;
+                let shown = used * here.visible;
+                out.visible += shown;
+                if self.scatters && shown > 0.0 {
+                    // The share in which not all of the lanes miss what is visible, as if each saw a part of
+                    // the cell of its own.
+                    let mut miss = 1.0 - here.visible;
+                    for _ in 0..LANES_LOG2 {
+                        miss *= miss;
+                    }
+                    out.busy += used * (1.0 - miss);
+                    // Keeps one visible point with the probability of its length, reusing the draw.
+                    let keep = shown / out.visible;
+                    if draw < keep {
+                        draw /= keep;
+                        lit = t + draw * (t_next - t);
+                    } else {
+                        draw = (draw - keep) / (1.0 - keep);
+                    }
+                }
+                if here.occupied < 1.0 {
+                    let empty = used - inside;
+                    out.empty += empty;
+                    if let Some(chord) = mean_block_chord {
+                        let more = empty / chord * here.occupied;
+                        out.runs += more;
+                        out.segments += more;
+                        self.distance_skips.add_many(chord, empty);
+                    }
+                }
+                if ends {
+                    out.terminated = true;
+                    break;
+                }
+                depth += d;
+            } else {
+                was_occupied = false;
+                out.empty += length;
+                if mean_block_chord.is_none() {
+                    self.block_skips.add_one(length);
+                }
+                if let Some(distance) = self.transfer.distance() {
+                    let index = walk.index;
+                    let (nx, ny) = (self.grid[0], self.grid[1]);
+                    let place = [index % nx, index / nx % ny, index / nx / ny];
+                    if !jump.covers(place) {
+                        jump.finish(&mut self.distance_skips);
+                        jump = Jump { from: place, reach: i32::from(distance[cell]), length: 0.0 };
+                    }
+                    jump.length += length;
+                }
+            }
+            if t_next >= t_exit {
+                break;
+            }
+            t = t_next;
+            walk.advance();
+        }
+        out.depth *= 0.5;
+        jump.finish(&mut self.distance_skips);
+        if let Some(chord) = mean_block_chord {
+            self.block_skips.add_many(chord, out.empty);
+        }
+        if lit >= 0.0 {
+            let [occupied, all, skips, segments] = self.shadow(origin + lit * safe);
+            out.shadow_segments = out.visible * segments;
+            out.shadow = out.visible * occupied;
+            out.shadow_all = out.visible * all;
+            out.shadow_skips = out.visible * skips;
+        }
+        out
+    }
+
+    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, empty blocks
+    /// met, and looks at the skip map for samples.
+    fn shadow(&mut self, from: Vec3) -> [f32; 4] {
+        let direction = Vec3::from_array(SHADOW_DIRECTION);
+        let mut t_exit = f32::INFINITY;
+        for k in 0..3 {
+            // The direction's components are all positive.
+            t_exit = t_exit.min((self.half_extent[k] - from[k]) / direction[k]);
+        }
+        let start = (from + self.half_extent) * self.scale - self.shift;
+        let mut walk = Walk::new(start, direction * self.scale, 0.0, self.grid);
+        let rate = direction.length() * self.per_step;
+        let crossings = crossings(direction * self.scale) / rate;
+        let end = self.shadow_end;
+        let (mut t, mut depth, mut occupied, mut skips, mut segments) =
+            (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
+        while t < t_exit {
+            let t_next = walk.leaves().min(t_exit);
+            let length = (t_next - t).max(0.0) * rate;
+            let cell = walk.index as usize;
+            if let Some(here) = self.transfer.optics(self.volume, cell) {
+                let d = here.extinction * length;
+                if depth + d >= end {
+                    let used = (end - depth) / d;
+                    return [
+                        occupied + used * length * here.occupied,
+                        (t + used * (t_next - t)) * rate,
+                        skips,
+                        segments + used * length * here.looks * crossings,
+                    ];
+                }
+                depth += d;
+                occupied += length * here.occupied;
+                segments += length * here.looks * crossings;
+            } else {
+                skips += 1.0;
+            }
+            if t_next >= t_exit {
+                break;
+            }
+            t = t_next;
+            walk.advance();
+        }
+        [occupied, t_exit.max(0.0) * rate, skips, segments]
+    }
+}
+
+/// Borders of cells that are crossed per t, along all axes together.
+fn crossings(pace: Vec3) -> f32 {
+    let pace = pace.abs();
+    pace.x + pace.y + pace.z
+}
+
+/// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once
+/// are crossed at once.
+struct Walk {
+    /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which
+    /// reaches to the box.
+    next: [f32; 3],
+    /// Growth of t from face to face.
+    delta: [f32; 3],
+    /// Later faces than this are not crossed.
+    last: [f32; 3],
+    stride: [i32; 3],
+    index: i32,
+}
+
+impl Walk {
+    /// From `start` (in cells) at t = `t_enter` along `direction` (cells per t, no component zero).
+    fn new(start: Vec3, direction: Vec3, t_enter: f32, grid: [i32; 3]) -> Self {
+        let mut out = Self { next: [0.0; 3], delta: [0.0; 3], last: [0.0; 3], stride: [0; 3], index: 0 };
+        let mut stride = 1;
+        for k in 0..3 {
+            let cell = (start[k] as i32).clamp(0, grid[k] - 1);
+            let forward = direction[k] > 0.0;
+            let inverse = 1.0 / direction[k];
+            let face = if forward { cell + 1 } else { cell };
+            let left = if forward { grid[k] - 1 - cell } else { cell };
+            let first = (t_enter + (face as f32 - start[k]) * inverse).max(t_enter);
+            out.delta[k] = inverse.abs();
+            out.last[k] = first + (left as f32 - 0.5) * out.delta[k];
+            out.next[k] = if left == 0 { f32::INFINITY } else { first };
+            out.stride[k] = if forward { stride } else { -stride };
+            out.index += cell * stride;
+            stride *= grid[k];
+        }
+        out
+    }
+
+    /// t at which the ray leaves the present cell.
+    #[inline(always)]
+    fn leaves(&self) -> f32 {
+        let [x, y, z] = self.next;
+        let xy = if x < y { x } else { y };
+        if xy < z { xy } else { z }
+    }
+
+    /// Goes on to the next cell.
+    #[inline(always)]
+    fn advance(&mut self) {
+        let t = self.leaves();
+        for k in 0..3 {
+            let crosses = self.next[k] <= t;
+            let further = self.next[k] + self.delta[k];
+            let further = if further > self.last[k] { f32::INFINITY } else { further };
+            self.next[k] = if crosses { further } else { self.next[k] };
+            self.index += if crosses { self.stride[k] } else { 0 };
+        }
+    }
+}
+
+/// A jump of the distance map, in cells.
+#[derive(Clone, Copy)]
+struct Jump {
+    from: [i32; 3],
+    reach: i32,
+    length: f32,
+}
+
+impl Jump {
+    const NONE: Self = Self { from: [0; 3], reach: 0, length: 0.0 };
+
+    fn covers(&self, place: [i32; 3]) -> bool {
+        self.reach > 0 && (0..3).all(|k| (place[k] - self.from[k]).abs() < self.reach)
+    }
+
+    fn finish(&self, into: &mut ChordCounts) {
+        if self.reach > 0 {
+            into.add_one(self.length);
+        }
+    }
+}

@@ -1,0 +1,635 @@
+//! Rays side by side through the grid of cells: as many as a vector has lanes, each in the arithmetic of
+//! [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of its packet, so that a
+//! packet holds rays that cross about as many cells.
+
+use super::march::{
+    BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, LANES_LOG2, March, OCCUPIED, RUNS, SEGMENTS,
+    SHADOW, SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
+};
+use super::{MAX_RAYS, SHADOW_DIRECTION};
+use crate::features::transfer::packed;
+use entire_core::kernels::{Kernel, Level, Simd};
+
+/// Marches the first `count` rays. `rays` must have room for a multiple of 16.
+pub(super) fn march(level: Level, march: &mut March<'_>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
+    level.run(Packets { march, rays, count });
+}
+
+struct Packets<'a, 'm, 'r> {
+    march: &'a mut March<'m>,
+    rays: &'a mut [&'r mut [f32]; FIELDS],
+    count: usize,
+}
+
+impl Kernel for Packets<'_, '_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let mut packet = Packet { simd, march: self.march, kept: [0.0; KEPT], kept_count: 0 };
+        let mut order = Order::NONE;
+        packet.sort(self.rays, self.count, &mut order);
+        let mut lit = Lit { rays: [0; MAX_RAYS + 16], count: 0 };
+        let mut at = 0;
+        while at < order.len {
+            packet.march(self.rays, &order.rays[at..], order.len - at, &mut lit);
+            at += S::LANES;
+        }
+        packet.add_kept();
+        if lit.count > 0 {
+            packet.sort_shadows(self.rays, &lit, &mut order);
+            let mut at = 0;
+            while at < order.len {
+                packet.march_shadows(self.rays, &order.rays[at..], order.len - at);
+                at += S::LANES;
+            }
+        }
+    }
+}
+
+/// Rays from which a shadow ray starts; where it does stands in their fields from [`SHADOW`] on.
+struct Lit {
+    rays: [i32; MAX_RAYS + 16],
+    count: usize,
+}
+
+/// Rays in the order in which they are marched: those that cross about as many cells together.
+struct Order {
+    rays: [i32; MAX_RAYS + 16],
+    len: usize,
+    /// Of the rays to be sorted, the group of each; those of group 0 are left out.
+    groups: [u8; MAX_RAYS + 16],
+    /// Rays in each group, from the second place on.
+    ends: [u16; LENGTHS + 1],
+}
+
+impl Order {
+    const NONE: Self =
+        Self { rays: [0; MAX_RAYS + 16], len: 0, groups: [0; MAX_RAYS + 16], ends: [0; LENGTHS + 1] };
+
+    /// Notes the groups of some rays, the first of which is number `at`.
+    #[inline(always)]
+    fn note(&mut self, at: usize, groups: &[i32]) {
+        for (i, &group) in groups.iter().enumerate() {
+            let group = group as usize % LENGTHS;
+            self.groups[at + i] = group as u8;
+            self.ends[group + 1] += 1;
+        }
+    }
+
+    /// Puts the first `count` rays in order, by their groups; `ray` names them.
+    #[inline(always)]
+    fn sort(&mut self, count: usize, ray: impl Fn(usize) -> i32) {
+        let ends = &mut self.ends;
+        // Of group 0 are those that are left out; the others go after each other from the first place on.
+        ends[1] = 0;
+        for group in 1..LENGTHS {
+            ends[group + 1] += ends[group];
+        }
+        for (i, &group) in self.groups.iter().enumerate().take(count).filter(|(_, group)| **group != 0) {
+            let place = &mut ends[usize::from(group)];
+            self.rays[usize::from(*place)] = ray(i);
+            *place += 1;
+        }
+        self.len = usize::from(ends[LENGTHS - 1]);
+    }
+}
+
+/// Where the rays of a packet enter and leave the box, and how they run through it.
+struct Chords<S: Simd> {
+    origin: Three<S>,
+    direction: Three<S>,
+    /// `direction`, no component too near to zero.
+    safe: Three<S>,
+    t_enter: S::F,
+    t_exit: S::F,
+}
+
+/// Lengths that rays are sorted by.
+const LENGTHS: usize = 64;
+
+/// Three vectors.
+type Three<S> = [<S as Simd>::F; 3];
+
+/// The cells along each ray, one after another (as [`super::march::Walk`]).
+struct Walk<S: Simd> {
+    next: Three<S>,
+    delta: Three<S>,
+    last: Three<S>,
+    stride: [S::I; 3],
+    index: S::I,
+}
+
+struct Packet<'a, 'm, S> {
+    simd: S,
+    march: &'a mut March<'m>,
+    /// Lengths of chords through empty cells, to be counted.
+    kept: [f32; KEPT],
+    kept_count: usize,
+}
+
+impl<S: Simd> Packet<'_, '_, S> {
+    #[inline(always)]
+    fn walk(&self, start: Three<S>, direction: Three<S>, t_enter: S::F) -> Walk<S> {
+        let simd = self.simd;
+        let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
+        let none = simd.splat(f32::INFINITY);
+        let mut walk = Walk {
+            next: [zero; 3],
+            delta: [zero; 3],
+            last: [zero; 3],
+            stride: [simd.zero_i(); 3],
+            index: simd.zero_i(),
+        };
+        let mut stride = 1i32;
+        for k in 0..3 {
+            let furthest = simd.splat((self.march.grid[k] - 1) as f32);
+            let whole = simd.trunc(simd.min(simd.max(start[k], zero), furthest));
+            let cell = simd.to_f(whole);
+            let forward = simd.lt(zero, direction[k]);
+            let inverse = simd.div(one, direction[k]);
+            let face = simd.select(forward, simd.add(cell, one), cell);
+            let left = simd.select(forward, simd.sub(furthest, cell), cell);
+            let first = simd.add(t_enter, simd.mul(simd.sub(face, start[k]), inverse));
+            let first = simd.max(first, t_enter);
+            let delta = simd.max(inverse, simd.sub(zero, inverse));
+            walk.delta[k] = delta;
+            walk.last[k] = simd.add(first, simd.mul(simd.sub(left, simd.splat(0.5)), delta));
+            walk.next[k] = simd.select(simd.lt(zero, left), first, none);
+            walk.stride[k] = simd.select_i(forward, simd.splat_i(stride), simd.splat_i(-stride));
+            walk.index = simd.add_i(walk.index, simd.mul_i(whole, stride));
+            stride *= self.march.grid[k];
+        }
+        walk
+    }
+
+    /// t at which each ray leaves its cell.
+    #[inline(always)]
+    fn leaves(&self, walk: &Walk<S>) -> S::F {
+        self.simd.min(self.simd.min(walk.next[0], walk.next[1]), walk.next[2])
+    }
+
+    /// Goes on to the next cell. A ray that has left the box goes nowhere in particular, and is not alive.
+    ///
+    /// That nothing here waits for what a cell does to its ray lets the next cells be fetched meanwhile.
+    #[inline(always)]
+    fn advance(&self, walk: &mut Walk<S>) {
+        let simd = self.simd;
+        let t = self.leaves(walk);
+        let none = simd.splat(f32::INFINITY);
+        for k in 0..3 {
+            let crosses = simd.le(walk.next[k], t);
+            let further = simd.add(walk.next[k], walk.delta[k]);
+            let further = simd.select(simd.lt(walk.last[k], further), none, further);
+            walk.next[k] = simd.select(crosses, further, walk.next[k]);
+            walk.index = simd.add_if(walk.index, crosses, walk.stride[k]);
+        }
+    }
+
+    /// The words of the cells without the present edit's number, and in which of `lanes` a cell is not empty.
+    /// What those cells do to a ray is known then.
+    #[inline(always)]
+    fn look(&mut self, index: S::I, lanes: S::M) -> (S::I, S::M) {
+        let simd = self.simd;
+        let (words, edit) = self.march.transfer.words();
+        let edit = simd.splat_i(edit as i32);
+        let mut found = simd.xor_i(simd.gather(words, index), edit);
+        let unknown = simd.and_m(simd.nonzero(simd.and_i(found, packed::EDIT as i32)), lanes);
+        if simd.any(unknown) {
+            let mut cells = [0i32; 16];
+            simd.write_i(index, &mut cells);
+            self.march.compute(&cells, simd.lane_bits(unknown));
+            found = simd.xor_i(simd.gather(self.march.transfer.words().0, index), edit);
+        }
+        (found, simd.and_m(simd.nonzero(found), lanes))
+    }
+
+    /// Extinction, visible share, and one over the cells between looks, of what [`Self::look`] found.
+    #[inline(always)]
+    fn optics(&self, found: S::I) -> Three<S> {
+        let simd = self.simd;
+        let bits = simd.and_i(found, packed::EXTINCTION as i32);
+        let extinction = simd.as_f(simd.add_i(bits, simd.splat_i(packed::EXPONENT as i32)));
+        let root = simd.to_f(simd.and_i(found, packed::SHOWS as i32));
+        let root = simd.mul(root, simd.splat(packed::UNIT));
+        let class = simd.mul_i(simd.and_i(found, packed::DEPTH as i32), -(packed::HALVING as i32));
+        let looks = simd.as_f(simd.add_i(class, simd.splat_i(1.0f32.to_bits() as i32)));
+        [extinction, simd.mul(root, root), looks]
+    }
+
+    #[inline(always)]
+    fn magnitude(&self, v: S::F) -> S::F {
+        self.simd.max(v, self.simd.sub(self.simd.splat(0.0), v))
+    }
+
+    /// A number of each ray.
+    #[inline(always)]
+    fn of_rays(&self, field: &[f32], own: S::I) -> S::F {
+        self.simd.as_f(self.simd.gather(bytemuck::cast_slice(field), own))
+    }
+
+    /// Borders of cells that rays cross per t, along all axes together.
+    #[inline(always)]
+    fn crossings(&self, pace: &Three<S>) -> S::F {
+        let simd = self.simd;
+        let [x, y, z] = [self.magnitude(pace[0]), self.magnitude(pace[1]), self.magnitude(pace[2])];
+        simd.add(simd.add(x, y), z)
+    }
+
+    /// Occupied share of the cells.
+    #[inline(always)]
+    fn share(&self, index: S::I) -> S::F {
+        match self.march.transfer.occupied_shares() {
+            [] => self.simd.splat(1.0),
+            shares => self.simd.as_f(self.simd.gather(bytemuck::cast_slice(shares), index)),
+        }
+    }
+
+    /// Component `k` of a vector that depends on the place in the image.
+    #[inline(always)]
+    fn along(&self, [middle, right, up]: &[glam::Vec3; 3], k: usize, u: S::F, v: S::F) -> S::F {
+        let simd = self.simd;
+        let along = simd.add(simd.splat(middle[k]), simd.mul(u, simd.splat(right[k])));
+        simd.add(along, simd.mul(v, simd.splat(up[k])))
+    }
+
+    /// Where rays through these places of the image meet the box.
+    #[inline(always)]
+    fn chords(&self, u: S::F, v: S::F) -> Chords<S> {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let mut origins = [zero; 3];
+        let mut direction = [zero; 3];
+        let mut safe = [zero; 3];
+        let (mut t_enter, mut t_exit) = (zero, simd.splat(f32::INFINITY));
+        for k in 0..3 {
+            let m = &*self.march;
+            let (origin, d) = (self.along(&m.origin, k, u, v), self.along(&m.direction, k, u, v));
+            let least = simd.select(simd.lt(d, zero), simd.splat(-TINY), simd.splat(TINY));
+            let magnitude = self.magnitude(d);
+            origins[k] = origin;
+            direction[k] = d;
+            safe[k] = simd.select(simd.lt(magnitude, simd.splat(TINY)), least, d);
+            let inverse = simd.div(simd.splat(1.0), safe[k]);
+            let extent = m.half_extent[k];
+            let a = simd.mul(simd.sub(simd.splat(-extent), origin), inverse);
+            let b = simd.mul(simd.sub(simd.splat(extent), origin), inverse);
+            t_enter = simd.max(t_enter, simd.min(a, b));
+            t_exit = simd.min(t_exit, simd.max(a, b));
+        }
+        Chords { origin: origins, direction, safe, t_enter, t_exit }
+    }
+
+    /// The group of rays that cross about so many cells; those of `met` alone are in one.
+    #[inline(always)]
+    fn group(&self, crossed: S::F, met: S::M) -> S::I {
+        let simd = self.simd;
+        let cells = self.march.grid.iter().sum::<i32>() as f32;
+        let group = simd.mul(crossed, simd.splat((LENGTHS - 2) as f32 / cells));
+        let group = simd.add(simd.min(group, simd.splat((LENGTHS - 2) as f32)), simd.splat(1.0));
+        simd.trunc(simd.select(met, group, simd.splat(0.0)))
+    }
+
+    /// The rays that meet the box by the number of cells on their way. The others have no chord.
+    #[inline(always)]
+    fn sort(&self, rays: &mut [&mut [f32]; FIELDS], count: usize, order: &mut Order) {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let mut lanes = [0i32; 16];
+        let mut at = 0;
+        while at < count {
+            let ray = self.chords(simd.read(&rays[U][at..]), simd.read(&rays[V][at..]));
+            let mut pace = zero;
+            for k in 0..3 {
+                let d = self.magnitude(ray.direction[k]);
+                pace = simd.add(pace, simd.mul(d, simd.splat(self.march.scale[k])));
+            }
+            let crossed = simd.mul(simd.sub(ray.t_exit, ray.t_enter), pace);
+            simd.write_i(self.group(crossed, simd.lt(ray.t_enter, ray.t_exit)), &mut lanes);
+            order.note(at, &lanes[..S::LANES.min(count - at)]);
+            simd.write(zero, &mut rays[CHORD][at..]);
+            at += S::LANES;
+        }
+        order.sort(count, |ray| ray as i32);
+    }
+
+    /// The shadow rays by the number of cells up to the end of the box.
+    #[inline(always)]
+    fn sort_shadows(&self, rays: &[&mut [f32]; FIELDS], lit: &Lit, order: &mut Order) {
+        let simd = self.simd;
+        *order = Order::NONE;
+        let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
+        let pace = simd.splat((direction * self.march.scale).element_sum());
+        let mut lanes = [0i32; 16];
+        let mut at = 0;
+        while at < lit.count {
+            let (_, t_exit) = self.shadow_ends(self.origins(rays, &lit.rays[at..]));
+            let all = simd.le(simd.splat(0.0), simd.splat(0.0));
+            simd.write_i(self.group(simd.mul(simd.max(t_exit, simd.splat(0.0)), pace), all), &mut lanes);
+            order.note(at, &lanes[..S::LANES.min(lit.count - at)]);
+            at += S::LANES;
+        }
+        order.sort(lit.count, |i| lit.rays[i]);
+    }
+
+    /// Where the shadow rays of rays start.
+    #[inline(always)]
+    fn origins(&self, rays: &[&mut [f32]; FIELDS], order: &[i32]) -> Three<S> {
+        let simd = self.simd;
+        let own = simd.read_i(order);
+        let [x, y, z] = [&*rays[SHADOW], &*rays[SHADOW_ALL], &*rays[SHADOW_SKIPS]];
+        [self.of_rays(x, own), self.of_rays(y, own), self.of_rays(z, own)]
+    }
+
+    /// Counts the chords that were kept.
+    #[inline(always)]
+    fn add_kept(&mut self) {
+        let simd = self.simd;
+        let mut units = [0u32; KEPT];
+        for (lengths, units) in self.kept.chunks_exact(16).zip(units.as_chunks_mut::<16>().0) {
+            let mut at = 0;
+            while at < 16 {
+                let length = simd.min(simd.read(&lengths[at..]), simd.splat(ChordCounts::LONGEST));
+                let mut lanes = [0i32; 16];
+                simd.write_i(simd.trunc(simd.mul(length, simd.splat(ChordCounts::UNIT))), &mut lanes);
+                units[at..at + S::LANES].copy_from_slice(bytemuck::cast_slice(&lanes[..S::LANES]));
+                at += S::LANES;
+            }
+        }
+        self.march.block_skips.add_all(&self.kept, &units, self.kept_count);
+        self.kept_count = 0;
+    }
+
+    /// Gives numbers to the rays of a packet that exist.
+    #[inline(always)]
+    fn spread(&self, value: S::F, field: &mut [f32], order: &[i32], count: usize) {
+        let mut lanes = [0.0f32; 16];
+        self.simd.write(value, &mut lanes);
+        for (&lane, &ray) in lanes.iter().zip(order).take(S::LANES.min(count)) {
+            field[ray as usize] = lane;
+        }
+    }
+
+    /// Marches the first `LANES` rays of `order`, `count` of which exist. Their shadow rays are to be marched
+    /// then.
+    #[inline(always)]
+    fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize, lit_rays: &mut Lit) {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let own = simd.read_i(order);
+        let (u, v) = (self.of_rays(rays[U], own), self.of_rays(rays[V], own));
+        let mut draw = self.of_rays(rays[DRAW], own);
+        let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
+        let Chords { origin, direction, safe, t_enter, t_exit } = self.chords(u, v);
+        let mut alive = simd.and_m(simd.lt(t_enter, t_exit), existing);
+        let [x, y, z] = direction;
+        let length = simd.sqrt(simd.add(simd.add(simd.mul(x, x), simd.mul(y, y)), simd.mul(z, z)));
+        // Reference steps per unit of t.
+        let rate = simd.mul(length, simd.splat(self.march.per_step));
+        let chord = simd.select(alive, simd.mul(simd.sub(t_exit, t_enter), rate), zero);
+        self.spread(chord, rays[CHORD], order, count);
+
+        let m = &*self.march;
+        let mut start = [zero; 3];
+        let mut pace = [zero; 3];
+        for k in 0..3 {
+            let entry = simd.add(origin[k], simd.mul(t_enter, safe[k]));
+            let inside = simd.add(entry, simd.splat(m.half_extent[k]));
+            start[k] = simd.sub(simd.mul(inside, simd.splat(m.scale[k])), simd.splat(m.shift[k]));
+            pace[k] = simd.mul(safe[k], simd.splat(m.scale[k]));
+        }
+        let split = m.block;
+        let mut block_chord = None;
+        if let Some(b) = split {
+            // In the order of the products of `March::ray`: |d|·b·c is not |d|·(b·c).
+            let [x, y, z] = [self.magnitude(x), self.magnitude(y), self.magnitude(z)];
+            let x = simd.mul(simd.mul(x, simd.splat(b.y)), simd.splat(b.z));
+            let y = simd.mul(simd.mul(y, simd.splat(b.x)), simd.splat(b.z));
+            let z = simd.mul(simd.mul(z, simd.splat(b.x)), simd.splat(b.y));
+            let volume = simd.mul(rate, simd.splat(b.x * b.y * b.z));
+            block_chord = Some(simd.div(volume, simd.add(simd.add(x, y), z)));
+        }
+        let scatters = m.scatters;
+        let depth_end = simd.splat(m.depth_end);
+        let crossings = simd.div(self.crossings(&pace), rate);
+        let mut walk = self.walk(start, pace, t_enter);
+        let mut t = t_enter;
+        let mut depth = zero;
+        let (mut occupied, mut empty, mut visible, mut busy) = (zero, zero, zero, zero);
+        let (mut runs, mut segments, mut far, mut terminated) = (zero, zero, zero, zero);
+        let mut lit = simd.splat(-1.0);
+        let mut was_occupied = simd.lt(zero, zero);
+        let mut kept_count = self.kept_count;
+        // A ray crosses each face of the grid once.
+        let mut left = self.march.grid.iter().sum::<i32>() + 3;
+        while simd.any(alive) && left > 0 {
+            left -= 1;
+            let t_next = simd.min(self.leaves(&walk), t_exit);
+            let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
+            let cell = walk.index;
+            self.advance(&mut walk);
+            let (found, full) = self.look(cell, alive);
+            let hollow = simd.and_not_m(alive, full);
+            if simd.any(hollow) {
+                empty = simd.select(hollow, simd.add(empty, length), empty);
+                if split.is_none() {
+                    kept_count += simd.compress(hollow, length, &mut self.kept[kept_count..]);
+                    if kept_count > KEPT - 16 {
+                        self.kept_count = kept_count;
+                        self.add_kept();
+                        kept_count = 0;
+                    }
+                }
+            }
+            let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
+            if simd.any(full) {
+                let ([extinction, shows, looks], share) = (self.optics(found), self.share(cell));
+                let d = simd.mul(extinction, length);
+                let sum = simd.add(depth, d);
+                let ends = simd.and_m(simd.le(depth_end, sum), full);
+                let mut used = length;
+                if simd.any(ends) {
+                    let part = simd.mul(simd.div(simd.sub(depth_end, depth), d), length);
+                    used = simd.select(ends, part, length);
+                    terminated = simd.select(ends, simd.splat(1.0), terminated);
+                    goes_on = simd.and_not_m(goes_on, ends);
+                }
+                depth = simd.select(full, sum, depth);
+                let inside = simd.mul(used, share);
+                occupied = simd.select(full, simd.add(occupied, inside), occupied);
+                let moment = simd.mul(inside, simd.add(t, t_next));
+                far = simd.select(full, simd.add(far, moment), far);
+                let looked = simd.mul(simd.mul(used, looks), crossings);
+                segments = simd.select(full, simd.add(segments, looked), segments);
+                let begins = simd.and_not_m(full, was_occupied);
+                runs = simd.select(begins, simd.add(runs, simd.splat(1.0)), runs);
+                let shown = simd.mul(used, shows);
+                visible = simd.select(full, simd.add(visible, shown), visible);
+                if scatters {
+                    let shines = simd.and_m(simd.lt(zero, shown), full);
+                    let mut miss = simd.sub(simd.splat(1.0), shows);
+                    for _ in 0..LANES_LOG2 {
+                        miss = simd.mul(miss, miss);
+                    }
+                    let any = simd.mul(used, simd.sub(simd.splat(1.0), miss));
+                    busy = simd.select(shines, simd.add(busy, any), busy);
+                    let keep = simd.div(shown, visible);
+                    let keeps = simd.and_m(simd.lt(draw, keep), shines);
+                    let redrawn = simd.div(draw, keep);
+                    let there = simd.add(t, simd.mul(redrawn, simd.sub(t_next, t)));
+                    lit = simd.select(keeps, there, lit);
+                    let passed = simd.div(simd.sub(draw, keep), simd.sub(simd.splat(1.0), keep));
+                    draw = simd.select(shines, simd.select(keeps, redrawn, passed), draw);
+                }
+                if let Some(chord) = block_chord {
+                    let partial = simd.and_m(simd.lt(share, simd.splat(1.0)), full);
+                    let hollow = simd.sub(used, inside);
+                    empty = simd.select(partial, simd.add(empty, hollow), empty);
+                    let more = simd.mul(simd.div(hollow, chord), share);
+                    runs = simd.select(partial, simd.add(runs, more), runs);
+                    segments = simd.select(partial, simd.add(segments, more), segments);
+                }
+            }
+            was_occupied = full;
+            t = t_next;
+            alive = goes_on;
+        }
+        self.kept_count = kept_count;
+        for (field, value) in [
+            (OCCUPIED, occupied),
+            (EMPTY, empty),
+            (VISIBLE, visible),
+            (RUNS, runs),
+            (SEGMENTS, segments),
+            (DEPTH, simd.mul(far, simd.splat(0.5))),
+            (TERMINATED, terminated),
+        ] {
+            self.spread(value, rays[field], order, count);
+        }
+        if let Some(chord) = block_chord {
+            let mut chords = [0.0f32; 16];
+            simd.write(chord, &mut chords);
+            for (&chord, &ray) in chords.iter().zip(order).take(count.min(S::LANES)) {
+                let ray = ray as usize;
+                if rays[CHORD][ray] > 0.0 {
+                    self.march.block_skips.add_many(chord, rays[EMPTY][ray]);
+                }
+            }
+        }
+        let lights = simd.le(zero, lit);
+        if scatters {
+            self.spread(busy, rays[BUSY], order, count);
+        }
+        if scatters && simd.any(lights) {
+            let mut from = [[0.0f32; 16]; 3];
+            for k in 0..3 {
+                simd.write(simd.add(origin[k], simd.mul(lit, safe[k])), &mut from[k]);
+            }
+            let mut lanes = simd.lane_bits(lights);
+            while lanes != 0 {
+                let lane = lanes.trailing_zeros() as usize % 16;
+                let ray = order[lane];
+                for (field, from) in [SHADOW, SHADOW_ALL, SHADOW_SKIPS].into_iter().zip(&from) {
+                    rays[field][ray as usize] = from[lane];
+                }
+                lit_rays.rays[lit_rays.count] = ray;
+                lit_rays.count += 1;
+                lanes &= lanes - 1;
+            }
+        }
+    }
+
+    /// Marches the shadow rays of the first `LANES` rays of `order`, `count` of which exist.
+    #[inline(always)]
+    fn march_shadows(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize) {
+        let simd = self.simd;
+        let from = self.origins(rays, order);
+        let own = simd.read_i(order);
+        let visible = self.of_rays(rays[VISIBLE], own);
+        let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
+        let [inside, all, skips, segments] = self.shadow(from, existing);
+        for (field, value) in
+            [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips), (SHADOW_SEGMENTS, segments)]
+        {
+            self.spread(simd.mul(visible, value), rays[field], order, count);
+        }
+    }
+
+    /// Where shadow rays from points in the box start in cells, and where they leave it.
+    #[inline(always)]
+    fn shadow_ends(&self, from: Three<S>) -> (Three<S>, S::F) {
+        let simd = self.simd;
+        let mut t_exit = simd.splat(f32::INFINITY);
+        let mut start = [simd.splat(0.0); 3];
+        for k in 0..3 {
+            let m = &*self.march;
+            let extent = simd.splat(m.half_extent[k]);
+            let ahead = simd.sub(extent, from[k]);
+            t_exit = simd.min(t_exit, simd.div(ahead, simd.splat(SHADOW_DIRECTION[k])));
+            let inside = simd.mul(simd.add(from[k], extent), simd.splat(m.scale[k]));
+            start[k] = simd.sub(inside, simd.splat(m.shift[k]));
+        }
+        (start, t_exit)
+    }
+
+    /// Marches shadow rays from points in the box: length in occupied blocks, length in all, empty blocks met,
+    /// and looks at the skip map for samples.
+    #[inline(always)]
+    fn shadow(&mut self, from: Three<S>, lights: S::M) -> [S::F; 4] {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
+        let (start, t_exit) = self.shadow_ends(from);
+        let scale = self.march.scale;
+        let mut pace = [zero; 3];
+        for k in 0..3 {
+            pace[k] = simd.mul(simd.splat(direction[k]), simd.splat(scale[k]));
+        }
+        let rate = simd.splat(direction.length() * self.march.per_step);
+        let end = simd.splat(self.march.shadow_end);
+        let mut walk = self.walk(start, pace, zero);
+        let crossings = simd.div(self.crossings(&pace), rate);
+        let (mut t, mut depth, mut occupied, mut skips, mut segments) = (zero, zero, zero, zero, zero);
+        let mut all = simd.mul(simd.max(t_exit, zero), rate);
+        let mut alive = simd.and_m(simd.lt(zero, t_exit), lights);
+        let mut left = self.march.grid.iter().sum::<i32>() + 3;
+        while simd.any(alive) && left > 0 {
+            left -= 1;
+            let t_next = simd.min(self.leaves(&walk), t_exit);
+            let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
+            let cell = walk.index;
+            self.advance(&mut walk);
+            let (found, full) = self.look(cell, alive);
+            let hollow = simd.and_not_m(alive, full);
+            skips = simd.select(hollow, simd.add(skips, simd.splat(1.0)), skips);
+            let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
+            if simd.any(full) {
+                let ([extinction, _, looks], share) = (self.optics(found), self.share(cell));
+                let d = simd.mul(extinction, length);
+                let sum = simd.add(depth, d);
+                let ends = simd.and_m(simd.le(end, sum), full);
+                let mut inside = simd.mul(length, share);
+                let mut looked = simd.mul(simd.mul(length, looks), crossings);
+                if simd.any(ends) {
+                    let used = simd.div(simd.sub(end, depth), d);
+                    let last = simd.mul(simd.mul(used, length), share);
+                    inside = simd.select(ends, last, inside);
+                    let last = simd.mul(simd.mul(simd.mul(used, length), looks), crossings);
+                    looked = simd.select(ends, last, looked);
+                    let reached = simd.add(t, simd.mul(used, simd.sub(t_next, t)));
+                    all = simd.select(ends, simd.mul(reached, rate), all);
+                    goes_on = simd.and_not_m(goes_on, ends);
+                }
+                depth = simd.select(full, sum, depth);
+                occupied = simd.select(full, simd.add(occupied, inside), occupied);
+                segments = simd.select(full, simd.add(segments, looked), segments);
+            }
+            t = t_next;
+            alive = goes_on;
+        }
+        [occupied, all, skips, segments]
+    }
+}
+
+static LANE_NUMBERS: [f32; 16] =
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];

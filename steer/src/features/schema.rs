@@ -1,0 +1,192 @@
+//! The names, units and order of scene features, as model files use them (`entire.scene_features`).
+
+use alloc::string::String;
+use core::fmt;
+use core::str::FromStr;
+use entire_core::Result;
+use entire_core::bail;
+
+/// The words of the table's last two columns.
+macro_rules! flag {
+    (yes) => {
+        true
+    };
+    (no) => {
+        false
+    };
+}
+
+macro_rules! quantities {
+    ($(
+        $variant:ident, $name:literal, $unit:literal, $floor:literal, $step:ident, $probe:ident, $doc:literal;
+    )*) => {
+        /// A physical quantity of a scene that the core computes.
+        ///
+        /// | name | unit | log floor | depends on the step | needs the probe | meaning |
+        /// |---|---|---|---|---|---|
+        $(#[doc = concat!(
+            "| `", $name, "` | ", $unit, " | ", $floor, " | ", stringify!($step), " | ",
+            stringify!($probe), " | ", $doc, " |"
+        )])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[non_exhaustive]
+        pub enum SceneQuantity {
+            $(#[doc = $doc] $variant,)*
+        }
+
+        impl SceneQuantity {
+            /// Every quantity, in the order of the table.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// The name used in model files: what `Display` writes.
+            pub(crate) const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)* }
+            }
+
+            /// What the log variant adds before it takes the natural logarithm.
+            pub(crate) const fn log_floor(self) -> f64 {
+                match self { $(Self::$variant => $floor,)* }
+            }
+
+            /// Whether the ray step of the setting enters it.
+            pub(crate) const fn depends_on_step(self) -> bool {
+                match self { $(Self::$variant => flag!($step),)* }
+            }
+
+            /// Whether rays must be cast to know it. The others follow from camera, image size, transfer
+            /// function and volume at once.
+            pub const fn needs_probe(self) -> bool {
+                match self { $(Self::$variant => flag!($probe),)* }
+            }
+        }
+    };
+}
+
+// Variant, name, unit, log floor, depends on the step, needs the probe, meaning.
+quantities! {
+    Pixels, "pixels", "pixels", 1.0, no, no, "pixels of the image";
+    Rays, "rays", "rays", 1.0, no, no, "pixels whose ray meets the volume's box";
+    Skips, "skips", "jumps", 1.0, yes, yes, "expected jumps over empty blocks";
+    Samples, "samples", "samples", 1.0, yes, yes, "expected samples of the frame up to early termination";
+    LaneSamples, "lane_samples", "samples", 1.0, yes, yes,
+        "samples where a tile of 8 x 8 pixels runs until its longest ray ends";
+    Runs, "runs", "runs", 1.0, no, yes, "expected runs of samples between jumps over empty blocks";
+    Segments, "segments", "segments", 1.0, yes, yes,
+        "expected reads of the skip map for samples: a run is cut where the distance to the nearest empty \
+         block, which the map holds, is used up";
+    LocalSamples, "local_samples", "samples", 1.0, yes, yes, "visible samples, with local shading; else 0";
+    ScatterSamples, "scatter_samples", "samples", 1.0, yes, yes,
+        "visible samples, with single scattering; else 0";
+    ShadowSamples, "shadow_samples", "samples", 1.0, yes, yes,
+        "samples along shadow rays, with single scattering; else 0";
+    LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
+        "samples along shadow rays where eight rays beside each other wait while any of them shades";
+    FarSkips, "far_skips", "jumps", 1.0, yes, yes, "jumps that wait for memory: skips times the far share";
+    FarSamples, "far_samples", "samples", 1.0, yes, yes,
+        "samples that wait for memory: lane samples times the far share";
+    FarRuns, "far_runs", "runs", 1.0, no, yes, "runs that wait for memory: runs times the far share";
+    FarSegments, "far_segments", "segments", 1.0, yes, yes,
+        "segments that wait for memory: segments times the far share";
+    FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
+        "local samples that wait for memory: local samples times the far share of shading";
+    FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
+        "shadow samples, all eight rays waiting, times the far share of shading";
+    FarX, "far_x", "samples", 1.0, yes, yes,
+        "samples that wait for memory, times the share of the voxel borders crossed by rays that lie across \
+         x: where voxels are far apart in memory along an axis, rays along it read slowly";
+    FarY, "far_y", "samples", 1.0, yes, yes, "the same across y";
+    FarZ, "far_z", "samples", 1.0, yes, yes, "the same across z";
+    RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,
+        "samples of a volume whose values a renderer that looks them up in a table must shift or scale: all \
+         but integers from 0 (which is among them) to at most 32767; else 0";
+    EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
+        "work times the unit costs that the model file holds, or those of a software renderer";
+    SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples over pixels of the image";
+    ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, yes, yes,
+        "samples along shadow rays over pixels of the image";
+    SegmentsPerRay, "segments_per_ray", "segments/ray", 0.1, yes, yes,
+        "segments over rays that meet the volume's box";
+    RaySpacing, "ray_spacing", "reference steps", 0.01, no, yes,
+        "distance of neighboring rays at the mean depth of the samples";
+    FootprintShare, "footprint_share", "1", 1.0e-6, no, no, "share of the image that the volume's box covers";
+    MeanChord, "mean_chord", "reference steps", 1.0, no, yes,
+        "mean length of the box along the rays that meet it";
+    TerminatedShare, "terminated_share", "1", 0.01, no, yes, "share of rays that end early";
+    Divergence, "divergence", "1", 0.01, yes, yes, "lane samples over samples, less one";
+    OccupiedShare, "occupied_share", "1", 0.0001, no, no,
+        "share of blocks that are not empty under the transfer function";
+    VisibleShare, "visible_share", "1", 0.001, no, no, "share of voxels with any opacity";
+    MeanExtinction, "mean_extinction", "1/reference step", 1.0e-4, no, no, "extinction averaged over voxels";
+    Voxels, "voxels", "voxels", 1.0, no, no, "voxels of the volume";
+    Step, "step", "reference steps", 0.0, yes, no, "ray step";
+}
+
+impl fmt::Display for SceneQuantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl From<SceneQuantity> for &'static str {
+    fn from(quantity: SceneQuantity) -> Self {
+        quantity.name()
+    }
+}
+
+impl SceneQuantity {
+    /// The log variant of a value: ln(value + floor), −69 where that is not positive.
+    pub(crate) fn log(self, value: f64) -> f32 {
+        libm::log((value + self.log_floor()).max(1.0e-30)) as f32
+    }
+}
+
+/// A quantity as it stands or its logarithm. In files: the quantity's name, or that name after `log_`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct SceneFeature {
+    /// What is measured.
+    pub quantity: SceneQuantity,
+    /// Whether ln(value + floor) is meant instead of the value.
+    pub log: bool,
+}
+
+impl FromStr for SceneFeature {
+    type Err = entire_core::Error;
+
+    /// Reads a name as [`SceneFeature`]'s `Display` writes it.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Unsupported`] for a name that this version does not compute; the message lists
+    /// all.
+    fn from_str(name: &str) -> Result<Self> {
+        let (bare, log) = match name.strip_prefix("log_") {
+            Some(rest) => (rest, true),
+            None => (name, false),
+        };
+        match SceneQuantity::ALL.iter().find(|q| q.name() == bare) {
+            Some(&quantity) => Ok(Self { quantity, log }),
+            None => {
+                let mut known = String::new();
+                for q in SceneQuantity::ALL {
+                    if !known.is_empty() {
+                        known.push_str(", ");
+                    }
+                    known.push_str(q.name());
+                }
+                bail!(
+                    Unsupported,
+                    "scene feature {name:?} is not one that this version computes; known are {known}, each \
+                     also with log_ before it"
+                )
+            }
+        }
+    }
+}
+
+impl fmt::Display for SceneFeature {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.log {
+            f.write_str("log_")?;
+        }
+        f.write_str(self.quantity.name())
+    }
+}

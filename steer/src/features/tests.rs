@@ -1,0 +1,642 @@
+//! The summaries against plain loops, and the probe's invariants.
+
+use super::frame::UNSHARED_SHADING;
+use super::*;
+use entire_core::scene::*;
+use entire_core::{ErrorKind, Result};
+use glam::Vec3;
+use proptest::prelude::*;
+use std::vec::Vec;
+
+pub(super) fn noise(n: usize, seed: u64) -> Vec<u8> {
+    let mut state = seed;
+    (0..n)
+        .map(|_| {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 56) as u8
+        })
+        .collect()
+}
+
+pub(super) fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
+    let view = VolumeView::new(Scalars::U8(data), dims).unwrap();
+    VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap()
+}
+
+pub(super) fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
+    TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, opacity(i)])).unwrap()
+}
+
+fn frame(rx: f32, ry: f32, dz: f32, size: u32) -> Frame {
+    Frame::new(Camera::from_arcball(Arcball { rx, ry, dz }).unwrap(), size, size).unwrap()
+}
+
+fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> FrameFeatures {
+    let mut transfer = TransferSummary::new(volume, table).unwrap();
+    transfer.prepare_distance();
+    let mut features = FrameFeatures::default();
+    features.measure(volume, &mut transfer, frame).unwrap();
+    features
+}
+
+/// The ray through the center of a pixel: origin and unit direction in scene space.
+pub(super) fn pixel_ray(camera: &Camera, x: u32, y: u32, width: u32, height: u32) -> (Vec3, Vec3) {
+    let (origin, direction) = camera.ray_basis(width, height);
+    let u = 2.0 * (x as f32 + 0.5) / width as f32 - 1.0;
+    let v = 1.0 - 2.0 * (y as f32 + 0.5) / height as f32;
+    let at = |basis: [Vec3; 3]| basis[0] + u * basis[1] + v * basis[2];
+    (at(origin), at(direction).normalize())
+}
+
+#[test]
+fn cell_bounds_are_those_of_their_voxels_and_the_next() {
+    for (dims, per_axis) in
+        [([17, 9, 8], 48), ([1, 1, 1], 48), ([40, 3, 70], 48), ([64, 64, 40], 2), ([100, 1, 33], 4)]
+    {
+        let n = dims.iter().product();
+        let data = noise(n, 5);
+        let s = summary(&data, dims, per_axis);
+        let edge = s.cell_edge();
+        let cells = s.cells();
+        for c in 0..3 {
+            assert!(cells[c] <= per_axis && cells[c] == dims[c].div_ceil(edge[c]));
+        }
+        for z in 0..cells[2] {
+            for y in 0..cells[1] {
+                for x in 0..cells[0] {
+                    let (mut lo, mut hi) = (255, 0);
+                    let range = |c: usize, a: usize| c * edge[a]..(c * edge[a] + edge[a] + 1).min(dims[a]);
+                    for k in range(z, 2) {
+                        for j in range(y, 1) {
+                            for i in range(x, 0) {
+                                let v = data[i + dims[0] * (j + dims[1] * k)];
+                                lo = lo.min(v);
+                                hi = hi.max(v);
+                            }
+                        }
+                    }
+                    assert_eq!(s.cell_bounds(x, y, z), (lo, hi), "{dims:?} {x} {y} {z}");
+                }
+            }
+        }
+        assert!((s.histogram().iter().sum::<f32>() - 1.0).abs() < 1e-4);
+    }
+}
+
+#[test]
+fn coarse_cells_judge_emptiness_by_their_blocks() {
+    // 128 voxels along x in cells of 64: one bright voxel occupies one of eight blocks.
+    let dims = [128, 8, 8];
+    let mut data = std::vec![0u8; 128 * 8 * 8];
+    data[20] = 255;
+    let s = summary(&data, dims, 2);
+    assert_eq!((s.cells(), s.block_edge()), ([2, 1, 1], [8, 8, 8]));
+    let t = TransferSummary::new(&s, &table(|i| if i > 100 { 0.5 } else { 0.0 })).unwrap();
+    assert!((t.occupied_share() - 1.0 / 16.0).abs() < 1e-6, "{}", t.occupied_share());
+    assert!(!t.is_empty(0, 0, 0) && t.is_empty(1, 0, 0));
+}
+
+#[test]
+fn uniform_volumes_have_the_tables_extinction() {
+    for alpha in [0.001f32, 0.1, 0.9] {
+        for unit in [1.0f32, 0.25, 8.0] {
+            let data = std::vec![100u8; 16 * 16 * 16];
+            let s = summary(&data, [16; 3], 48);
+            let table = table(|i| if (90..=110).contains(&i) { alpha } else { 0.0 })
+                .with_unit_distance(unit)
+                .unwrap();
+            let mut t = TransferSummary::new(&s, &table).unwrap();
+            let expected = -(1.0 - alpha).ln() / unit;
+            let found = t.extinction(&s, [1, 1, 1]);
+            assert!((found / expected - 1.0).abs() < 1e-2, "{alpha} {unit}: {found}");
+            assert_eq!((t.occupied_share(), t.visible_share()), (1.0, 1.0));
+        }
+    }
+}
+
+#[test]
+fn bricks_give_the_same_bounds_as_voxels() {
+    let dims = [24, 16, 9];
+    let data = noise(24 * 16 * 9, 3);
+    let s = summary(&data, dims, 48);
+    let mut bounds = Vec::new();
+    for z in 0..s.cells()[2] {
+        for y in 0..s.cells()[1] {
+            for x in 0..s.cells()[0] {
+                let (lo, hi) = s.cell_bounds(x, y, z);
+                bounds.push([f32::from(lo) / 255.0, f32::from(hi) / 255.0]);
+            }
+        }
+    }
+    let b = VolumeSummary::from_bricks(dims, [1.0; 3], ScalarType::U8, [8; 3], &bounds).unwrap();
+    for z in 0..s.cells()[2] {
+        for y in 0..s.cells()[1] {
+            for x in 0..s.cells()[0] {
+                let (a, b) = (s.cell_bounds(x, y, z), b.cell_bounds(x, y, z));
+                assert!(a.0.abs_diff(b.0) <= 1 && a.1.abs_diff(b.1) <= 1);
+            }
+        }
+    }
+    let kind = |r: Result<VolumeSummary>| r.unwrap_err().kind();
+    let t = ScalarType::U8;
+    assert_eq!(
+        kind(VolumeSummary::from_bricks(dims, [1.0; 3], t, [8; 3], &bounds[1..])),
+        ErrorKind::SizeMismatch
+    );
+    assert_eq!(
+        kind(VolumeSummary::from_bricks([0, 1, 1], [1.0; 3], t, [8; 3], &[])),
+        ErrorKind::InvalidArgument
+    );
+    assert_eq!(
+        kind(VolumeSummary::from_bricks(dims, [1.0, 0.0, 1.0], t, [8; 3], &bounds)),
+        ErrorKind::InvalidArgument
+    );
+    assert_eq!(
+        kind(VolumeSummary::from_bricks(dims, [1.0; 3], t, [0, 8, 8], &bounds)),
+        ErrorKind::InvalidArgument
+    );
+    let nan = VolumeSummary::from_bricks([8; 3], [1.0; 3], t, [8; 3], &[[f32::NAN, f32::INFINITY]]).unwrap();
+    assert_eq!(nan.cell_bounds(0, 0, 0), (0, 255));
+    assert!(VolumeSummary::from_bricks([usize::MAX, usize::MAX, 9], [1.0; 3], t, [1; 3], &[]).is_err());
+}
+
+/// What a summary keeps, straight from the definitions, voxel by voxel.
+fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
+    let s = VolumeSummary::new(view, SummaryOptions { cells_per_axis }).unwrap();
+    let (low, high) = view.range();
+    let scale = 255.0 / (high - low);
+    let position = |x: usize, y: usize, z: usize| {
+        let v = view.value(x, y, z);
+        if high > low && scale > 0.0 && scale.is_finite() {
+            if v.is_nan() { 0.0 } else { ((v - low) * scale).clamp(0.0, 255.0) }
+        } else {
+            view.normalize(v) * 255.0
+        }
+    };
+    let dims = s.shape().dims;
+    let [cells, edge, block] = [s.cells(), s.cell_edge(), s.block_edge()];
+    let what =
+        std::format!("{:?} {dims:?} {cells_per_axis} {:?}", view.scalars().scalar_type(), view.range());
+    let bounds = |from: [usize; 3], size: [usize; 3]| {
+        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+        let range = |a: usize| from[a]..(from[a] + size[a] + 1).min(dims[a]);
+        for z in range(2) {
+            for y in range(1) {
+                for x in range(0) {
+                    lo = lo.min(position(x, y, z));
+                    hi = hi.max(position(x, y, z));
+                }
+            }
+        }
+        [lo.floor() as u8, hi.ceil() as u8]
+    };
+    let mut total = [0u64; 256];
+    let (low, high) = s.cell_ranges();
+    for i in 0..s.cell_count() {
+        let c = [i % cells[0], i / cells[0] % cells[1], i / cells[0] / cells[1]];
+        let from: [usize; 3] = std::array::from_fn(|a| c[a] * edge[a]);
+        assert_eq!([low[i], high[i]], bounds(from, edge), "{what} {c:?}");
+        let mut sorted = Vec::new();
+        for z in from[2]..(from[2] + edge[2]).min(dims[2]) {
+            for y in from[1]..(from[1] + edge[1]).min(dims[1]) {
+                for x in from[0]..(from[0] + edge[0]).min(dims[0]) {
+                    sorted.push((position(x, y, z) + 0.5) as u8);
+                }
+            }
+        }
+        sorted.sort();
+        sorted.iter().for_each(|&e| total[usize::from(e)] += 1);
+        for (k, &q) in s.quantiles(i).iter().enumerate() {
+            // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is
+            // the largest.
+            let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
+            assert_eq!(q, sorted[rank], "{what} {c:?} bound {k}");
+        }
+        if let Some(blocks) = s.blocks() {
+            let own = blocks.first[i] as usize..blocks.first[i + 1] as usize;
+            assert!(own.len() == blocks.most || own.len() < blocks.most && !blocks.uniform);
+            let mut kept = own.map(|b| [blocks.low[b], blocks.high[b]]);
+            let firsts = |a: usize| (from[a]..(from[a] + edge[a]).min(dims[a])).step_by(block[a]);
+            for z in firsts(2) {
+                for y in firsts(1) {
+                    for x in firsts(0) {
+                        assert_eq!(kept.next(), Some(bounds([x, y, z], block)), "{what} {c:?}");
+                    }
+                }
+            }
+            assert_eq!(kept.next(), None);
+        } else {
+            assert_eq!(block, edge);
+        }
+    }
+    let voxels = s.voxels();
+    assert_eq!(s.histogram(), &total.map(|t| (t as f64 / voxels) as f32), "{what}");
+}
+
+#[test]
+fn every_type_range_and_layout_is_summarized_as_defined() {
+    for (dims, per_axis) in [
+        ([17, 9, 8], 48),
+        ([1, 1, 1], 48),
+        ([40, 3, 70], 2),
+        ([33, 40, 25], 2),
+        ([8, 16, 24], 48),
+        ([129, 5, 2], 1),
+    ] {
+        let n: usize = dims.iter().product();
+        let bytes = noise(n, 11);
+        let words: Vec<u16> = noise(2 * n, 12).chunks(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
+        let signed: Vec<i16> = words.iter().map(|&w| (w ^ 0x8000) as i16).collect();
+        let mut numbers: Vec<f32> = words.iter().map(|&w| f32::from(w) * 1e-3 - 20.0).collect();
+        for (i, wild) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -0.0].into_iter().enumerate() {
+            numbers[i * 37 % n] = wild;
+        }
+        let views = [
+            (Scalars::U8(&bytes), [(0.0, 255.0), (13.0, 200.0), (-7.5, 999.0), (40.0, 40.0), (30.0, 31.0)]),
+            (
+                Scalars::U16(&words),
+                [(0.0, 65535.0), (1000.0, 1255.0), (5.0, 5.0), (-1e30, 1e38), (0.0, 1e-40)],
+            ),
+            (
+                Scalars::I16(&signed),
+                [(-32768.0, 32767.0), (-1.0, 1.0), (0.0, 255.0), (3.0, 3.0), (-9.0, 9e3)],
+            ),
+            (
+                Scalars::F32(&numbers),
+                [(-20.0, 45.0), (0.0, 1.0), (f32::MIN, f32::MAX), (1.0, 1.0), (0.0, 3e-41)],
+            ),
+        ];
+        for (scalars, ranges) in views {
+            for (low, high) in ranges {
+                let view = VolumeView::with(
+                    scalars,
+                    dims,
+                    VolumeOptions { range: Some((low, high)), ..VolumeOptions::default() },
+                )
+                .unwrap();
+                check_against_definitions(&view, per_axis);
+            }
+        }
+        // The same voxels with x slowest.
+        let [x, y, z] = dims;
+        let view = VolumeView::with(
+            Scalars::U8(&bytes),
+            [z, y, x],
+            VolumeOptions { strides: Some([x * y, x, 1]), ..VolumeOptions::default() },
+        )
+        .unwrap();
+        check_against_definitions(&view, per_axis);
+    }
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let data = [0u8; 8];
+    let view = VolumeView::new(Scalars::U8(&data), [2, 2, 2]).unwrap();
+    for cells_per_axis in [0, 129] {
+        assert_eq!(
+            VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap_err().kind(),
+            ErrorKind::InvalidArgument
+        );
+    }
+}
+
+#[test]
+fn non_finite_voxels_are_counted_and_harmless() {
+    let mut data = std::vec![0.5f32; 9 * 9 * 9];
+    data[0] = f32::NAN;
+    data[100] = f32::INFINITY;
+    data[728] = -1.0;
+    let view = VolumeView::new(Scalars::F32(&data), [9; 3]).unwrap();
+    let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    assert!((s.non_finite_share() - 2.0 / 729.0).abs() < 1e-7);
+    let w = measured(&s, &table(|_| 0.1), &frame(0.0, 0.0, 2.0, 64))
+        .work(&Setting::from(&frame(0.0, 0.0, 2.0, 64)));
+    assert!(w.samples.is_finite() && w.samples > 0.0);
+}
+
+#[test]
+fn a_transparent_table_leaves_only_jumps_and_an_opaque_one_the_first_sample() {
+    let data = noise(64 * 64 * 64, 9);
+    let s = summary(&data, [64; 3], 48);
+    let f = frame(10.0, 20.0, 2.0, 256);
+    let clear = measured(&s, &table(|_| 0.0), &f);
+    let w = clear.work(&Setting::from(&f));
+    assert_eq!((w.samples, w.shaded), (0.0, 0.0));
+    assert!(w.rays > 0.0 && w.skips > 4.0 * w.rays && w.skips < 30.0 * w.rays, "{w:?}");
+    let far = clear.work(&Setting { skipping: Skipping::Distance, ..Setting::from(&f) });
+    assert!(far.skips < 1.5 * far.rays, "one jump leaves an empty volume: {far:?}");
+    let solid = measured(&s, &table(|_| 1.0), &f).work(&Setting::from(&f));
+    assert!(solid.samples < 1.2 * solid.rays && solid.samples > 0.5 * solid.rays, "{solid:?}");
+    let never = Frame { termination: 1.0, ..f };
+    let whole = measured(&s, &table(|_| 1.0), &never);
+    let length = f64::from(whole.probe().mean_chord());
+    let w = whole.work(&Setting::from(&never));
+    assert!(
+        (w.samples / w.rays / length - 1.0).abs() < 1e-3,
+        "without termination every sample is taken: {w:?} {length}"
+    );
+}
+
+#[test]
+fn distances_match_a_search_over_all_cells() {
+    let dims = [56, 40, 48];
+    let mut data = std::vec![0u8; 56 * 40 * 48];
+    for (i, v) in noise(6, 2).into_iter().enumerate() {
+        data[(usize::from(v) * 397 + i * 7919) % (56 * 40 * 48)] = 255;
+    }
+    let s = summary(&data, dims, 48);
+    let mut t = TransferSummary::new(&s, &table(|i| if i == 255 { 1.0 } else { 0.0 })).unwrap();
+    t.prepare_distance();
+    let [nx, ny, nz] = s.cells();
+    let cells: Vec<[usize; 3]> = (0..nx * ny * nz).map(|i| [i % nx, i / nx % ny, i / nx / ny]).collect();
+    let found = t.distance().unwrap();
+    for (i, a) in cells.iter().enumerate() {
+        let nearest = cells
+            .iter()
+            .filter(|b| !t.is_empty(b[0], b[1], b[2]))
+            .map(|b| (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap())
+            .min()
+            .unwrap();
+        assert_eq!(usize::from(found[i]), nearest, "{a:?}");
+    }
+}
+
+#[test]
+fn thin_flat_and_tiny_volumes_give_finite_features() {
+    for dims in [[1, 1, 1], [200, 1, 1], [1, 64, 64], [2, 300, 2]] {
+        let data = noise(dims.iter().product(), 4);
+        let view = VolumeView::with(
+            Scalars::U8(&data),
+            dims,
+            VolumeOptions { spacing: [1.0, 10.0, 0.1], ..VolumeOptions::default() },
+        )
+        .unwrap();
+        let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+        for (rx, ry, dz) in [(0.0, 0.0, 2.0), (90.0, 0.0, 1.1), (30.0, 45.0, 0.01), (0.0, 90.0, 50.0)] {
+            for size in [1, 33] {
+                let lens = Frame { shading: Shading::Scatter, ..frame(rx, ry, dz, size) };
+                let parallel = Frame { camera: lens.camera.with_parallel_scale(dz).unwrap(), ..lens };
+                for f in [lens, parallel] {
+                    let features = measured(&s, &table(|i| i as f32 / 255.0), &f);
+                    let setting = Setting::from(&f);
+                    let work = features.work(&setting);
+                    for &q in SceneQuantity::ALL {
+                        let value = features.quantity(q, &setting, &work);
+                        let what = format!("{q} is {value} for {dims:?} {:?} {size}", f.camera);
+                        assert!((value as f32).is_finite() && q.log(value).is_finite(), "{what}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn names_round_trip_and_unknown_ones_are_refused() {
+    for &q in SceneQuantity::ALL {
+        for feature in [false, true].map(|log| SceneFeature { quantity: q, log }) {
+            assert_eq!(std::format!("{feature}").parse::<SceneFeature>().unwrap(), feature);
+        }
+    }
+    let e = "log_mood".parse::<SceneFeature>().unwrap_err();
+    assert!(e.kind() == ErrorKind::Unsupported && e.to_string().contains("lane_samples"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// A coarser step or fewer pixels is never more work; every count is finite and not negative.
+    #[test]
+    fn work_never_grows_with_the_step_nor_shrinks_with_the_image(
+        rx in -89.0f32..89.0, ry in -180.0f32..180.0, dz in 0.05f32..6.0,
+        center in 0.0f32..1.0, width in 1e-4f32..0.1, height in 0.001f32..1.0,
+        seed in 0u64..8, shading in 0usize..3, skipping in 0usize..3,
+    ) {
+        let mut data = noise(40 * 33 * 21, seed);
+        if seed % 2 == 0 {
+            data.iter_mut().enumerate().for_each(|(i, v)| *v = (i / 200) as u8);
+        }
+        let s = summary(&data, [40, 33, 21], 48);
+        let tf = TransferFunction::Gaussian(std::vec![GaussianLobe { center, width, height }]).to_table().unwrap();
+        let f = Frame { shading: [Shading::None, Shading::Local, Shading::Scatter][shading], skipping: [Skipping::None, Skipping::Blocks, Skipping::Distance][skipping], ..frame(rx, ry, dz, 100) };
+        let features = measured(&s, &tf, &f);
+        let counts = |w: Work| [w.pixels, w.rays, w.samples, w.skips, w.lane_samples, w.shaded, w.shadow_samples, w.lane_shadow_samples, w.parted_shadow_samples * w.unshared(UNSHARED_SHADING)];
+        let mut last: Option<[f64; 9]> = None;
+        for i in 0..40 {
+            let step = 0.25 * 1.15f32.powi(i);
+            let now = counts(features.work(&Setting { step, ..Setting::from(&f) }));
+            for (k, v) in now.iter().enumerate() {
+                prop_assert!(v.is_finite() && *v >= 0.0);
+                if let Some(last) = last {
+                    prop_assert!(*v <= last[k] * (1.0 + 1e-6), "count {} rose from {} to {} at step {}", k, last[k], v, step);
+                }
+            }
+            last = Some(now);
+        }
+        let mut last = [0.0f64; 9];
+        for size in [1, 2, 3, 10, 50, 100, 333, 1000, 4000] {
+            let now = counts(features.work(&Setting { width: size, height: size, ..Setting::from(&f) }));
+            for (k, v) in now.iter().enumerate() {
+                prop_assert!(*v >= last[k] * (1.0 - 1e-6), "count {} fell at size {}", k, size);
+            }
+            last = now;
+        }
+    }
+}
+
+#[test]
+fn what_needs_no_probe_is_known_without_one() {
+    let volume = summary(
+        &(0..40 * 40 * 40)
+            .map(|i| {
+                let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
+                (255.0 * (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)) as u8
+            })
+            .collect::<Vec<u8>>(),
+        [40, 40, 40],
+        48,
+    );
+    let table = table(|i| if i > 100 { 0.3 } else { 0.0 });
+    let mut transfer = TransferSummary::new(&volume, &table).unwrap();
+    transfer.prepare_distance();
+    let mut of = |side: usize, shading: Shading| {
+        let frame = Frame { shading, ..frame(20.0, 30.0, 1.7, 200) };
+        let setting = Setting::from(&frame);
+        let mut features = FrameFeatures::with_probe_side(side);
+        features.measure(&volume, &mut transfer, &frame).unwrap();
+        let work = features.work(&setting);
+        SceneQuantity::ALL.iter().map(|&q| features.quantity(q, &setting, &work)).collect::<Vec<f64>>()
+    };
+    let mut both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
+    let (without, with) = (both(0), both(PROBE_SIDE));
+    for (k, q) in SceneQuantity::ALL.iter().enumerate() {
+        let at = [k, k + SceneQuantity::ALL.len()];
+        let same = at.iter().all(|&i| without[i] == with[i]);
+        assert_eq!(same, !q.needs_probe(), "{}", q.name());
+    }
+    let mut of = |side| of(side, Shading::None);
+    // Finer probes estimate the same thing with less scatter; beyond the finest there is nothing.
+    let samples = SceneQuantity::ALL.iter().position(|q| *q == SceneQuantity::Samples).unwrap();
+    let finest = of(MAX_PROBE_SIDE)[samples];
+    for (side, tolerance) in [(4, 0.25), (7, 0.12), (8, 0.12), (11, 0.08), (12, 0.08), (13, 0.08)] {
+        let found = of(side)[samples];
+        assert!((found / finest - 1.0).abs() < tolerance, "{side}: {found}, {finest}");
+    }
+    assert_eq!(of(MAX_PROBE_SIDE + 9), of(MAX_PROBE_SIDE));
+    assert_eq!(FrameFeatures::default().probe_side(), PROBE_SIDE);
+}
+
+#[test]
+fn quantities_depend_on_the_step_where_the_table_says_so() {
+    // Dense and sparse, integers that are remapped and not, seen from outside and inside.
+    let dims = [40, 40, 40];
+    let n = dims.iter().product::<usize>();
+    let blob = |i: usize| {
+        let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
+        (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)
+    };
+    let bytes: Vec<u8> = (0..n).map(|i| (255.0 * blob(i)) as u8).collect();
+    let shorts: Vec<i16> = (0..n).map(|i| (3000.0 * blob(i)) as i16 - 1000).collect();
+    let volumes = [Scalars::U8(&bytes), Scalars::I16(&shorts)].map(|scalars| {
+        let view = VolumeView::new(scalars, dims).unwrap();
+        VolumeSummary::new(&view, SummaryOptions::default()).unwrap()
+    });
+    let tables = [100, 0].map(|first| table(|i| if i > first { 0.3 } else { 0.0 }));
+    let mut changed = std::vec![false; SceneQuantity::ALL.len()];
+    for (volume, table) in volumes.iter().zip(&tables).chain(volumes.iter().zip(tables.iter().rev())) {
+        for dz in [0.4, 1.7] {
+            for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+                for skipping in [Skipping::None, Skipping::Blocks, Skipping::Distance] {
+                    let frame = Frame { shading, skipping, ..frame(20.0, 30.0, dz, 200) };
+                    let of = |frame: &Frame, step: f32| {
+                        let features = measured(volume, table, frame);
+                        let setting = Setting { step, ..Setting::from(frame) };
+                        let work = features.work(&setting);
+                        SceneQuantity::ALL
+                            .iter()
+                            .map(|&q| features.quantity(q, &setting, &work).to_bits())
+                            .collect::<Vec<u64>>()
+                    };
+                    let at_one = of(&frame, 1.0);
+                    let at_three = of(&frame, 3.0);
+                    // What is measured depends on the step of the setting alone, not on that of the measured
+                    // frame.
+                    assert_eq!(at_three, of(&Frame { step: 2.0, ..frame }, 3.0));
+                    for (changed, (a, b)) in changed.iter_mut().zip(at_one.iter().zip(&at_three)) {
+                        *changed |= a != b;
+                    }
+                }
+            }
+        }
+    }
+    for (quantity, changed) in SceneQuantity::ALL.iter().zip(changed) {
+        assert_eq!(changed, quantity.depends_on_step(), "{}", quantity.name());
+    }
+}
+
+#[test]
+fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
+    let dims = [20, 9, 10];
+    let n = dims.iter().product::<usize>();
+    let of = |scalars: Scalars<'_>| {
+        // The range that maps to the table says nothing about what is stored.
+        let view = VolumeView::with(
+            scalars,
+            dims,
+            VolumeOptions { range: Some((3.0, 90.0)), ..VolumeOptions::default() },
+        )
+        .unwrap();
+        VolumeSummary::new(&view, SummaryOptions::default()).unwrap().remapped()
+    };
+    let with = |low: f32, high: f32| -> Vec<f32> {
+        (0..n).map(|i| if i == 777 { low } else { low + (high - low) * (i % 5) as f32 / 4.0 }).collect()
+    };
+    for (low, high, remapped) in
+        [(0.0, 255.0, false), (1.0, 255.0, true), (0.0, 7.0, false), (0.0, 0.0, false)]
+    {
+        let bytes: Vec<u8> = with(low, high).iter().map(|&v| v as u8).collect();
+        assert_eq!(of(Scalars::U8(&bytes)), remapped, "bytes from {low} to {high}");
+    }
+    for (low, high, remapped) in
+        [(0.0, 32767.0, false), (0.0, 32768.0, true), (0.0, 65535.0, true), (1.0, 900.0, true)]
+    {
+        let words: Vec<u16> = with(low, high).iter().map(|&v| v as u16).collect();
+        assert_eq!(of(Scalars::U16(&words)), remapped, "words from {low} to {high}");
+    }
+    for (low, high, remapped) in [(0.0, 900.0, false), (-1024.0, 900.0, true), (5.0, 900.0, true)] {
+        let words: Vec<i16> = with(low, high).iter().map(|&v| v as i16).collect();
+        assert_eq!(of(Scalars::I16(&words)), remapped, "signed words from {low} to {high}");
+    }
+    assert!(of(Scalars::F32(&with(0.0, 255.0))));
+    for (low, kind, remapped) in
+        [(0.0, ScalarType::U8, false), (0.1, ScalarType::U8, true), (0.0, ScalarType::F32, true)]
+    {
+        let bounds = [[0.5, 1.0], [low, 0.7]];
+        let bricks = VolumeSummary::from_bricks([16, 8, 8], [1.0; 3], kind, [8; 3], &bounds).unwrap();
+        assert_eq!(bricks.remapped(), remapped, "bricks of {kind:?} from {low}");
+    }
+    // And the quantity says so.
+    let bytes: Vec<u8> = with(9.0, 250.0).iter().map(|&v| v as u8).collect();
+    let f = frame(20.0, 30.0, 2.0, 50);
+    let features = measured(&summary(&bytes, dims, 48), &table(|_| 0.5), &f);
+    let work = features.work(&Setting::from(&f));
+    assert_eq!(features.quantity(SceneQuantity::RemappedSamples, &Setting::from(&f), &work), work.samples);
+}
+
+/// Greatest difference of the shares of borders from those that all rays of an image count: nine rays stand
+/// for all of them.
+const ALONG_TOLERANCE: f64 = 0.06;
+
+#[test]
+fn shares_of_borders_are_those_that_rays_count() {
+    let (dims, spacing) = ([40usize, 24, 30], [1.0f32, 2.0, 0.5]);
+    let data = noise(dims.iter().product(), 9);
+    let view =
+        VolumeView::with(Scalars::U8(&data), dims, VolumeOptions { spacing, ..VolumeOptions::default() })
+            .unwrap();
+    let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let half = s.shape().half_extent;
+    let voxel = [0, 1, 2].map(|a| 2.0 * half[a] / dims[a] as f32);
+    for (rx, ry, dz) in
+        [(0.0, 0.0, 2.5), (0.0, 90.0, 2.5), (90.0, 0.0, 2.5), (30.0, 40.0, 1.4), (-60.0, 10.0, 4.0)]
+    {
+        let f = frame(rx, ry, dz, 60);
+        let mut shares = [0.0f64; 3];
+        let mut rays = 0;
+        for (x, y) in (0..60).flat_map(|y| (0..60).map(move |x| (x, y))) {
+            let (o, d) = pixel_ray(&f.camera, x, y, 60, 60);
+            let (a, b) = ((-half - o) / d, (half - o) / d);
+            let (near, far) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
+            if near >= far {
+                continue;
+            }
+            // Planes between where the ray enters and where it leaves, counted along each axis.
+            let planes = [0, 1, 2].map(|k| {
+                let index = |t: f32| f64::from((o[k] + t * d[k] + half[k]) / voxel[k]).floor();
+                (index(far) - index(near)).abs()
+            });
+            let sum: f64 = planes.iter().sum();
+            if sum > 0.0 {
+                rays += 1;
+                shares.iter_mut().zip(planes).for_each(|(share, p)| *share += p / sum);
+            }
+        }
+        let features = measured(&s, &table(|_| 0.1), &f);
+        let (setting, work) = (Setting::from(&f), features.work(&Setting::from(&f)));
+        let axes = [SceneQuantity::FarX, SceneQuantity::FarY, SceneQuantity::FarZ];
+        let far = axes.map(|q| features.quantity(q, &setting, &work));
+        let all: f64 = far.iter().sum();
+        // Errors along x and z add up along y.
+        for (axis, tolerance) in
+            [ALONG_TOLERANCE, 2.0 * ALONG_TOLERANCE, ALONG_TOLERANCE].into_iter().enumerate()
+        {
+            let (found, counted) = (far[axis] / all, shares[axis] / f64::from(rays));
+            assert!(
+                (found - counted).abs() < tolerance,
+                "{} at {rx} {ry} {dz}: {found}, counted {counted}",
+                axes[axis].name()
+            );
+        }
+    }
+}

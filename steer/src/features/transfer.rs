@@ -1,0 +1,424 @@
+//! What a transfer function makes of a volume: emptiness and extinction of each cell.
+
+use super::VolumeSummary;
+use super::classify::{Visible, classify, classify_blocks};
+use super::interior::Interior;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::memory::{fit, longer};
+use entire_core::scene::{TABLE_LEN, TransferTable};
+
+/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction
+/// is that of its mean transmittance over this length: with 0 it would be the mean extinction, which
+/// overrates cells that hold a few opaque voxels among transparent ones.
+pub(crate) const CORRELATION_LENGTH: f32 = 2.0;
+
+/// Opacities are capped here where extinction (−ln(1 − α)) is formed.
+const MAX_OPACITY: f32 = 1.0 - 1.0e-6;
+
+/// What a cell does to a ray that crosses it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Optics {
+    /// Extinction per reference step.
+    pub(super) extinction: f32,
+    /// Share of the cell's values with any opacity.
+    pub(super) visible: f32,
+    /// Share of the cell's blocks that are not empty.
+    pub(super) occupied: f32,
+    /// One over the cells that a renderer samples here before it looks at its skip map again.
+    pub(super) looks: f32,
+}
+
+/// What is kept of a cell in one word, which packets of rays read at once: from the lowest bit on, the root of
+/// the visible share in 1/1023, extinction as a floating-point number without sign (10 bits of mantissa, 5 of
+/// exponent, 2⁻²⁷ at least), how deep it lies among cells that are not empty ([`Interior`]), and around them the
+/// number of the edit in which it was computed. All but that are zero for an empty cell, and not all for another.
+pub(super) mod packed {
+    /// Bits of the visible share's root.
+    pub(crate) const SHOWS: u32 = 0x0000_03ff;
+    /// Bits of the extinction. Where they stand, they are those of an f32 but for [`EXPONENT`].
+    pub(crate) const EXTINCTION: u32 = 0x0fff_e000;
+    /// Added to the bits of the extinction, gives those of the f32.
+    pub(crate) const EXPONENT: u32 = (127 - 27) << 23;
+    /// Of the visible share's root.
+    pub(crate) const UNIT: f32 = 1.0 / 1023.0;
+    /// Bits of the depth's class.
+    pub(crate) const DEPTH: u32 = 0x0000_0c00;
+    /// Times the bits of the class, what 2^−class lacks of the bits of 1.
+    pub(crate) const HALVING: u32 = 1 << 13;
+    /// Bits of the edit's number.
+    pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION | DEPTH);
+    /// Edits until numbers repeat.
+    pub(super) const EDITS: u32 = 1 << 5;
+
+    /// The bits of an edit's number below [`EDITS`].
+    pub(super) fn edit(number: u32) -> u32 {
+        number << 28 | number >> 4 << 12
+    }
+
+    /// The word of a cell that is not empty, without the edit.
+    pub(super) fn pack(extinction: f32, visible: f32, class: u32) -> u32 {
+        let least = f32::from_bits(EXPONENT);
+        // Rounds to the bits that are kept.
+        let extinction = extinction.max(least).to_bits() + (1 << 12) - EXPONENT;
+        let shows = (libm::sqrtf(visible) * 1023.0 + 0.5) as u32;
+        extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS) | class << 10
+    }
+
+    /// Extinction, visible share, and 2^−class of the depth.
+    #[inline(always)]
+    pub(super) fn unpack(word: u32) -> (f32, f32, f32) {
+        let root = (word & SHOWS) as f32 * UNIT;
+        let looks = f32::from_bits(1.0f32.to_bits() - (word & DEPTH) * HALVING);
+        (f32::from_bits((word & EXTINCTION) + EXPONENT), root * root, looks)
+    }
+}
+
+/// Emptiness and extinction of each cell of a volume under a transfer function.
+///
+/// An edit decides at once which cells are empty. What a cell that is not empty does to a ray is computed
+/// when a ray first meets the cell, and kept until the next edit: an edit costs what its frame looks at, not
+/// what the volume holds.
+#[derive(Clone, Debug)]
+pub struct TransferSummary {
+    /// A bit per cell, set where it is not empty.
+    full: Vec<u64>,
+    /// How deep the others lie among each other.
+    interior: Interior,
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks, else nothing: of
+    /// cells that are not empty and whose word is known.
+    occupied: Vec<f32>,
+    /// What is known of each cell, [`packed`].
+    cells: Vec<u32>,
+    /// The number of the present edit, as it stands in a cell's word; never 0, which fresh memory holds.
+    edit: u32,
+    /// The same as a plain number.
+    edits: u32,
+    /// Opacity of each table entry, and the logarithm of what it lets through; zeros where it is not visible.
+    entries: [[f32; 2]; TABLE_LEN],
+    unit_distance: f32,
+    /// Table entries with opacity below each entry.
+    opaque: [u16; TABLE_LEN + 1],
+    /// Sum of transmittances over the correlation length below each entry. In double precision: differences
+    /// of sums near 256 must resolve transmittances near 1e-12.
+    transmittance: [f64; TABLE_LEN + 1],
+    grid: [usize; 3],
+    /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
+    distance: Vec<u8>,
+    distance_ready: bool,
+    /// A bit per block of the cells that are not empty, where cells hold several, set where it is not.
+    bits: Vec<u64>,
+    /// Working memory: two lines of cells.
+    line: Vec<u8>,
+    occupied_share: f32,
+    mean_extinction: f32,
+    visible_share: f32,
+}
+
+impl TransferSummary {
+    /// Applies a table to a volume.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for two words per cell of the volume.
+    pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
+        let mut summary = Self {
+            full: Vec::new(),
+            interior: Interior::default(),
+            occupied: Vec::new(),
+            cells: Vec::new(),
+            edit: 0,
+            edits: 0,
+            entries: [[0.0; 2]; TABLE_LEN],
+            unit_distance: 1.0,
+            opaque: [0; TABLE_LEN + 1],
+            transmittance: [0.0; TABLE_LEN + 1],
+            grid: volume.cells(),
+            distance: Vec::new(),
+            distance_ready: false,
+            bits: Vec::new(),
+            line: Vec::new(),
+            occupied_share: 0.0,
+            mean_extinction: 0.0,
+            visible_share: 0.0,
+        };
+        summary.update(volume, table)?;
+        Ok(summary)
+    }
+
+    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
+    /// than any before it.
+    ///
+    /// # Errors
+    /// As [`TransferSummary::new`]; nothing has changed then.
+    pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) -> Result<()> {
+        self.apply(volume, Some(table))
+    }
+
+    /// Applies the present table to another time step of the volume, or to another volume. Allocates as
+    /// [`TransferSummary::update`].
+    ///
+    /// # Errors
+    /// As [`TransferSummary::new`]; nothing has changed then.
+    pub(crate) fn follow(&mut self, volume: &VolumeSummary) -> Result<()> {
+        self.apply(volume, None)
+    }
+
+    /// Applies a table, or the present one, to a volume.
+    fn apply(&mut self, volume: &VolumeSummary, table: Option<&TransferTable>) -> Result<()> {
+        let n = volume.cell_count();
+        let longest = volume.cells().into_iter().max().unwrap_or(1);
+        let blocks = volume.blocks().map_or(0, |blocks| blocks.low.len());
+        let shares = if blocks > 0 { n } else { 0 };
+        // One word more: shares are counted across words.
+        let words = blocks.div_ceil(64) + 1;
+        let full = longer(&self.full, n.div_ceil(64))?;
+        let interior = self.interior.longer(volume.cells())?;
+        let bits = longer(&self.bits, words)?;
+        let occupied = longer(&self.occupied, shares)?;
+        let cells = longer(&self.cells, n)?;
+        let distance = longer(&self.distance, n)?;
+        let line = longer(&self.line, 2 * longest)?;
+        // Nothing fails from here on.
+        fit(&mut self.full, full, n.div_ceil(64));
+        fit(&mut self.bits, bits, words);
+        fit(&mut self.occupied, occupied, shares);
+        fit(&mut self.cells, cells, n);
+        fit(&mut self.distance, distance, n);
+        fit(&mut self.line, line, 2 * longest);
+        self.interior.fit(interior, volume.cells());
+        self.grid = volume.cells();
+        self.distance_ready = false;
+        self.begin_edit();
+        if let Some(table) = table {
+            self.read_table(table);
+        }
+        self.read_histogram(volume);
+        self.classify(volume);
+        Ok(())
+    }
+
+    /// What the table says of each entry, and prefix tables of it.
+    fn read_table(&mut self, table: &TransferTable) {
+        let ratio = CORRELATION_LENGTH / table.unit_distance();
+        self.unit_distance = table.unit_distance();
+        for (i, entry) in table.rgba().iter().enumerate() {
+            let counts = table.is_visible(i);
+            let alpha = if counts { entry[3] } else { 0.0 };
+            let (log, through) = if counts {
+                let log = libm::log1pf(-alpha.min(MAX_OPACITY));
+                (log, libm::expf(ratio * log))
+            } else {
+                (0.0, 1.0)
+            };
+            self.entries[i] = [alpha, log];
+            self.opaque[i + 1] = self.opaque[i] + u16::from(counts);
+            self.transmittance[i + 1] = self.transmittance[i] + f64::from(through);
+        }
+    }
+
+    /// What follows from the table and the volume's histogram alone.
+    fn read_histogram(&mut self, volume: &VolumeSummary) {
+        let (mut extinction, mut shown) = (0.0f64, 0.0f64);
+        for (i, (&[_, log], &share)) in self.entries.iter().zip(volume.histogram()).enumerate() {
+            let (share, counts) = (f64::from(share), self.opaque[i + 1] > self.opaque[i]);
+            extinction -= share * f64::from(log) / f64::from(self.unit_distance);
+            shown += share * f64::from(u8::from(counts));
+        }
+        self.mean_extinction = extinction as f32;
+        self.visible_share = shown as f32;
+    }
+
+    /// Which cells are empty, and what share of the others' blocks is not.
+    fn classify(&mut self, volume: &VolumeSummary) {
+        let (low, high) = volume.cell_ranges();
+        let n = low.len();
+        let visible = Visible::new(&self.opaque);
+        let sum = match volume.blocks() {
+            None => classify(&visible, low, high, &mut self.full) as f64,
+            Some(blocks) => classify_blocks(&visible, low, high, blocks, &mut self.bits, &mut self.full),
+        };
+        self.occupied_share = (sum / n as f64) as f32;
+    }
+
+    /// Forgets what is known of cells under the table before.
+    fn begin_edit(&mut self) {
+        let edits = self.edits % (packed::EDITS - 1) + 1;
+        if edits < self.edits {
+            self.cells.fill(0);
+        }
+        (self.edits, self.edit) = (edits, packed::edit(edits));
+    }
+
+    /// What a cell does to a ray, `None` where it is empty or outside the grid.
+    #[inline(always)]
+    pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Option<Optics> {
+        let mut word = *self.cells.get(cell)? ^ self.edit;
+        if word & packed::EDIT != 0 {
+            word = self.compute(volume, cell) ^ self.edit;
+        }
+        let (extinction, visible, looks) = packed::unpack(word);
+        let occupied = self.occupied.get(cell).copied().unwrap_or(1.0);
+        (word != 0).then_some(Optics { extinction, visible, occupied, looks })
+    }
+
+    /// Computes what a cell does to a ray, and keeps it until the next edit.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) -> u32 {
+        if !self.is_occupied(cell) {
+            self.cells[cell] = self.edit;
+            return self.edit;
+        }
+        let (mut t, mut v) = (0.0f32, 0.0f32);
+        for pair in volume.quantiles(cell).windows(2) {
+            let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
+            let inverse = RECIPROCAL[b - a];
+            t += (self.transmittance[b + 1] - self.transmittance[a]) as f32 * inverse;
+            v += f32::from(self.opaque[b + 1] - self.opaque[a]) * inverse;
+        }
+        let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
+        let visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
+        let extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
+        if let Some(blocks) = volume.blocks() {
+            self.occupied[cell] = blocks.share(&self.bits, cell);
+        }
+        self.interior.find(self.grid, &self.full);
+        let class = self.interior.class(self.grid, cell);
+        let word = packed::pack(extinction, visible, class) | self.edit;
+        self.cells[cell] = word;
+        word
+    }
+
+    /// The words of all cells, for packets of rays, and the bits of the present edit in them.
+    #[inline(always)]
+    pub(super) fn words(&self) -> (&[u32], u32) {
+        (&self.cells, self.edit)
+    }
+
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
+    #[inline(always)]
+    pub(super) fn occupied_shares(&self) -> &[f32] {
+        &self.occupied
+    }
+
+    /// Number of cells.
+    pub(super) fn cell_count(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// Whether a cell is not empty; what lies outside the grid is.
+    #[inline(always)]
+    pub(super) fn is_occupied(&self, cell: usize) -> bool {
+        self.full.get(cell / 64).is_some_and(|word| word >> (cell % 64) & 1 != 0)
+    }
+
+    /// Share of the volume's blocks that are not empty.
+    pub(crate) fn occupied_share(&self) -> f32 {
+        self.occupied_share
+    }
+
+    /// Extinction per reference step averaged over the volume's voxels.
+    pub(crate) fn mean_extinction(&self) -> f32 {
+        self.mean_extinction
+    }
+
+    /// Share of voxels with any opacity.
+    pub(crate) fn visible_share(&self) -> f32 {
+        self.visible_share
+    }
+
+    /// Whether a cell is empty, so that a renderer skips it whole.
+    ///
+    /// # Panics
+    /// When the cell lies outside the grid.
+    #[cfg(test)]
+    pub(crate) fn is_empty(&self, x: usize, y: usize, z: usize) -> bool {
+        let g = self.grid;
+        assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
+        !self.is_occupied(x + g[0] * (y + g[1] * z))
+    }
+
+    /// Extinction of a cell per reference step; 0 where it is empty.
+    ///
+    /// # Panics
+    /// When the cell lies outside the grid.
+    #[cfg(test)]
+    pub(crate) fn extinction(&mut self, volume: &VolumeSummary, [x, y, z]: [usize; 3]) -> f32 {
+        let g = self.grid;
+        assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
+        let cell = x + g[0] * (y + g[1] * z);
+        self.optics(volume, cell).map_or(0.0, |optics| optics.extinction)
+    }
+
+    pub(super) fn grid(&self) -> [usize; 3] {
+        self.grid
+    }
+
+    /// Makes the distance map that [`entire_core::scene::Skipping::Distance`] needs, unless it is there. Never
+    /// allocates.
+    pub fn prepare_distance(&mut self) {
+        if self.distance_ready {
+            return;
+        }
+        let [nx, ny, _] = self.grid;
+        for (cells, &word) in self.distance.chunks_mut(64).zip(&self.full) {
+            for (i, d) in cells.iter_mut().enumerate() {
+                *d = if word >> i & 1 != 0 { 0 } else { u8::MAX };
+            }
+        }
+        // One pass per axis, each exact because the Chebyshev ball is a product of intervals:
+        // d(x) becomes the least max(d(x'), |x − x'|) along the axis.
+        let strides = [1, nx, nx * ny];
+        for axis in 0..3 {
+            let (n, stride) = (self.grid[axis], strides[axis]);
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            for b in 0..self.grid[v] {
+                for a in 0..self.grid[u] {
+                    let start = a * strides[u] + b * strides[v];
+                    let (line, out) = self.line.split_at_mut(n);
+                    for (i, slot) in line.iter_mut().enumerate() {
+                        *slot = self.distance[start + i * stride];
+                    }
+                    chebyshev_line(line, &mut out[..n]);
+                    for (i, &d) in out[..n].iter().enumerate() {
+                        self.distance[start + i * stride] = d;
+                    }
+                }
+            }
+        }
+        self.distance_ready = true;
+    }
+
+    /// Chebyshev distances in cells to the nearest occupied cell (255 where there is none), once prepared.
+    pub(super) fn distance(&self) -> Option<&[u8]> {
+        self.distance_ready.then_some(&self.distance)
+    }
+}
+
+/// Writes the least max(d(j), |i − j|) over j for each i.
+fn chebyshev_line(line: &[u8], out: &mut [u8]) {
+    let n = line.len();
+    for i in 0..n {
+        let mut best = line[i];
+        let mut r = 1;
+        // Nothing farther away than the best so far can be better.
+        while r < usize::from(best) && (r <= i || i + r < n) {
+            let left = if r <= i { line[i - r] } else { u8::MAX };
+            let right = if i + r < n { line[i + r] } else { u8::MAX };
+            best = best.min(left.min(right).max(r as u8)); // r < 255
+            r += 1;
+        }
+        out[i] = best;
+    }
+}
+
+/// 1 / (n + 1) for the lengths of quantile intervals.
+static RECIPROCAL: [f32; TABLE_LEN] = {
+    let mut out = [0.0; TABLE_LEN];
+    let mut i = 0;
+    while i < TABLE_LEN {
+        out[i] = 1.0 / (i as f32 + 1.0);
+        i += 1;
+    }
+    out
+};

@@ -1,0 +1,211 @@
+//! Stored values and the table entries that stand for them.
+
+use entire_core::scene::{Scalars, VolumeView};
+
+/// From stored values to entries of a 256-entry table.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Map {
+    range: (f32, f32),
+    /// Entries per stored unit; `None` where that is no ordinary number.
+    scale: Option<f32>,
+    /// The entry that stands for each byte that was counted: of bytes the nearest to the stored value, of
+    /// other types the byte itself.
+    pub(super) near: [u8; 256],
+    /// [`Map::below`] and [`Map::above`] of each byte, of bytes alone.
+    ends: [[u8; 2]; 256],
+}
+
+impl Map {
+    pub(super) fn new(volume: &VolumeView<'_>) -> Self {
+        let (low, high) = volume.range();
+        let width = high - low;
+        let scale = 255.0 / width;
+        let scale = (width > 0.0 && scale > 0.0 && scale.is_finite()).then_some(scale);
+        let near_of = core::array::from_fn(|v| v as u8);
+        let mut map = Self { range: (low, high), scale, near: near_of, ends: [[0; 2]; 256] };
+        if let Scalars::U8(_) = volume.scalars() {
+            map.near = core::array::from_fn(|v| near(map.position(v as f32)));
+            map.ends = core::array::from_fn(|v| [map.below(v as f32), map.above(v as f32)]);
+        }
+        map
+    }
+
+    /// The range that maps to [0, 1].
+    pub(super) fn range(&self) -> (f32, f32) {
+        self.range
+    }
+
+    /// Place of a stored value in the table, 0…255, as [`VolumeView::normalize`] puts it.
+    #[inline(always)]
+    fn position(&self, value: f32) -> f32 {
+        match self.scale {
+            Some(scale) => scaled(value, self.range.0, scale),
+            None => entire_core::scene::normalize(self.range, value) * 255.0,
+        }
+    }
+
+    /// The highest entry at or below a stored value.
+    fn below(&self, value: f32) -> u8 {
+        self.position(value) as u8
+    }
+
+    /// The lowest entry at or above a stored value.
+    fn above(&self, value: f32) -> u8 {
+        super::ceil_entry(self.position(value))
+    }
+}
+
+#[inline(always)]
+fn scaled(value: f32, low: f32, scale: f32) -> f32 {
+    let t = (value - low) * scale;
+    // In this order NaN becomes 0.
+    let t = if t > 0.0 { t } else { 0.0 };
+    if t < 255.0 { t } else { 255.0 }
+}
+
+/// The entry nearest to a position in 0…255, in arithmetic that compilers vectorize.
+#[inline(always)]
+fn near(position: f32) -> u8 {
+    /// 2²³: adding it rounds to an integer, which then stands in the low bits.
+    const SHIFT: f32 = 8_388_608.0;
+    let v = position + 0.5;
+    let rounded = (v + SHIFT) - SHIFT;
+    let floor = if rounded > v { rounded - 1.0 } else { rounded };
+    (floor + SHIFT).to_bits() as u8
+}
+
+/// A type of stored values.
+pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
+    /// No value is below.
+    const LOWEST: Self;
+    /// No value is above.
+    const HIGHEST: Self;
+    /// Whether stored values are counted as they stand.
+    const IS_ENTRY: bool;
+    /// Whether values may be NaN or infinite.
+    const IS_FLOAT: bool = false;
+
+    fn number(self) -> f32;
+    fn lesser(self, other: Self) -> Self;
+    fn greater(self, other: Self) -> Self;
+    /// The value, or the lowest in place of NaN.
+    #[inline(always)]
+    fn known(self) -> Self {
+        self
+    }
+    /// Whether it is NaN or infinite.
+    #[inline(always)]
+    fn is_non_finite(self) -> bool {
+        false
+    }
+    /// What is counted where [`Voxel::IS_ENTRY`]: the values themselves.
+    #[inline(always)]
+    fn bytes(_: &[Self]) -> &[u8] {
+        &[]
+    }
+    /// The highest entry at or below a value, and the lowest at or above another.
+    #[inline(always)]
+    fn ends([low, high]: [Self; 2], map: &Map) -> [u8; 2] {
+        [map.below(low.number()), map.above(high.number())]
+    }
+    /// What is counted of a value.
+    #[inline(always)]
+    fn entry_of(value: Self, map: &Map) -> u8 {
+        near(map.position(value.number()))
+    }
+    /// What is counted of each value of a row; gives how many are not finite.
+    #[inline(always)]
+    fn entries(row: &[Self], map: &Map, out: &mut [u8]) -> u32 {
+        let low = map.range.0;
+        match map.scale {
+            Some(scale) => {
+                for (out, v) in out.iter_mut().zip(row) {
+                    *out = near(scaled(v.number(), low, scale));
+                }
+            }
+            None => {
+                for (out, v) in out.iter_mut().zip(row) {
+                    *out = near(map.position(v.number()));
+                }
+            }
+        }
+        row.iter().map(|v| u32::from(v.is_non_finite())).sum()
+    }
+}
+
+macro_rules! integer {
+    ($type:ty) => {
+        const LOWEST: Self = <$type>::MIN;
+        const HIGHEST: Self = <$type>::MAX;
+        #[inline(always)]
+        fn number(self) -> f32 {
+            f32::from(self)
+        }
+        #[inline(always)]
+        fn lesser(self, other: Self) -> Self {
+            Ord::min(self, other)
+        }
+        #[inline(always)]
+        fn greater(self, other: Self) -> Self {
+            Ord::max(self, other)
+        }
+    };
+}
+
+impl Voxel for u8 {
+    integer!(u8);
+    const IS_ENTRY: bool = true;
+    #[inline(always)]
+    fn bytes(values: &[Self]) -> &[u8] {
+        values
+    }
+    #[inline(always)]
+    fn ends([low, high]: [Self; 2], map: &Map) -> [u8; 2] {
+        [map.ends[usize::from(low)][0], map.ends[usize::from(high)][1]]
+    }
+    #[inline(always)]
+    fn entry_of(value: Self, _: &Map) -> u8 {
+        value
+    }
+    #[inline(always)]
+    fn entries(_: &[Self], _: &Map, _: &mut [u8]) -> u32 {
+        0
+    }
+}
+
+impl Voxel for u16 {
+    integer!(u16);
+    const IS_ENTRY: bool = false;
+}
+
+impl Voxel for i16 {
+    integer!(i16);
+    const IS_ENTRY: bool = false;
+}
+
+impl Voxel for f32 {
+    const LOWEST: Self = f32::NEG_INFINITY;
+    const HIGHEST: Self = f32::INFINITY;
+    const IS_ENTRY: bool = false;
+    const IS_FLOAT: bool = true;
+    #[inline(always)]
+    fn number(self) -> f32 {
+        self
+    }
+    #[inline(always)]
+    fn lesser(self, other: Self) -> Self {
+        if other < self { other } else { self }
+    }
+    #[inline(always)]
+    fn greater(self, other: Self) -> Self {
+        if other > self { other } else { self }
+    }
+    #[inline(always)]
+    fn known(self) -> Self {
+        if self.is_nan() { f32::NEG_INFINITY } else { self }
+    }
+    #[inline(always)]
+    fn is_non_finite(self) -> bool {
+        !self.is_finite()
+    }
+}

@@ -1,0 +1,356 @@
+//! What is kept of a volume: a grid of cells with value bounds and quantiles.
+
+mod builder;
+mod changed;
+mod entries;
+mod scan;
+mod series;
+#[cfg(test)]
+mod tests;
+
+pub use builder::SummaryBuilder;
+pub use series::SummarySeries;
+
+use super::classify::Blocks;
+use alloc::vec::Vec;
+use entire_core::bail;
+use entire_core::kernels::Executor;
+use entire_core::memory::{copied, filled, mixed};
+use entire_core::scene::{ScalarType, Shape, VolumeView, check_edges, check_spacing};
+use entire_core::{Error, ErrorKind, Result};
+use glam::Vec3;
+
+/// Edge of the blocks that renderers skip by, in voxels.
+pub(crate) const BLOCK_EDGE: usize = 8;
+
+/// Most cells along an axis unless [`SummaryOptions`] says otherwise.
+pub(crate) const DEFAULT_CELLS_PER_AXIS: usize = 48;
+
+/// Quantile intervals kept per cell; the `QUANTILES + 1` bounds split its voxels into shares of equal size.
+pub(crate) const QUANTILES: usize = 8;
+
+/// Largest stored integer that indexes a table of 15 bits as it stands.
+pub(crate) const LARGEST_INDEX: i16 = i16::MAX;
+
+/// Most blocks kept inside one cell along an axis; beyond that a kept block is a run of blocks.
+const BLOCKS_PER_CELL_AXIS: usize = 8;
+
+/// How a [`VolumeSummary`] is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SummaryOptions {
+    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this
+    /// holds.
+    pub cells_per_axis: usize,
+}
+
+impl Default for SummaryOptions {
+    fn default() -> Self {
+        Self { cells_per_axis: DEFAULT_CELLS_PER_AXIS }
+    }
+}
+
+/// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
+///
+/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each
+/// axis; so one voxel beyond its far side enters its bounds. The edge is 8 voxels along each
+/// axis, coarser by powers of two where the volume is larger than the options allow; then the value bounds of
+/// the blocks inside each cell are kept too, so that emptiness is still judged by the blocks that a renderer
+/// skips.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeSummary {
+    scalar_type: ScalarType,
+    shape: Shape,
+    /// Cells along each axis.
+    cells: [usize; 3],
+    /// Voxels along each axis of a cell.
+    edge: [usize; 3],
+    /// Voxels along each axis of a block.
+    block: [usize; 3],
+    /// Lowest entry of a 256-entry table that a sample in each cell can touch (interpolation with the voxels
+    /// beyond its far side included), and the highest.
+    low: Vec<u8>,
+    high: Vec<u8>,
+    /// Ascending quantile bounds of each cell's own voxels, as table entries.
+    quantiles: Vec<[u8; QUANTILES + 1]>,
+    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty
+    /// where every cell is one block.
+    block_low: Vec<u8>,
+    block_high: Vec<u8>,
+    first_block: Vec<u32>,
+    /// How many blocks a cell has that the volume's end does not cut, and whether that is every cell.
+    most_blocks: usize,
+    uniform: bool,
+    histogram: [f32; 256],
+    non_finite_share: f32,
+    remapped: bool,
+}
+
+impl VolumeSummary {
+    /// Scans a volume once, on the calling thread. For threads, for progress, for stopping and for volumes that are
+    /// never there as a whole there is [`SummaryBuilder`].
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
+    /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for what is kept.
+    pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
+        let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
+        builder.add(volume, Executor::Serial)?;
+        builder.finish()
+    }
+
+    /// A number that the same volume has again, and hardly another.
+    pub(crate) fn fingerprint(&self) -> u64 {
+        let sizes = self.shape.dims.iter().map(|&n| n as u64);
+        let shares = self.histogram.iter().map(|h| u64::from(h.to_bits()));
+        sizes.chain(shares).fold(0, mixed)
+    }
+
+    /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
+    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs
+    /// included. Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with`]
+    /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`entire_core::scene::MAX_VOLUME_EDGE`] or when the
+    /// number of bricks is not the one that sizes and edge give, [`ErrorKind::OutOfMemory`] where there is no
+    /// room for what is kept.
+    pub fn from_bricks(
+        dims: [usize; 3],
+        spacing: [f32; 3],
+        scalar_type: ScalarType,
+        brick_edge: [usize; 3],
+        bounds: &[[f32; 2]],
+    ) -> Result<Self> {
+        if dims.contains(&0) || brick_edge.contains(&0) {
+            bail!(
+                InvalidArgument,
+                "volume of {dims:?} voxels in bricks of {brick_edge:?}; every size must be at least 1"
+            );
+        }
+        check_edges(dims)?;
+        let spacing = check_spacing(spacing)?;
+        let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(brick_edge[a]));
+        let expected = count(cells, dims)?;
+        if expected != bounds.len() {
+            bail!(
+                SizeMismatch,
+                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds \
+                 were given; pass one (low, high) pair per brick, x fastest",
+                bounds.len()
+            );
+        }
+        let mut summary = Self::with_grid(dims, spacing, scalar_type, cells, brick_edge)?;
+        summary.block = brick_edge;
+        let mut smallest = 1.0f32;
+        let clean = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) };
+        for (i, bound) in bounds.iter().enumerate() {
+            let (a, b) = (clean(bound[0]), clean(bound[1]));
+            let (lo, hi) = (a.min(b), a.max(b));
+            smallest = smallest.min(lo);
+            summary.low[i] = entry_below(lo);
+            summary.high[i] = entry_above(hi);
+            for (k, q) in summary.quantiles[i].iter_mut().enumerate() {
+                *q = entry_near(lo + (hi - lo) * k as f32 / QUANTILES as f32);
+            }
+        }
+        summary.remapped = scalar_type == ScalarType::F32 || smallest > 0.0;
+        summary.histogram_from_quantiles();
+        Ok(summary)
+    }
+
+    /// A copy, as `clone` makes it.
+    ///
+    /// # Errors
+    /// [`ErrorKind::OutOfMemory`] where there is no room for it.
+    pub fn try_clone(&self) -> Result<Self> {
+        Ok(Self {
+            low: copied(&self.low)?,
+            high: copied(&self.high)?,
+            quantiles: copied(&self.quantiles)?,
+            block_low: copied(&self.block_low)?,
+            block_high: copied(&self.block_high)?,
+            first_block: copied(&self.first_block)?,
+            ..*self
+        })
+    }
+
+    /// Sizes of the volume and lengths of its box.
+    pub fn shape(&self) -> Shape {
+        self.shape
+    }
+
+    /// The element type of the volume.
+    pub(crate) fn scalar_type(&self) -> ScalarType {
+        self.scalar_type
+    }
+
+    /// Cells along x, y, z.
+    pub(crate) fn cells(&self) -> [usize; 3] {
+        self.cells
+    }
+
+    /// Voxels along each axis of a cell (the last cell of an axis may reach beyond the volume).
+    pub(crate) fn cell_edge(&self) -> [usize; 3] {
+        self.edge
+    }
+
+    /// Voxels along each axis of the blocks by which emptiness is judged.
+    pub(crate) fn block_edge(&self) -> [usize; 3] {
+        self.block
+    }
+
+    /// Lowest and highest table entry that samples in a cell can touch.
+    ///
+    /// # Panics
+    /// When the cell lies outside the grid.
+    #[cfg(test)]
+    pub(crate) fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
+        assert!(
+            x < self.cells[0] && y < self.cells[1] && z < self.cells[2],
+            "cell {x}, {y}, {z} outside the grid"
+        );
+        let cell = x + self.cells[0] * (y + self.cells[1] * z);
+        (self.low[cell], self.high[cell])
+    }
+
+    /// Share of voxels per table entry; sums to 1.
+    pub(crate) fn histogram(&self) -> &[f32; 256] {
+        &self.histogram
+    }
+
+    /// Share of voxels that are NaN or infinite.
+    pub fn non_finite_share(&self) -> f32 {
+        self.non_finite_share
+    }
+
+    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where
+    /// they are integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of
+    /// bricks the bounds tell: 0 among those of integers is taken as a stored 0.
+    pub(crate) fn remapped(&self) -> bool {
+        self.remapped
+    }
+
+    /// Number of voxels.
+    pub(crate) fn voxels(&self) -> f64 {
+        self.shape.dims.iter().map(|&n| n as f64).product()
+    }
+
+    /// Number of cells.
+    pub(super) fn cell_count(&self) -> usize {
+        self.low.len()
+    }
+
+    /// Lowest and highest table entries that samples in each cell can touch.
+    pub(super) fn cell_ranges(&self) -> (&[u8], &[u8]) {
+        (&self.low, &self.high)
+    }
+
+    /// Quantile bounds of a cell's voxels.
+    pub(super) fn quantiles(&self, cell: usize) -> &[u8; QUANTILES + 1] {
+        &self.quantiles[cell]
+    }
+
+    /// The blocks of each cell, where cells hold several; `None` where each cell is one block.
+    #[inline(always)]
+    pub(super) fn blocks(&self) -> Option<Blocks<'_>> {
+        (!self.first_block.is_empty()).then_some(Blocks {
+            low: &self.block_low,
+            high: &self.block_high,
+            first: &self.first_block,
+            most: self.most_blocks,
+            uniform: self.uniform,
+        })
+    }
+
+    fn layout(
+        dims: [usize; 3],
+        spacing: Vec3,
+        scalar_type: ScalarType,
+        options: SummaryOptions,
+    ) -> Result<Self> {
+        let most = options.cells_per_axis;
+        if most == 0 || most > 128 {
+            bail!(InvalidArgument, "{most} cells per axis were asked for; accepted are 1…128");
+        }
+        let mut edge = [BLOCK_EDGE; 3];
+        for axis in 0..3 {
+            while dims[axis].div_ceil(edge[axis]) > most {
+                edge[axis] *= 2;
+            }
+        }
+        let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(edge[a]));
+        Self::with_grid(dims, spacing, scalar_type, cells, edge)
+    }
+
+    fn with_grid(
+        dims: [usize; 3],
+        spacing: Vec3,
+        scalar_type: ScalarType,
+        cells: [usize; 3],
+        edge: [usize; 3],
+    ) -> Result<Self> {
+        let n = count(cells, dims)?;
+        let block = edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE)));
+        let per_cell = |a: usize| edge[a] / block[a];
+        Ok(Self {
+            scalar_type,
+            shape: Shape::new(dims, spacing),
+            cells,
+            edge,
+            block,
+            most_blocks: (0..3).map(per_cell).product(),
+            uniform: (0..3).all(|a| dims[a].div_ceil(block[a]) == cells[a] * per_cell(a)),
+            low: filled(n, 255)?,
+            high: filled(n, 0)?,
+            quantiles: filled(n, [0; QUANTILES + 1])?,
+            block_low: Vec::new(),
+            block_high: Vec::new(),
+            first_block: Vec::new(),
+            histogram: [0.0; 256],
+            non_finite_share: 0.0,
+            remapped: true,
+        })
+    }
+
+    fn histogram_from_quantiles(&mut self) {
+        let mut sum = [0.0f64; 256];
+        let share = 1.0 / (self.quantiles.len() * QUANTILES) as f64;
+        for quantiles in &self.quantiles {
+            for pair in quantiles.windows(2) {
+                let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
+                let each = share / (b - a + 1) as f64;
+                sum[a..=b].iter_mut().for_each(|s| *s += each);
+            }
+        }
+        for (h, s) in self.histogram.iter_mut().zip(sum) {
+            *h = s as f32;
+        }
+    }
+}
+
+fn count(cells: [usize; 3], dims: [usize; 3]) -> Result<usize> {
+    let n = cells.iter().try_fold(1u64, |p, &c| p.checked_mul(c as u64)).filter(|&n| n <= 1 << 28);
+    n.map(|n| n as usize).ok_or_else(|| {
+        Error::new(
+            ErrorKind::SizeMismatch,
+            alloc::format!("a volume of {dims:?} voxels has more than 2^28 bricks; use a larger brick edge"),
+        )
+    })
+}
+
+fn ceil_entry(position: f32) -> u8 {
+    let below = position as u8;
+    if f32::from(below) < position { below.saturating_add(1) } else { below }
+}
+
+fn entry_below(s: f32) -> u8 {
+    (s * 255.0) as u8
+}
+
+fn entry_above(s: f32) -> u8 {
+    ceil_entry(s * 255.0)
+}
+
+fn entry_near(s: f32) -> u8 {
+    (s * 255.0 + 0.5) as u8
+}

@@ -1,0 +1,590 @@
+//! The scan of a volume: bounds of blocks, quantiles of cells and the histogram, in one pass over the voxels.
+
+use super::QUANTILES;
+use super::entries::{Map, Voxel};
+use alloc::vec::Vec;
+use core::ops::Range;
+use entire_core::Result;
+use entire_core::kernels::{Executor, Kernel, Level, Simd};
+use entire_core::memory::{filled, room};
+use entire_core::scene::VolumeView;
+
+/// Cells and blocks of a volume, each along x, y, z.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Grid {
+    /// Voxels.
+    pub(super) dims: [usize; 3],
+    /// Cells.
+    pub(super) cells: [usize; 3],
+    /// Voxels of a cell.
+    pub(super) edge: [usize; 3],
+    /// Voxels of a block; cells hold whole blocks.
+    pub(super) block: [usize; 3],
+}
+
+impl Grid {
+    /// Number of blocks.
+    pub(super) fn blocks(&self) -> [usize; 3] {
+        core::array::from_fn(|a| self.dims[a].div_ceil(self.block[a]))
+    }
+
+    /// Bytes from one cell's entries to the next one's: no power of two, by which cells would share few lines of
+    /// the cache.
+    pub(super) fn room(&self) -> usize {
+        self.edge.iter().product::<usize>() + 64
+    }
+
+    /// Voxels of a cell (or block of that `size`) along an axis, from the volume's beginning.
+    pub(super) fn span(&self, i: usize, size: usize, axis: usize) -> Range<usize> {
+        i * size..((i + 1) * size).min(self.dims[axis])
+    }
+}
+
+/// Bounds of the values in a block.
+pub(super) type Bounds<T> = [T; 2];
+
+/// Bounds of nothing.
+pub(super) fn nothing<T: Voxel>() -> Bounds<T> {
+    [T::HIGHEST, T::LOWEST]
+}
+
+/// What a scan has found so far.
+#[derive(Clone, Debug)]
+pub(super) struct Found<T> {
+    /// Bounds of each block of the volume, the first voxels of the blocks after it included.
+    pub(super) bounds: Vec<Bounds<T>>,
+    /// How many voxels have each entry (of bytes: each stored value).
+    pub(super) counts: [u64; 256],
+    /// Voxels that are NaN or infinite.
+    pub(super) non_finite: u64,
+}
+
+impl<T: Voxel> Found<T> {
+    pub(super) fn new(grid: &Grid) -> Result<Self> {
+        Ok(Self {
+            bounds: filled(grid.blocks().iter().product(), nothing())?,
+            counts: [0; 256],
+            non_finite: 0,
+        })
+    }
+
+    /// Scans layers of cells that follow each other from cell layer `first` on. `slab` holds exactly their
+    /// planes,
+    /// `quantiles` has one place for each of their cells.
+    pub(super) fn scan(
+        &mut self,
+        grid: &Grid,
+        map: &Map,
+        (slab, voxels): (&VolumeView<'_>, &[T]),
+        first: usize,
+        quantiles: &mut [[u8; QUANTILES + 1]],
+        executor: Executor<'_>,
+    ) -> Result<()> {
+        let layers = slab.dims()[2].div_ceil(grid.edge[2]);
+        let [across, down, _] = grid.blocks();
+        let plane = across * down;
+        let per_layer = grid.edge[2] / grid.block[2];
+        let (before, bounds) = self.bounds.split_at_mut(first * per_layer * plane);
+        let (mut quantiles, mut bounds) = (quantiles, bounds);
+        let parts = executor.threads().clamp(1, layers);
+        let mut tasks = room(parts)?;
+        for i in 0..parts {
+            let own = layers * i / parts..layers * (i + 1) / parts;
+            let (q, more) = quantiles.split_at_mut(own.len() * grid.cells[0] * grid.cells[1]);
+            let blocks = (own.len() * per_layer * plane).min(bounds.len());
+            let (b, rest) = bounds.split_at_mut(blocks);
+            (quantiles, bounds) = (more, rest);
+            tasks.push(Layers {
+                grid,
+                map,
+                source: Source { slab, voxels, first: first * grid.edge[2] },
+                layers: first + own.start..first + own.end,
+                quantiles: q,
+                bounds: b,
+                back: filled(plane, nothing())?,
+                scratch: Scratch::new(grid, slab)?,
+                counts: [0; 256],
+                non_finite: 0,
+            });
+        }
+        let level = Level::detect();
+        all(&mut tasks, level, executor);
+        // A layer's first plane belongs to the bounds of the blocks before it as well.
+        let mut previous = last(before, plane);
+        for task in tasks {
+            if let Some(blocks) = previous {
+                for (block, [low, high]) in blocks.iter_mut().zip(task.back) {
+                    *block = [block[0].lesser(low), block[1].greater(high)];
+                }
+            }
+            self.counts.iter_mut().zip(task.counts).for_each(|(a, b)| *a += b);
+            self.non_finite += task.non_finite;
+            previous = last(task.bounds, plane);
+        }
+        Ok(())
+    }
+}
+
+/// The last `count` elements, if there are so many.
+fn last<T>(of: &mut [T], count: usize) -> Option<&mut [T]> {
+    let at = of.len().checked_sub(count)?;
+    Some(&mut of[at..])
+}
+
+/// Runs tasks on the executor's threads.
+pub(super) fn all<K: Send>(tasks: &mut [K], level: Level, executor: Executor<'_>)
+where
+    for<'a> &'a mut K: Kernel<Output = ()>,
+{
+    match tasks {
+        [] => {}
+        [task] => level.run(task),
+        tasks => {
+            let (a, b) = tasks.split_at_mut(tasks.len() / 2);
+            executor.join(|| all(a, level, executor), || all(b, level, executor));
+        }
+    }
+}
+
+/// Where voxels are.
+#[derive(Clone, Copy)]
+pub(super) struct Source<'a, T> {
+    pub(super) slab: &'a VolumeView<'a>,
+    pub(super) voxels: &'a [T],
+    /// The slab's first plane.
+    pub(super) first: usize,
+}
+
+impl<T: Voxel> Source<'_, T> {
+    /// The voxels `xs` of a row side by side, copied to `scratch` where they do not lie so.
+    #[inline(always)]
+    pub(super) fn row<'s>(&'s self, scratch: &'s mut [T], xs: &Range<usize>, y: usize, z: usize) -> &'s [T] {
+        let (at, stride) = (self.slab.index(xs.start, y, z - self.first), self.slab.strides()[0]);
+        if stride == 1 {
+            return &self.voxels[at..at + xs.len()];
+        }
+        let scratch = &mut scratch[..xs.len()];
+        for (i, slot) in scratch.iter_mut().enumerate() {
+            *slot = self.voxels[at + i * stride];
+        }
+        scratch
+    }
+
+    /// Asks for the voxels `xs` of a row, where they lie side by side: rows of the next plane, or of the next
+    /// row of cells, are no neighbors in memory, so that nobody else asks for them.
+    #[inline(always)]
+    pub(super) fn fetch<S: Simd>(&self, simd: S, xs: &Range<usize>, y: usize, z: usize) {
+        let ([_, height, planes], z) = (self.slab.dims(), z - self.first);
+        if self.slab.strides()[0] != 1 || y >= height || z >= planes {
+            return;
+        }
+        let row = &self.voxels[self.slab.index(xs.start, y, z)..][..xs.len()];
+        for line in row.chunks(64 / size_of::<T>()) {
+            simd.prefetch_near(line.as_ptr().cast());
+        }
+    }
+}
+
+/// Layers of cells that one thread scans.
+struct Layers<'a, T> {
+    grid: &'a Grid,
+    map: &'a Map,
+    source: Source<'a, T>,
+    layers: Range<usize>,
+    /// Of the cells of these layers.
+    quantiles: &'a mut [[u8; QUANTILES + 1]],
+    /// Of the blocks of these layers.
+    bounds: &'a mut [Bounds<T>],
+    /// What the first plane gives to the bounds of the blocks before.
+    back: Vec<Bounds<T>>,
+    counts: [u64; 256],
+    non_finite: u64,
+    scratch: Scratch<T>,
+}
+
+impl<T: Voxel> Kernel for &mut Layers<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        for cz in self.layers.clone() {
+            for cy in 0..self.grid.cells[1] {
+                self.bound(simd, cz, cy);
+                self.count(simd, cz, cy);
+            }
+        }
+    }
+}
+
+/// Working memory of one thread.
+pub(super) struct Scratch<T> {
+    /// Own rows of one row of blocks, and those that the blocks before it along y, z and both see of it.
+    pub(super) joined: [Joined<T>; 4],
+    /// A row whose voxels do not lie side by side.
+    pub(super) row: Vec<T>,
+    /// Entries of a row.
+    pub(super) line: Vec<u8>,
+    /// Entries of one row of cells, those of a cell side by side.
+    pub(super) cells: Vec<u8>,
+    pub(super) counts: Counts,
+}
+
+/// Tables in which entries are counted in turn; cleared again after each cell.
+pub(super) type Counts = [[u32; 256]; 4];
+
+impl<T: Voxel> Scratch<T> {
+    pub(super) fn new(grid: &Grid, slab: &VolumeView<'_>) -> Result<Self> {
+        let dims = grid.dims;
+        let joined = || Joined::new(dims[0]);
+        Ok(Self {
+            joined: [joined()?, joined()?, joined()?, joined()?],
+            row: filled(if slab.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
+            line: filled(if T::IS_ENTRY { 0 } else { dims[0] }, 0)?,
+            cells: filled(grid.cells[0] * grid.room(), 0)?,
+            counts: [[0; 256]; 4],
+        })
+    }
+}
+
+impl<T: Voxel> Layers<'_, T> {
+    /// Bounds of the blocks in a row of cells, and the entries of its voxels.
+    ///
+    /// A row of voxels enters the bounds of the blocks that it lies in and, where it is a block's first along
+    /// y or z, those of the blocks before. Rows are joined voxel by voxel and reduced along x once per row of
+    /// blocks.
+    #[inline(always)]
+    fn bound<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
+        let grid = *self.grid;
+        let (source, scratch) = (self.source, &mut self.scratch);
+        let (block, per_cell) = (grid.block, grid.room());
+        let [across, down, _] = grid.blocks();
+        let first_block = self.layers.start * (grid.edge[2] / block[2]);
+        let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
+        let xs = 0..grid.dims[0];
+        let mut non_finite = 0;
+        for bz in zs.start / block[2]..zs.end.div_ceil(block[2]) {
+            for by in ys.start / block[1]..ys.end.div_ceil(block[1]) {
+                scratch.joined.iter_mut().for_each(|joined| joined.clear(grid.dims[0]));
+                let planes = grid.span(bz, block[2], 2);
+                for z in planes.clone() {
+                    for y in grid.span(by, block[1], 1) {
+                        if z + 1 < planes.end {
+                            source.fetch(simd, &xs, y, z + 1);
+                        } else {
+                            source.fetch(simd, &xs, y + block[1], planes.start);
+                        }
+                        let row = source.row(&mut scratch.row, &xs, y, z);
+                        let (first_y, first_z) = (y == by * block[1], z == bz * block[2]);
+                        let takes = [true, first_y, first_z, first_y && first_z];
+                        for (joined, _) in scratch.joined.iter_mut().zip(takes).filter(|(_, takes)| *takes) {
+                            joined.add(row);
+                        }
+                        let entries = if T::IS_ENTRY {
+                            T::bytes(row)
+                        } else {
+                            non_finite += u64::from(T::entries(row, self.map, &mut scratch.line));
+                            &scratch.line
+                        };
+                        let place = (z - zs.start) * ys.len() + y - ys.start;
+                        deal(entries, grid.edge[0], place, per_cell, &mut scratch.cells);
+                    }
+                }
+                for (joined, back) in scratch.joined.iter_mut().zip([[0, 0], [1, 0], [0, 1], [1, 1]]) {
+                    if by < back[0] || bz < back[1] {
+                        continue;
+                    }
+                    let line = across * (by - back[0]);
+                    if bz - back[1] < first_block {
+                        joined.reduce(block[0], self.back[line..][..across].iter_mut());
+                    } else {
+                        let line = line + across * down * (bz - back[1] - first_block);
+                        joined.reduce(block[0], self.bounds[line..][..across].iter_mut());
+                    }
+                }
+            }
+        }
+        self.non_finite += non_finite;
+    }
+
+    /// Quantiles of a row of cells.
+    #[inline(always)]
+    fn count<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
+        let grid = *self.grid;
+        let (scratch, per_cell) = (&mut self.scratch, grid.room());
+        let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
+        for cx in 0..grid.cells[0] {
+            let xs = grid.span(cx, grid.edge[0], 0);
+            let total = xs.len() * ys.len() * zs.len();
+            let first_block = self.layers.start * (grid.edge[2] / grid.block[2]);
+            let [low, high] = bounds_of(&grid, self.bounds, first_block, [&xs, &ys, &zs], |b| *b);
+            let bounds = [T::entry_of(low, self.map), T::entry_of(high, self.map)];
+            let cell = cx + grid.cells[0] * (cy + grid.cells[1] * (cz - self.layers.start));
+            let entries = &scratch.cells[cx * per_cell..][..total];
+            let counts = &mut self.counts;
+            let tally = Tally { simd, map: self.map, bounds };
+            self.quantiles[cell] = tally.count(entries, &mut scratch.counts, |entry, n| {
+                counts[usize::from(entry)] += n;
+            });
+        }
+    }
+}
+
+/// Counts a cell's entries, all of which lie within bounds.
+pub(super) struct Tally<'a, S> {
+    pub(super) simd: S,
+    pub(super) map: &'a Map,
+    pub(super) bounds: [u8; 2],
+}
+
+impl<S: Simd> Tally<'_, S> {
+    /// The quantiles of a cell's entries. `each` hears how often each occurs, in ascending order, those that
+    /// do not left out. `counts` must be zero, and is so again.
+    #[inline(always)]
+    pub(super) fn count(
+        &self,
+        entries: &[u8],
+        counts: &mut Counts,
+        mut each: impl FnMut(u8, u64),
+    ) -> [u8; QUANTILES + 1] {
+        let ([low, high], total) = (self.bounds, entries.len());
+        if low == high {
+            each(low, total as u64);
+            return [self.map.near[usize::from(low)]; QUANTILES + 1];
+        }
+        self.batch(entries, counts);
+        let mut out = [0; QUANTILES + 1];
+        let range = usize::from(low)..usize::from(high) + 1;
+        let [a, b, c, d] = counts;
+        let (mut below, mut next) = (0u64, 0usize);
+        let mut last = low;
+        for entry in range.clone() {
+            let n = u64::from(a[entry]) + u64::from(b[entry]) + u64::from(c[entry]) + u64::from(d[entry]);
+            if n == 0 {
+                continue;
+            }
+            each(entry as u8, n);
+            below += n;
+            last = entry as u8;
+            // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
+            while next < QUANTILES && below * QUANTILES as u64 > (next * total) as u64 {
+                out[next] = self.map.near[entry];
+                next += 1;
+            }
+        }
+        out[QUANTILES] = self.map.near[usize::from(last)];
+        // Entries were looked for beyond the bounds, and not found.
+        for table in [a, b, c, d] {
+            table[range.clone()].fill(0);
+        }
+        out
+    }
+
+    /// Where few entries can occur, eight at a time are looked for in all bytes; where many can, bytes are
+    /// counted in four tables in turn: in one, equal neighbors would wait for each other.
+    #[inline(always)]
+    fn batch(&self, bytes: &[u8], counts: &mut Counts) {
+        let [low, high] = self.bounds;
+        let [a, b, c, d] = counts;
+        if usize::from(high - low) < S::COUNTED {
+            for first in (low..=high).step_by(8) {
+                // The last eight may have been counted in part: the same counts again.
+                let first = usize::from(first.min(u8::MAX - 7));
+                a[first..first + 8].copy_from_slice(&self.simd.count_eight(bytes, first as u8));
+            }
+            return;
+        }
+        let (eights, rest) = bytes.as_chunks::<8>();
+        for &eight in eights {
+            let word = u64::from_le_bytes(eight);
+            let byte = |i: u32| (word >> (8 * i)) as u8 as usize;
+            a[byte(0)] += 1;
+            b[byte(1)] += 1;
+            c[byte(2)] += 1;
+            d[byte(3)] += 1;
+            a[byte(4)] += 1;
+            b[byte(5)] += 1;
+            c[byte(6)] += 1;
+            d[byte(7)] += 1;
+        }
+        for &byte in rest {
+            a[usize::from(byte)] += 1;
+        }
+    }
+}
+
+/// Bounds of a cell from those of its blocks, the layers of blocks from `first` on.
+#[inline(always)]
+pub(super) fn bounds_of<T: Voxel, B>(
+    grid: &Grid,
+    bounds: &[B],
+    first: usize,
+    cell: [&Range<usize>; 3],
+    of: impl Fn(&B) -> Bounds<T>,
+) -> Bounds<T> {
+    let [across, down, _] = grid.blocks();
+    let [xs, ys, zs]: [Range<usize>; 3] =
+        core::array::from_fn(|a| cell[a].start / grid.block[a]..cell[a].end.div_ceil(grid.block[a]));
+    let mut out = nothing::<T>();
+    for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
+        let line = across * (y + down * (z - first));
+        for [low, high] in bounds[line + xs.start..line + xs.end].iter().map(&of) {
+            out = [out[0].lesser(low), out[1].greater(high)];
+        }
+    }
+    out
+}
+
+/// Several rows, joined voxel by voxel.
+pub(super) struct Joined<T> {
+    low: Vec<T>,
+    high: Vec<T>,
+    /// Working memory.
+    other: Vec<T>,
+}
+
+impl<T: Voxel> Joined<T> {
+    fn new(len: usize) -> Result<Self> {
+        Ok(Self {
+            low: filled(len, T::HIGHEST)?,
+            high: filled(len, T::LOWEST)?,
+            other: filled(len, T::LOWEST)?,
+        })
+    }
+
+    /// Rows of `len` voxels from here on, no more than there is room for.
+    #[inline(always)]
+    pub(super) fn clear(&mut self, len: usize) {
+        self.low.clear();
+        self.high.clear();
+        self.low.resize(len, T::HIGHEST);
+        self.high.resize(len, T::LOWEST);
+    }
+
+    #[inline(always)]
+    pub(super) fn add(&mut self, row: &[T]) {
+        for ((low, high), &v) in self.low.iter_mut().zip(&mut self.high).zip(row) {
+            let v = v.known();
+            *low = low.lesser(v);
+            *high = high.greater(v);
+        }
+    }
+
+    /// Widens the bounds of a row of blocks, once for all rows: a block's values are its own and the first
+    /// one of the next block. `block` is a power of two.
+    #[inline(always)]
+    pub(super) fn reduce<'a>(&mut self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
+    where
+        T: 'a,
+    {
+        // Every place then holds the bounds of as many values from there on as a block has.
+        let mut reach = 1;
+        while reach < block.min(self.low.len()) {
+            slide(&mut self.low, &mut self.other, reach, T::lesser);
+            slide(&mut self.high, &mut self.other, reach, T::greater);
+            reach *= 2;
+        }
+        for (bx, bound) in bounds.enumerate() {
+            // The second of them reaches one further.
+            for place in [bx * block, (bx * block + 1).min(self.low.len() - 1)] {
+                *bound = [bound[0].lesser(self.low[place]), bound[1].greater(self.high[place])];
+            }
+        }
+    }
+}
+
+/// Joins each value with the one `reach` further on, where there is one.
+#[inline(always)]
+fn slide<T: Voxel>(values: &mut [T], other: &mut [T], reach: usize, join: impl Fn(T, T) -> T) {
+    let len = values.len();
+    let to = &mut other[..len];
+    for ((to, &a), &b) in to.iter_mut().zip(&values[..len - reach]).zip(&values[reach..]) {
+        *to = join(a, b);
+    }
+    to[len - reach..].copy_from_slice(&values[len - reach..]);
+    values.copy_from_slice(to);
+}
+
+/// Gives each cell its part of a row's entries: `edge` of them, of which the row is number `place`. There is room
+/// for `per_cell` entries of each cell.
+#[inline(always)]
+pub(super) fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, cells: &mut [u8]) {
+    #[inline(always)]
+    fn fixed<const N: usize>(entries: &[u8], place: usize, per_cell: usize, cells: &mut [u8]) {
+        let (parts, rest) = entries.as_chunks::<N>();
+        for (part, cell) in parts.iter().zip(cells.chunks_exact_mut(per_cell)) {
+            cell[N * place..N * place + N].copy_from_slice(part);
+        }
+        let last = &mut cells[parts.len() * per_cell..];
+        if !rest.is_empty() {
+            last[rest.len() * place..][..rest.len()].copy_from_slice(rest);
+        }
+    }
+    // Most cells have one of few edges, for which no function is called.
+    match edge {
+        4 => fixed::<4>(entries, place, per_cell, cells),
+        8 => fixed::<8>(entries, place, per_cell, cells),
+        16 => fixed::<16>(entries, place, per_cell, cells),
+        32 => fixed::<32>(entries, place, per_cell, cells),
+        _ => {
+            for (part, cell) in entries.chunks(edge).zip(cells.chunks_exact_mut(per_cell)) {
+                cell[part.len() * place..][..part.len()].copy_from_slice(part);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+
+    /// Eight counts of bytes.
+    struct CountEight<'a>(&'a [u8], u8);
+
+    impl Kernel for CountEight<'_> {
+        type Output = [u32; 8];
+
+        #[inline(always)]
+        fn run<S: Simd>(self, simd: S) -> [u32; 8] {
+            simd.count_eight(self.0, self.1)
+        }
+    }
+
+    #[test]
+    fn eight_values_are_counted_on_every_level() {
+        let mut state = 3u32;
+        for len in [0usize, 1, 63, 255, 256, 511, 512, 1000, 1024, 1536, 5000] {
+            for spread in [8u32, 40, 256] {
+                let mut random = || {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    (state >> 8) % spread
+                };
+                let base = random();
+                let bytes: Vec<u8> = (0..len).map(|_| (base + random()) as u8).collect();
+                for first in [0u8, 7, 8, 100, 247, 248] {
+                    let count = |value: u8| bytes.iter().filter(|b| **b == value).count() as u32;
+                    let expected: [u32; 8] = core::array::from_fn(|i| count(first + i as u8));
+                    for level in Level::available() {
+                        assert_eq!(level.run(CountEight(&bytes, first)), expected, "{level:?} {len} {first}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_reach_to_the_first_value_of_the_next() {
+        for (len, block) in [(1usize, 8usize), (8, 8), (9, 8), (37, 8), (64, 16), (70, 32)] {
+            let values: Vec<u16> = (0..len).map(|i| (i * 7919 % 251) as u16).collect();
+            let mut joined = Joined::new(len).unwrap();
+            joined.clear(len);
+            joined.add(&values);
+            let mut bounds = vec![nothing(); len.div_ceil(block)];
+            joined.reduce(block, bounds.iter_mut());
+            for (bx, found) in bounds.iter().enumerate() {
+                let own = &values[bx * block..(bx * block + block + 1).min(len)];
+                assert_eq!(*found, [*own.iter().min().unwrap(), *own.iter().max().unwrap()]);
+            }
+        }
+    }
+}

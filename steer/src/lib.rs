@@ -1,0 +1,88 @@
+//! Predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step that keeps
+//! the frame inside its budget.
+//!
+//! # Units
+//!
+//! | quantity | unit |
+//! |---|---|
+//! | time | seconds (`f32`, or `f64` where they are accumulated) |
+//! | ray step | multiples of the *reference step*, which is the volume's smallest voxel spacing |
+//! | angles | degrees at the door (`Arcball`), radians inside |
+//! | scene space | origin at the volume's center, unit length = radius of its bounding sphere |
+//! | image sizes | pixels |
+//!
+//! # Steering a render loop
+//!
+//! A [`Session`] knows the volume and the transfer function. Before each frame it plans the ray step, and
+//! after it hears how long the frame took:
+//!
+//! ```
+//! use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction};
+//! use entire_core::{Frame, GaussianLobe, VolumeView};
+//! use entire_steer::control::ObserveFlags;
+//! use entire_steer::features::SummaryOptions;
+//! use entire_steer::{Session, VolumeSummary};
+//!
+//! let voxels = vec![100u8; 32 * 32 * 32];
+//! let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32])?;
+//! let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.8 };
+//! let table = TransferFunction::Gaussian(vec![lobe]).to_table()?;
+//!
+//! let mut session = Session::untrained();
+//! session.set_volume(VolumeSummary::new(&view, SummaryOptions::default())?, None);
+//! session.set_transfer(&table, None)?;
+//!
+//! let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.0 })?;
+//! let frame = Frame::new(camera, 640, 480)?;
+//! let plan = session.plan(&frame, 0.016)?;
+//! // … draw with plan.step and measure the seconds it took …
+//! let seconds = 0.012;
+//! session.observe(plan.id, seconds, ObserveFlags::default())?;
+//!
+//! // What a frame will take, corrected by what was observed:
+//! let expected = session.predict(&frame)?;
+//! assert!(expected.seconds > 0.0 && expected.upper >= expected.seconds);
+//! # Ok::<(), entire_core::Error>(())
+//! ```
+//!
+//! # Loading a model
+//!
+//! [`predict::load`] makes the predictor that a model file holds; [`Session::new`] steers by it:
+//!
+//! ```
+//! use entire_core::Model;
+//! use entire_steer::control::HybridOptions;
+//! use entire_steer::predict::{AnalyticModel, load};
+//! use entire_steer::Session;
+//!
+//! // Bytes of a model file; here those of an analytic model.
+//! let bytes = AnalyticModel::default().to_model_file()?.to_bytes()?;
+//! let model = Model::from_bytes(&bytes)?;
+//! let session = Session::new(load(&model)?, HybridOptions::default());
+//! # let _ = session;
+//! # Ok::<(), entire_core::Error>(())
+//! ```
+//!
+//! # Contract
+//!
+//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give.
+//! Hot calls (predict, plan, observe) never allocate, lock or call the system once set-up is done. A
+//! prediction is a pure function: same model, same inputs, same SIMD level, same bits, with and without the
+//! feature `std`.
+#![cfg_attr(not(any(feature = "std", test)), no_std)]
+#![forbid(unsafe_code)]
+
+extern crate alloc;
+
+mod adapt;
+pub mod calibrate;
+pub mod control;
+pub mod features;
+pub mod numeric;
+pub mod predict;
+pub mod schedule;
+
+pub use control::{Plan, Session};
+pub use entire_core::{Error, ErrorKind, Result};
+pub use features::VolumeSummary;
+pub use predict::{Prediction, Predictor};

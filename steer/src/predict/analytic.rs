@@ -1,0 +1,556 @@
+//! The analytic cost model: unit costs times estimated work.
+
+use super::cost_fit::{COST_SD, CostFit, Expected, FitRow};
+use super::network::Stored;
+use super::quality::KnownQuality;
+use super::{
+    Clock, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor,
+    Quality, Source, UPPER_LEVEL, UpperBound,
+};
+use crate::features::{
+    COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, PROBE_SIDE, SceneFeature, Setting, UnitCosts,
+};
+use crate::numeric::{dot, median};
+use alloc::collections::BTreeMap;
+use alloc::string::String;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::model::{Key, Model, ModelFile};
+use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
+
+/// Parts of a cost that are corrected apart from each other; each holds one or more unit costs.
+pub const TERMS: usize = 9;
+
+/// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
+const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 3, 3, 6, 8, 5, 5, 5, 4];
+
+impl UnitCosts {
+    /// What [`Key::UnitCosts`] holds.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for costs that JSON cannot hold.
+    pub(crate) fn to_json(self) -> Result<String> {
+        let costs: BTreeMap<&str, f64> = self.named().collect();
+        match serde_json::to_string(&costs) {
+            Ok(text) => Ok(text),
+            Err(e) => bail!(InvalidArgument, "the unit costs cannot be written as JSON: {e}"),
+        }
+    }
+
+    /// The unit costs of a model file; `None` where it holds none.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is
+    /// negative or not finite, or when all are zero.
+    pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
+        let Some(text) = model.metadata().get(Key::UnitCosts.name()) else { return Ok(None) };
+        let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
+            Ok(named) => named,
+            Err(e) => bail!(InvalidModel, "{} is not an object of seconds by name: {e}", Key::UnitCosts),
+        };
+        let mut out = Self([0.0; COSTS]);
+        for (name, &cost) in &named {
+            let Some(at) = out.named().position(|(n, _)| n == name) else {
+                bail!(InvalidModel, "{} names {name:?}, which this version does not count", Key::UnitCosts);
+            };
+            if !(cost.is_finite() && cost >= 0.0) {
+                bail!(
+                    InvalidModel,
+                    "{}: {name} is {cost}; it must be finite and not negative",
+                    Key::UnitCosts
+                );
+            }
+            out.0[at] = cost;
+        }
+        if out.0.iter().all(|&c| c == 0.0) {
+            bail!(InvalidModel, "{} holds no positive cost", Key::UnitCosts);
+        }
+        Ok(Some(out))
+    }
+}
+
+/// Fewest scene features that a file of unit costs names: another affine model of fewer is a network.
+const FEWEST_NAMES: usize = 11;
+
+/// Shortest time that is ever predicted.
+const SHORTEST: f32 = 1.0e-9;
+
+/// Longest time that is ever predicted.
+const LONGEST: f32 = 1.0e9;
+
+/// One measured frame, for [`AnalyticModel::fit`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measurement {
+    /// Work of each of [`COST_QUANTITIES`], after a leading 1 for the frame itself.
+    pub work: [f64; COSTS],
+    /// Measured seconds.
+    pub seconds: f64,
+}
+
+impl Measurement {
+    /// The estimated work of a frame at a setting, with its measured time.
+    pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
+        Self { work: features.cost_work(setting), seconds }
+    }
+}
+
+/// How well a fit describes what it was fitted to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FitReport {
+    /// Measurements used.
+    pub used: usize,
+    /// Measurements refused: a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), or
+    /// a count that is not finite and positive.
+    pub refused: usize,
+    /// Median of |predicted / measured − 1|.
+    pub median_error: f64,
+    /// 95th percentile of it.
+    pub p95_error: f64,
+}
+
+/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more
+/// pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AnalyticModel {
+    costs: [f64; COSTS],
+    fitted: bool,
+    /// Rays along each side of the probe whose counts the costs were fitted to.
+    probe_side: usize,
+    /// The calibration behind [`Prediction::upper`].
+    pub(super) calibration: UpperBound,
+    range: FeatureRange,
+    /// The clock of the file that the costs come from.
+    clock: Option<Clock>,
+    /// What the file says of its renderer's pictures.
+    quality: Option<KnownQuality>,
+}
+
+impl Default for AnalyticModel {
+    /// The model of a machine never measured: unit costs of a software renderer on a few cores.
+    fn default() -> Self {
+        Self {
+            costs: UnitCosts::SOFTWARE.0,
+            fitted: false,
+            probe_side: PROBE_SIDE,
+            calibration: UpperBound::default(),
+            range: FeatureRange::unknown(),
+            clock: None,
+            quality: None,
+        }
+    }
+}
+
+impl AnalyticModel {
+    /// A model with given unit costs in seconds: of a frame, then of each of [`COST_QUANTITIES`].
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or when all are zero.
+    pub fn from_costs(costs: [f64; COSTS]) -> Result<Self> {
+        for (i, &c) in costs.iter().enumerate() {
+            if !(c.is_finite() && c >= 0.0) {
+                bail!(
+                    InvalidArgument,
+                    "unit cost {i} ({}) is {c}; it must be finite and not negative",
+                    term_name(i)
+                );
+            }
+        }
+        if costs.iter().all(|&c| c == 0.0) {
+            bail!(InvalidArgument, "all unit costs are zero; at least one must be positive");
+        }
+        Ok(Self { costs, fitted: true, ..Self::default() })
+    }
+
+    /// The same model, whose costs are fitted to counts of a probe with `side`² rays.
+    #[must_use]
+    pub fn with_probe_side(mut self, side: usize) -> Self {
+        self.probe_side = side;
+        self
+    }
+
+    /// The same model, whose range is that of frames of this work.
+    pub(crate) fn ranging_over<'a>(mut self, works: impl Iterator<Item = &'a [f64; COSTS]>) -> Self {
+        self.range = FeatureRange::from_rows(&works.map(range_point).collect::<Vec<_>>());
+        self
+    }
+
+    /// Fits the unit costs to measured frames, near those of `default` at this machine's speed, and calibrates the
+    /// upper bound on the same frames. Costs of work that no measurement holds keep their ratio to the others in
+    /// `default`; costs that are 0 there stay 0.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
+    pub fn fit(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
+        let usable: Vec<&Measurement> = measurements
+            .iter()
+            .filter(|m| {
+                m.seconds > 0.0
+                    && m.seconds <= f64::from(LONGEST_FRAME)
+                    && m.work.iter().all(|w| w.is_finite() && *w >= 0.0)
+                    && m.work.iter().any(|w| *w > 0.0)
+            })
+            .collect();
+        if usable.is_empty() {
+            bail!(
+                InvalidArgument,
+                "none of {} measurements has a positive time of at most {LONGEST_FRAME} seconds and finite work; measure \
+                 some frames first",
+                measurements.len()
+            );
+        }
+        let rows: Vec<FitRow> = usable
+            .iter()
+            .map(|m| FitRow { psi: Vec::new(), work: m.work, log: libm::log(m.seconds) })
+            .collect();
+        let expected =
+            Expected { costs: &default.0, cost_sd: [COST_SD; COSTS], weights: &[], weight_sd: 1.0 };
+        let fitted = CostFit::new(&expected, &rows.iter().collect::<Vec<_>>());
+        let costs = fitted.unit_costs();
+        if !costs.iter().all(|c| c.is_finite()) || costs.iter().all(|&c| c <= 0.0) {
+            bail!(InvalidArgument, "the measurements give no positive cost; check that times are in seconds");
+        }
+        let residuals: Vec<f64> =
+            rows.iter().map(|row| libm::expm1(fitted.log_seconds(row) - row.log)).collect();
+        self.costs = costs;
+        self.fitted = true;
+        (self.clock, self.quality) = (None, None);
+        let mut logs: Vec<f64> =
+            usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30))).collect();
+        self.calibration = UpperBound::from_residuals(&mut logs);
+        let rows: Vec<[f32; RANGE_TERMS]> = usable.iter().map(|m| range_point(&m.work)).collect();
+        self.range = FeatureRange::from_rows(&rows);
+        let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();
+        let median_error = median(&mut sizes).unwrap_or(f64::NAN);
+        let p95_error = sizes[((sizes.len() as f64 * 0.95) as usize).min(sizes.len() - 1)];
+        Ok(FitReport {
+            used: usable.len(),
+            refused: measurements.len() - usable.len(),
+            median_error,
+            p95_error,
+        })
+    }
+
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without the last
+    /// where it costs nothing) as scene features, target seconds, calibration and range beside it under
+    /// [`Key::Calibration`].
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.
+    pub fn to_model_file(&self) -> Result<ModelFile> {
+        let mut file = ModelFile::default();
+        let used = if self.costs[COMMON_COSTS..].iter().all(|&c| c == 0.0) { COMMON_COSTS } else { COSTS };
+        let parts = PredNetParts {
+            layers: alloc::vec![DenseParts {
+                inputs: used - 1,
+                outputs: 1,
+                weight: self.costs[1..used].iter().map(|&c| c as f32).collect(),
+                bias: alloc::vec![self.costs[0] as f32],
+                dtype: Dtype::F32,
+            }],
+            input: None,
+            output: None,
+            target: Target::Seconds,
+        };
+        let features = COST_QUANTITIES[..used - 1]
+            .iter()
+            .map(|&quantity| SceneFeature { quantity, log: false })
+            .collect();
+        let mut layout = InputLayout::new(&[GroupKind::SceneFeatures], features, 0, 0)?;
+        layout.probe_side = self.probe_side;
+        layout.store(&parts, &mut file)?;
+        let stored = Stored {
+            level: UPPER_LEVEL,
+            log_factor: Some(self.calibration.log_factor).filter(|f| f.is_finite()),
+            low: self.range.ends().map(|(low, _)| low.to_vec()),
+            high: self.range.ends().map(|(_, high)| high.to_vec()),
+            input_low: None,
+            input_high: None,
+        };
+        file.metadata.insert(Key::Calibration.into(), stored.to_json()?);
+        Ok(file)
+    }
+
+    /// Reads back what [`AnalyticModel::to_model_file`] wrote; `None` for any other model.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] when the calibration beside it is damaged.
+    pub fn from_model(model: &Model) -> Result<Option<Self>> {
+        let names = model.scene_features();
+        let Some(net) = model.prednet() else { return Ok(None) };
+        let [layer] = &net.layers[..] else { return Ok(None) };
+        // In order, none twice; a file of fewer names leaves the others' costs at zero.
+        let mut places = Vec::with_capacity(names.len());
+        for name in names {
+            match COST_QUANTITIES.iter().position(|q| name == q.name()) {
+                Some(at) if places.last().is_none_or(|last| *last < at) => places.push(at),
+                _ => return Ok(None),
+            }
+        }
+        let fits = model.inputs().len() == 1
+            && names.len() >= FEWEST_NAMES
+            && net.input.is_none()
+            && net.output.is_none()
+            && net.target == Target::Seconds
+            && layer.weight.iter().chain(&layer.bias).all(|&w| w >= 0.0);
+        if !fits {
+            return Ok(None);
+        }
+        let mut costs = [0.0; COSTS];
+        costs[0] = f64::from(layer.bias[0]);
+        for (at, &w) in places.into_iter().zip(&layer.weight) {
+            costs[at + 1] = f64::from(w);
+        }
+        if costs.iter().all(|&c| c == 0.0) {
+            return Ok(None);
+        }
+        let mut out = Self::from_costs(costs)?.with_probe_side(InputLayout::of_model(model)?.probe_side);
+        out.clock = Clock::of(model);
+        out.quality = KnownQuality::of(model)?;
+        if let Some(stored) = Stored::of(model)? {
+            out.calibration = UpperBound { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
+            if let (Some(low), Some(high)) = (stored.low, stored.high)
+                && let (Ok(low), Ok(high)) = (low.try_into(), high.try_into())
+            {
+                out.range = FeatureRange::from_ends(low, high);
+            }
+        }
+        Ok(Some(out))
+    }
+
+    /// Predicts from work that is already counted: a leading 1, then [`COST_QUANTITIES`].
+    #[cfg(test)]
+    pub(crate) fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
+        dot(&self.costs, work)
+    }
+
+    /// The unit costs.
+    pub fn costs(&self) -> UnitCosts {
+        UnitCosts(self.costs)
+    }
+
+    /// The cost in parts for a frame at a setting.
+    pub(crate) fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
+        let work = features.cost_work(setting);
+        let mut sums = [0.0f64; TERMS];
+        for ((cost, amount), part) in self.costs.iter().zip(&work).zip(PART_OF) {
+            sums[part] += cost * amount;
+        }
+        let mut parts: [f32; TERMS] = sums.map(finite);
+        if !(parts.iter().sum::<f32>() >= SHORTEST) {
+            parts[0] = SHORTEST;
+        }
+        CostTerms { parts, out_of_range: self.range.score(&range_point(&work)), source: Source::Analytic }
+    }
+}
+
+impl Predictor for AnalyticModel {
+    fn probe_side(&self) -> usize {
+        self.probe_side
+    }
+
+    fn any_probe_side(&self) -> bool {
+        true
+    }
+
+    fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
+        let terms = self.parts(inputs.features, &inputs.setting);
+        let seconds = terms.seconds().clamp(SHORTEST, LONGEST);
+        Ok(Prediction {
+            seconds,
+            upper: self.calibration.upper(seconds),
+            out_of_range: terms.out_of_range,
+            source: Source::Analytic,
+        })
+    }
+
+    fn terms(&mut self, inputs: &Inputs<'_>) -> Result<CostTerms> {
+        Ok(self.parts(inputs.features, &inputs.setting))
+    }
+
+    fn check(&mut self, _: &Inputs<'_>) -> Result<()> {
+        Ok(())
+    }
+
+    fn identity(&self) -> u32 {
+        // Little-endian whatever the machine, so that a saved state fits its model on any.
+        crc32fast::hash(self.costs.map(f64::to_le_bytes).as_flattened())
+    }
+
+    fn clock(&self) -> Option<Clock> {
+        self.clock
+    }
+
+    fn quality(&self, renderer: &str) -> Option<Quality> {
+        KnownQuality::holds_for(self.quality.as_ref(), renderer)
+    }
+
+    fn log_sd(&self) -> Option<f32> {
+        // Costs that were given without residuals are trusted to within a third.
+        self.fitted.then(|| self.calibration.log_sd().unwrap_or(0.3))
+    }
+}
+
+/// Quantities by which the analytic model knows its range.
+const RANGE_TERMS: usize = 5;
+
+fn range_point(work: &[f64; COSTS]) -> [f32; RANGE_TERMS] {
+    let log = |v: f64| libm::log(v + 1.0) as f32;
+    let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;
+    [log(work[1]), per_pixel(work[2]), per_pixel(work[3]), per_pixel(work[4]), per_pixel(work[5])]
+}
+
+fn term_name(i: usize) -> &'static str {
+    if i == 0 { "frame" } else { COST_QUANTITIES[i - 1].name() }
+}
+
+fn finite(v: f64) -> f32 {
+    if v.is_finite() { (v as f32).clamp(0.0, LONGEST) } else { LONGEST }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TRUTH: [f64; COSTS] = [
+        2e-4, 6e-8, 2e-8, 9e-9, 4e-9, 2e-9, 4e-8, 3e-8, 9e-10, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, 0.0,
+    ];
+
+    /// Work of frames as they come: counts over several decades, scattering never used.
+    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
+        let mut state = 9u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+        };
+        (0..n)
+            .map(|i| {
+                let pixels = libm::exp(7.0 + 7.0 * uniform());
+                let rays = pixels * (0.1 + 0.9 * uniform());
+                let samples = rays * libm::exp(4.0 * uniform());
+                let local = if i % 2 == 0 { samples * uniform() } else { 0.0 };
+                let mut work = [0.0; COSTS];
+                work[..9].copy_from_slice(&[
+                    1.0,
+                    pixels,
+                    rays,
+                    rays * 20.0 * uniform(),
+                    samples,
+                    samples * (1.0 + uniform()),
+                    rays * 3.0 * uniform(),
+                    rays * 6.0 * uniform(),
+                    local,
+                ]);
+                work[COMMON_COSTS] = if i % 3 == 0 { samples } else { 0.0 };
+                let mut seconds = dot(&TRUTH, &work) * libm::exp(noise * (uniform() + uniform() - 1.0));
+                if outliers && i % 20 == 0 {
+                    seconds *= 10.0;
+                }
+                Measurement { work, seconds }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn exact_times_give_back_their_costs() {
+        let mut model = AnalyticModel::default();
+        let report = model.fit(&UnitCosts::SOFTWARE, &measurements(200, 0.0, false)).unwrap();
+        assert!(report.median_error < 4e-3 && report.p95_error < 2e-2, "{report:?}");
+        for (i, (&c, &t)) in model.costs().0.iter().zip(&TRUTH).enumerate().take(9) {
+            assert!((c / t - 1.0).abs() < 0.25, "{i}: {c} {t}");
+        }
+        // Never seen: their default ratio to the rest, not zero.
+        assert!(model.costs().0[9] > 0.0 && model.costs().0[10] > 0.0);
+    }
+
+    #[test]
+    fn what_costs_nothing_by_default_is_solved_for_where_it_is_asked_for() {
+        let mut truth = TRUTH;
+        truth[COMMON_COSTS] = 7e-9;
+        let mut rows = measurements(200, 0.0, false);
+        for m in &mut rows {
+            m.seconds = dot(&truth, &m.work);
+        }
+        let (mut plain, mut asked) = (AnalyticModel::default(), AnalyticModel::default());
+        let report = plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
+        assert!(plain.costs().0[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
+        assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 5e-3);
+        assert!((asked.costs().0[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
+        // The file names what costs something, and reads back.
+        for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COSTS - 1)] {
+            let file = model.to_model_file().unwrap().to_model().unwrap();
+            assert_eq!(file.scene_features().len(), names);
+            let back = AnalyticModel::from_model(&file).unwrap().unwrap();
+            for (a, b) in back.costs().0.iter().zip(&model.costs().0) {
+                assert_eq!(*a, f64::from(*b as f32));
+            }
+        }
+    }
+
+    #[test]
+    fn noise_and_outliers_do_not_carry_it_away() {
+        let mut model = AnalyticModel::default();
+        let report = model.fit(&UnitCosts::SOFTWARE, &measurements(200, 0.1, true)).unwrap();
+        assert!(report.median_error < 0.06, "{report:?}");
+        let clean = measurements(50, 0.0, false);
+        for m in &clean {
+            let error = model.seconds_of(&m.work) / m.seconds - 1.0;
+            assert!(error.abs() < 0.15, "{error}");
+        }
+        assert!(model.calibration.factor() > 1.0);
+    }
+
+    #[test]
+    fn a_handful_of_equal_frames_is_enough_to_set_the_scale() {
+        let one = measurements(1, 0.0, false)[0];
+        let mut model = AnalyticModel::default();
+        model.fit(&UnitCosts::SOFTWARE, &[one; 3]).unwrap();
+        assert!((model.seconds_of(&one.work) / one.seconds - 1.0).abs() < 0.02);
+        let mut double = one.work;
+        double.iter_mut().skip(1).for_each(|w| *w *= 2.0);
+        let ratio = model.seconds_of(&double) / one.seconds;
+        assert!(ratio > 1.1 && ratio < 2.05, "{ratio}");
+    }
+
+    #[test]
+    fn broken_measurements_are_left_out_and_all_broken_is_an_error() {
+        let mut rows = measurements(20, 0.0, false);
+        for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            rows.push(Measurement { seconds, ..rows[0] });
+        }
+        rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
+        let mut model = AnalyticModel::default();
+        let report = model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
+        assert_eq!((report.used, report.refused), (20, 5));
+        // A time that no frame takes teaches nothing, the longest that one takes does.
+        let longest = f64::from(LONGEST_FRAME);
+        let report =
+            model.fit(&UnitCosts::SOFTWARE, &[rows[0], Measurement { seconds: longest, ..rows[1] }]).unwrap();
+        assert_eq!((report.used, report.refused), (2, 0));
+        let report = model
+            .fit(&UnitCosts::SOFTWARE, &[rows[0], Measurement { seconds: longest * 1.001, ..rows[1] }])
+            .unwrap();
+        assert_eq!((report.used, report.refused), (1, 1));
+        let before = model.clone();
+        assert!(
+            model.fit(&UnitCosts::SOFTWARE, &rows[20..]).is_err()
+                && model.fit(&UnitCosts::SOFTWARE, &[]).is_err()
+        );
+        assert_eq!(model, before);
+        assert!(AnalyticModel::from_costs([0.0; COSTS]).is_err());
+        assert!(AnalyticModel::from_costs([-1.0; COSTS]).unwrap_err().to_string().contains("frame"));
+    }
+
+    #[test]
+    fn range_scores_rise_outside_what_was_seen() {
+        let mut model = AnalyticModel::default();
+        let rows = measurements(100, 0.0, false);
+        assert!(model.range.score(&range_point(&rows[0].work)).is_nan());
+        model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
+        assert_eq!(model.range.score(&range_point(&rows[0].work)), 0.0);
+        let mut far = rows[0].work;
+        far[4] *= 1e5;
+        assert!(model.range.score(&range_point(&far)) > 1.0);
+    }
+}

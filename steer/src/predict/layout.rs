@@ -1,0 +1,414 @@
+//! The input row of a model: which groups it holds, in which order, and how they are written.
+
+use super::{GroupKind, Inputs, UnitCosts};
+use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work};
+use alloc::string::ToString;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::model::{InputGroup, Key, Model, ModelFile};
+use entire_core::nn::PredNetParts;
+use entire_core::scene::{Arcball, GaussianLobe};
+
+/// What a row is written from. `None` stands for what is not known of the frame.
+pub trait InputValues {
+    /// The output of VolumeNet for the volume.
+    fn volume_features(&self) -> Option<&[f32]>;
+    /// The camera, degrees and bounding-sphere radii.
+    fn camera(&self) -> Arcball;
+    /// Width and height of the image, pixels.
+    fn image_size(&self) -> [u32; 2];
+    /// The ray step, reference steps.
+    fn step(&self) -> f32;
+    /// The transfer function as Gaussian lobes.
+    fn lobes(&self) -> Option<&[GaussianLobe]>;
+    /// A quantity of the scene, in its unit.
+    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64>;
+    /// Seconds of the frame's work under unit costs.
+    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64>;
+}
+
+/// The values of a measured frame.
+struct FrameValues<'a> {
+    inputs: &'a Inputs<'a>,
+    work: Option<Work>,
+    seconds: Option<f64>,
+}
+
+impl InputValues for FrameValues<'_> {
+    fn volume_features(&self) -> Option<&[f32]> {
+        self.inputs.volume_features
+    }
+
+    fn camera(&self) -> Arcball {
+        self.inputs.camera
+    }
+
+    fn image_size(&self) -> [u32; 2] {
+        [self.inputs.setting.width, self.inputs.setting.height]
+    }
+
+    fn step(&self) -> f32 {
+        self.inputs.setting.step
+    }
+
+    fn lobes(&self) -> Option<&[GaussianLobe]> {
+        self.inputs.lobes
+    }
+
+    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
+        let Inputs { features, setting, .. } = self.inputs;
+        let work = self.work.get_or_insert_with(|| features.work(setting));
+        Some(features.quantity(quantity, setting, work))
+    }
+
+    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
+        let Inputs { features, setting, .. } = self.inputs;
+        Some(*self.seconds.get_or_insert_with(|| costs.seconds(&features.cost_work(setting))))
+    }
+}
+
+/// What a model takes: its input groups in order with their sizes, and what is needed to compute them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InputLayout {
+    /// The groups with their sizes, in order.
+    pub groups: Vec<(GroupKind, usize)>,
+    /// The scene features, in order: as many as their group has room for.
+    pub scene_features: Vec<SceneFeature>,
+    /// Behind `estimated_seconds`, where the model file holds them.
+    pub unit_costs: Option<UnitCosts>,
+    /// Whether Gaussian lobes go in by ascending center, or as they are given.
+    pub sorted_lobes: bool,
+    /// Rays along each side of the probe behind the scene features, 1 to [`MAX_PROBE_SIDE`]; 0 where none of them
+    /// needs a probe.
+    pub probe_side: usize,
+}
+
+impl InputLayout {
+    /// The layout of a new model. `lobes` is the number of Gaussian lobes of the transfer functions,
+    /// `volume_features` the number of outputs of the VolumeNet; groups that are not asked for do not look at
+    /// them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] where a group stands there twice, none does, or one would be
+    /// empty.
+    pub fn new(
+        groups: &[GroupKind],
+        scene_features: Vec<SceneFeature>,
+        lobes: usize,
+        volume_features: usize,
+    ) -> Result<Self> {
+        if groups.is_empty() {
+            bail!(InvalidArgument, "a model needs at least one input group");
+        }
+        let mut sized = Vec::with_capacity(groups.len());
+        for (i, &group) in groups.iter().enumerate() {
+            if groups[..i].contains(&group) {
+                bail!(InvalidArgument, "input group {} is named twice", group.name());
+            }
+            let (size, missing) = match group {
+                GroupKind::VolumeFeatures => {
+                    (volume_features, "needs an encoder; name a model file that holds a VolumeNet")
+                }
+                GroupKind::Camera => (3, ""),
+                GroupKind::Resolution => (2, ""),
+                GroupKind::TransferFunction => (3 * lobes, "needs at least one Gaussian lobe"),
+                GroupKind::StepSize => (1, ""),
+                GroupKind::SceneFeatures => (scene_features.len(), "names no feature"),
+            };
+            if size == 0 {
+                bail!(InvalidArgument, "the input group {} {missing}", group.name());
+            }
+            sized.push((group, size));
+        }
+        Ok(Self {
+            groups: sized,
+            probe_side: if need_probe(&scene_features) { PROBE_SIDE } else { 0 },
+            scene_features,
+            unit_costs: None,
+            sorted_lobes: false,
+        })
+    }
+
+    /// The layout that a model file names.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
+    /// [`crate::ErrorKind::Unsupported`] for such a scene feature or order of lobes,
+    /// [`crate::ErrorKind::InvalidModel`] for a damaged probe side or damaged unit costs.
+    pub fn of_model(model: &Model) -> Result<Self> {
+        let groups = model
+            .inputs()
+            .iter()
+            .map(|group| Ok((group.name.parse::<GroupKind>()?, group.size)))
+            .collect::<Result<Vec<_>>>()?;
+        let scene_features = model.scene_features().iter().map(|n| n.parse()).collect::<Result<Vec<_>>>()?;
+        let probe_side = if need_probe(&scene_features) { stated_probe_side(model)? } else { 0 };
+        Ok(Self {
+            groups,
+            scene_features,
+            unit_costs: UnitCosts::of(model)?,
+            sorted_lobes: takes_sorted_lobes(model)?,
+            probe_side,
+        })
+    }
+
+    /// Whether the ray step enters any input.
+    pub fn knows_step(&self) -> bool {
+        self.groups.iter().any(|g| g.0 == GroupKind::StepSize)
+            || self.scene_features.iter().any(|f| f.quantity.depends_on_step())
+    }
+
+    /// Numbers per row.
+    pub fn width(&self) -> usize {
+        self.groups.iter().map(|(_, size)| size).sum()
+    }
+
+    /// Puts a network with this layout into a model file: the network's tensors and what its inputs are.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidTensor`] when the parts do not fit together or a weight overflows its
+    /// format.
+    pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
+        let group = |&(kind, size): &(GroupKind, usize)| InputGroup { name: kind.name().into(), size };
+        file.set_prednet(net, &self.groups.iter().map(group).collect::<Vec<_>>())?;
+        if self.sorted_lobes {
+            file.metadata.insert(Key::LobeOrder.into(), "center".into());
+        }
+        if let Some(costs) = &self.unit_costs {
+            file.metadata.insert(Key::UnitCosts.into(), costs.to_json()?);
+        }
+        if !self.scene_features.is_empty() {
+            file.set_scene_features(&self.scene_features)?;
+            if ![0, PROBE_SIDE].contains(&self.probe_side) {
+                file.metadata.insert(Key::ProbeSide.into(), self.probe_side.to_string());
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a frame's row of [`InputLayout::width`] numbers.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] when a group was not supplied or has another size than the model's,
+    /// [`crate::ErrorKind::SizeMismatch`] for a row of another width.
+    pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
+        self.write_from(&mut FrameValues { inputs, work: None, seconds: None }, row)
+    }
+
+    /// As [`InputLayout::write`] from values that are kept elsewhere.
+    ///
+    /// # Errors
+    /// As [`InputLayout::write`].
+    pub fn write_from(&self, values: &mut impl InputValues, row: &mut [f32]) -> Result<()> {
+        if row.len() != self.width() {
+            bail!(
+                SizeMismatch,
+                "a row of {} numbers; the model takes {}, see InputLayout::width",
+                row.len(),
+                self.width()
+            );
+        }
+        let mut rest = row;
+        for &(group, size) in &self.groups {
+            let (here, after) = rest.split_at_mut(size);
+            self.write_group(group, values, here)?;
+            rest = after;
+        }
+        Ok(())
+    }
+
+    fn write_group(&self, group: GroupKind, values: &mut impl InputValues, out: &mut [f32]) -> Result<()> {
+        let size = out.len();
+        match group {
+            GroupKind::VolumeFeatures => match values.volume_features() {
+                Some(x) => copy(group, x, out),
+                None => bail!(
+                    MissingInput,
+                    "the model takes {size} volume features and none were supplied; encode the volume first"
+                ),
+            },
+            GroupKind::Camera => {
+                let Arcball { rx, ry, dz } = values.camera();
+                copy(group, &[rx, ry, dz], out)
+            }
+            GroupKind::Resolution => copy(group, &values.image_size().map(|n| n as f32), out),
+            GroupKind::TransferFunction => {
+                let Some(lobes) = values.lobes() else {
+                    bail!(
+                        MissingInput,
+                        "the model takes Gaussian transfer-function parameters and none were supplied; \
+                         describe the transfer function by {} lobes, or use a model on scene features, \
+                         which takes any transfer function",
+                        size / 3
+                    );
+                };
+                let wanted = size / 3;
+                if lobes.is_empty() || lobes.len() > wanted {
+                    bail!(
+                        MissingInput,
+                        "the model takes {wanted} Gaussian lobes, the transfer function has {}; describe it by \
+                         at least one lobe and at most as many as the model was trained with",
+                        lobes.len()
+                    );
+                }
+                // Of fewer lobes the tallest is shared out: equal parts of it add up to the same function.
+                let mut tallest = 0;
+                for (i, lobe) in lobes.iter().enumerate() {
+                    if lobe.height > lobes[tallest].height {
+                        tallest = i;
+                    }
+                }
+                let shares = (1 + wanted - lobes.len()) as f32;
+                for (i, slot) in out.chunks_exact_mut(3).enumerate() {
+                    let of = if i < lobes.len() { i } else { tallest };
+                    let GaussianLobe { center, width, height } = lobes[of];
+                    slot.copy_from_slice(&[
+                        center,
+                        width,
+                        if of == tallest { height / shares } else { height },
+                    ]);
+                }
+                if self.sorted_lobes {
+                    sort_lobes(out);
+                }
+                Ok(())
+            }
+            GroupKind::StepSize => copy(group, &[values.step()], out),
+            GroupKind::SceneFeatures => {
+                if self.scene_features.len() != size {
+                    bail!(
+                        MissingInput,
+                        "the model takes {size} scene features and names {}; its file must name each",
+                        self.scene_features.len()
+                    );
+                }
+                for (slot, feature) in out.iter_mut().zip(&self.scene_features) {
+                    *slot = self.scene_feature(*feature, values)?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn scene_feature(&self, feature: SceneFeature, values: &mut impl InputValues) -> Result<f32> {
+        let SceneFeature { quantity, log } = feature;
+        let value = match &self.unit_costs {
+            Some(costs) if quantity == SceneQuantity::EstimatedSeconds => values.seconds(costs),
+            _ => values.quantity(quantity),
+        };
+        match value {
+            Some(value) => Ok(if log { quantity.log(value) } else { value as f32 }),
+            None => bail!(
+                MissingInput,
+                "the model takes the scene feature {feature}, which was not supplied; measure the frame"
+            ),
+        }
+    }
+}
+
+/// Whether rays must be cast to know these features.
+fn need_probe(features: &[SceneFeature]) -> bool {
+    features.iter().any(|f| f.quantity.needs_probe())
+}
+
+fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
+    if out.len() != values.len() {
+        bail!(
+            MissingInput,
+            "the model's input group {} has size {}, this version supplies {}",
+            group.name(),
+            out.len(),
+            values.len()
+        );
+    }
+    out.copy_from_slice(values);
+    Ok(())
+}
+
+fn stated_probe_side(model: &Model) -> Result<usize> {
+    let Some(text) = model.metadata().get(Key::ProbeSide.name()) else { return Ok(PROBE_SIDE) };
+    match text.parse::<usize>() {
+        Ok(side) if (1..=MAX_PROBE_SIDE).contains(&side) => Ok(side),
+        _ => bail!(
+            InvalidModel,
+            "{} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected",
+            Key::ProbeSide
+        ),
+    }
+}
+
+fn takes_sorted_lobes(model: &Model) -> Result<bool> {
+    match model.metadata().get(Key::LobeOrder.name()).map(|s| s.as_str()) {
+        None => Ok(false),
+        Some("center") => Ok(true),
+        Some(other) => {
+            bail!(
+                Unsupported,
+                "{} is {other:?}; this version knows center, and none for lobes as given",
+                Key::LobeOrder
+            )
+        }
+    }
+}
+
+/// Puts the lobes of a `transfer_function` group, (c, w, h) each, in the order of their centers; equal
+/// centers keep theirs.
+fn sort_lobes(group: &mut [f32]) {
+    let count = group.len() / 3;
+    for end in 1..count {
+        let mut at = end;
+        while at > 0 && group[3 * at] < group[3 * (at - 1)] {
+            for k in 0..3 {
+                group.swap(3 * at + k, 3 * (at - 1) + k);
+            }
+            at -= 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+    use entire_core::ErrorKind;
+
+    #[test]
+    fn lobes_are_sorted_by_center_whole_and_stably() {
+        let mut group = [0.7, 1.0, 2.0, 0.1, 3.0, 4.0, 0.7, 5.0, 6.0, -0.2, 7.0, 8.0];
+        sort_lobes(&mut group);
+        assert_eq!(group, [-0.2, 7.0, 8.0, 0.1, 3.0, 4.0, 0.7, 1.0, 2.0, 0.7, 5.0, 6.0]);
+        sort_lobes(&mut []);
+        let mut one = [0.5, 0.1, 0.2];
+        sort_lobes(&mut one);
+        assert_eq!(one, [0.5, 0.1, 0.2]);
+    }
+
+    #[test]
+    fn a_layout_knows_the_step_by_its_group_or_by_any_feature_that_depends_on_it() {
+        let of = |groups: &[GroupKind], quantity| {
+            InputLayout::new(groups, vec![SceneFeature { quantity, log: true }], 1, 1).unwrap().knows_step()
+        };
+        for &quantity in SceneQuantity::ALL {
+            assert_eq!(of(&[GroupKind::SceneFeatures], quantity), quantity.depends_on_step());
+            assert!(of(&[GroupKind::SceneFeatures, GroupKind::StepSize], quantity));
+        }
+    }
+
+    #[test]
+    fn groups_that_cannot_be_laid_out_are_refused_by_name() {
+        let says = |groups: &[GroupKind]| {
+            let e = InputLayout::new(groups, Vec::new(), 0, 0).unwrap_err();
+            assert_eq!(e.kind(), ErrorKind::InvalidArgument);
+            e
+        };
+        assert!(says(&[]).to_string().contains("at least one input group"));
+        assert!(says(&[GroupKind::Camera, GroupKind::Camera]).to_string().contains("camera is named twice"));
+        assert!(says(&[GroupKind::VolumeFeatures]).to_string().contains("volume_features needs an encoder"));
+        assert!(says(&[GroupKind::TransferFunction]).to_string().contains("at least one Gaussian lobe"));
+        assert!(says(&[GroupKind::SceneFeatures]).to_string().contains("scene_features names no feature"));
+        let layout = InputLayout::new(&[GroupKind::StepSize, GroupKind::Camera], Vec::new(), 0, 0).unwrap();
+        assert_eq!((layout.width(), layout.probe_side), (4, 0));
+        assert!(layout.groups.iter().map(|g| g.0).eq([GroupKind::StepSize, GroupKind::Camera]));
+    }
+}

@@ -1,0 +1,32 @@
+//! From inputs to seconds: the analytic cost model and PredNet behind one trait, with upper bound and
+//! out-of-range score.
+//!
+//! [`load`] turns a model file into the predictor that fits it.
+
+mod analytic;
+#[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
+mod bounds;
+mod clock;
+mod cost_fit;
+mod inputs;
+mod layout;
+mod network;
+mod quality;
+mod range;
+mod seconds;
+
+pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
+pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
+pub(crate) use bounds::FeatureRange;
+pub use bounds::{UPPER_LEVEL, UpperBound};
+pub use clock::Clock;
+pub(crate) use cost_fit::{COST_SD, CostFit, Expected, FitRow};
+pub use entire_core::model::GroupKind;
+pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
+pub use layout::{InputLayout, InputValues};
+pub use network::{ModelPredictor, load};
+pub use quality::Quality;
+pub use range::InputRange;
+pub(crate) use seconds::CLAMPED_SCORE;
+pub(crate) use seconds::checked_seconds;
+pub use seconds::{LONGEST_FRAME, PREDICTED_SECONDS, check_predictions};

@@ -1,0 +1,215 @@
+//! What coarser steps and smaller images cost a renderer's pictures, as a model file states it.
+
+use alloc::borrow::ToOwned;
+use alloc::string::{String, ToString};
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::model::{Key, Model, ModelFile};
+use serde::{Deserialize, Serialize};
+
+/// What a coarser step and a smaller image cost a renderer's pictures, and what time they save: where the
+/// time of a frame can be had by either, the one is chosen that shows less.
+///
+/// With a step of s finest ones, and rays d pixels apart along each side, a picture's distance from full
+/// quality goes as (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, and its time as
+/// (`ray_share` + (1 − `ray_share`) / s) / d². The unit of that distance does not matter.
+/// [`crate::calibrate::fit_quality`] fits it to compared pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quality {
+    /// What an image of half the size along each side (d = 2) costs, over what a step twice as coarse (s = 2)
+    /// does.
+    pub image_weight: f32,
+    /// How the step's cost grows.
+    pub step_exponent: f32,
+    /// How the image's cost grows: near 0 where any smaller image is blurred.
+    pub image_exponent: f32,
+    /// Share of the time at full quality that goes with rays, not with their samples.
+    pub ray_share: f32,
+}
+
+/// Name, least and greatest value of each number.
+const BOUNDS: [(&str, f32, f32); 4] = [
+    ("image weight", 1.0e-3, 1.0e3),
+    ("step exponent", 0.05, 8.0),
+    ("image exponent", 0.05, 8.0),
+    ("share of rays", 0.0, 0.9),
+];
+
+impl Quality {
+    fn numbers(&self) -> [f32; 4] {
+        [self.image_weight, self.step_exponent, self.image_exponent, self.ray_share]
+    }
+
+    /// From numbers in the order of the fields, each brought within what [`Quality::check`] accepts.
+    pub(crate) fn within(numbers: [f64; 4]) -> Self {
+        let [image_weight, step_exponent, image_exponent, ray_share] = core::array::from_fn(|i| {
+            let (_, low, high) = BOUNDS[i];
+            (numbers[i] as f32).clamp(low, high)
+        });
+        Self { image_weight, step_exponent, image_exponent, ray_share }
+    }
+
+    /// Checks the numbers; [`crate::Session::set_quality`] does so too.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
+    /// and the share is 0 to 0.9.
+    pub fn check(&self) -> Result<()> {
+        for ((what, low, high), v) in BOUNDS.into_iter().zip(self.numbers()) {
+            if !(low..=high).contains(&v) {
+                bail!(InvalidArgument, "the quality's {what} is {v}; it must be {low} to {high}");
+            }
+        }
+        Ok(())
+    }
+
+    /// A picture's distance from full quality, in units of that at a step of 2 finest ones.
+    pub fn error(&self, step: f64, distance: f64) -> f64 {
+        let power = |x: f64, exponent: f32| if x > 0.0 { libm::pow(x, f64::from(exponent)) } else { 0.0 };
+        power(step - 1.0, self.step_exponent)
+            + f64::from(self.image_weight) * power(distance - 1.0, self.image_exponent)
+    }
+
+    /// Its time, as a share of that at full quality.
+    pub fn time_share(&self, step: f64, distance: f64) -> f64 {
+        let rays = f64::from(self.ray_share);
+        (rays + (1.0 - rays) / step) / (distance * distance)
+    }
+
+    /// The step at which an image takes a share of the time of full quality; `None` where no step over 1
+    /// does.
+    pub(crate) fn step_for(&self, share: f64, distance: f64) -> Option<f64> {
+        let rays = f64::from(self.ray_share);
+        let left = share * distance * distance - rays;
+        (left > 0.0 && left <= 1.0 - rays).then(|| (1.0 - rays) / left)
+    }
+
+    /// Puts each image sample distance where pictures of the same time show less with it than with smaller ones:
+    /// `from` gets the step · distance² from which on each of `distances` is drawn, ascending ones from 1 on;
+    /// infinite for those that never are.
+    pub(crate) fn lay(&self, distances: &[f64], from: &mut [f64]) {
+        /// Times that are looked at: each this share of the one before, so many.
+        const FINER: f64 = 0.97;
+        const TIMES: usize = 400;
+        from[1..].fill(f64::INFINITY);
+        let (mut taken, mut share) = (0, 1.0);
+        for _ in 0..TIMES {
+            let mut best = (taken, f64::INFINITY, 0.0);
+            for (level, &distance) in distances.iter().enumerate().skip(taken) {
+                // The finest step may take less than the time there is, and show less all the same.
+                let finest = (self.time_share(1.0, distance) <= share).then_some(1.0);
+                if let Some(step) = self.step_for(share, distance).or(finest) {
+                    let error = self.error(step, distance);
+                    if error < best.1 {
+                        best = (level, error, step * distance * distance);
+                    }
+                }
+            }
+            if best.0 > taken {
+                // The smaller distance takes this time, if at all, at another c: where that is larger, this distance
+                // shows less from its own c on.
+                let square = distances[taken] * distances[taken];
+                let before = self.step_for(share, distances[taken]).map_or(best.2, |s| s * square);
+                let at = libm::sqrt(before.min(best.2) * best.2).max(from[taken]);
+                from[taken + 1..=best.0].fill(at);
+                taken = best.0;
+            }
+            share *= FINER;
+        }
+    }
+
+    /// What a model file states of its renderer's pictures, under [`Key::Quality`]; `None` where nothing.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] for anything but an object of the four numbers within their bounds.
+    pub fn of(model: &Model) -> Result<Option<Self>> {
+        let Some(text) = model.metadata().get(Key::Quality.name()) else { return Ok(None) };
+        let quality: Self = match serde_json::from_str(text) {
+            Ok(quality) => quality,
+            Err(e) => bail!(InvalidModel, "{} is not an object of its four numbers: {e}", Key::Quality),
+        };
+        if let Err(e) = quality.check() {
+            bail!(InvalidModel, "{}: {e}", Key::Quality);
+        }
+        Ok(Some(quality))
+    }
+
+    /// Puts it into a model file.
+    ///
+    /// # Errors
+    /// As [`Quality::check`].
+    pub fn store(&self, file: &mut ModelFile) -> Result<()> {
+        self.check()?;
+        file.metadata.insert(Key::Quality.into(), serde_json::json!(self).to_string());
+        Ok(())
+    }
+}
+
+/// A model's [`Quality`] with the renderer that it was measured with.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct KnownQuality {
+    quality: Quality,
+    renderer: String,
+}
+
+impl KnownQuality {
+    pub(super) fn of(model: &Model) -> Result<Option<Self>> {
+        let renderer = model.metadata().get(Key::Renderer.name()).map_or("", String::as_str).to_owned();
+        Ok(Quality::of(model)?.map(|quality| Self { quality, renderer }))
+    }
+
+    /// What holds for the renderer of a name; any where it is empty.
+    pub(super) fn holds_for(known: Option<&Self>, renderer: &str) -> Option<Quality> {
+        known.filter(|k| renderer.is_empty() || renderer == k.renderer).map(|k| k.quality)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::predict::AnalyticModel;
+    use crate::predict::{ModelPredictor, Predictor};
+    use entire_core::ErrorKind;
+
+    const SOME: Quality =
+        Quality { image_weight: 4.0, step_exponent: 1.3, image_exponent: 0.8, ray_share: 0.25 };
+
+    #[test]
+    fn the_law_has_its_closed_form() {
+        assert_eq!(SOME.error(1.0, 1.0), 0.0);
+        assert!((SOME.error(2.0, 1.0) - 1.0).abs() < 1e-12 && (SOME.error(1.0, 2.0) - 4.0).abs() < 1e-12);
+        assert!((SOME.time_share(3.0, 1.0) - 0.5).abs() < 1e-12);
+        assert!((SOME.time_share(3.0, 2.0) - 0.125).abs() < 1e-12);
+        let step = SOME.step_for(0.125, 2.0).unwrap();
+        assert!((step - 3.0).abs() < 1e-12);
+        assert_eq!(SOME.step_for(0.1, 1.0), None);
+    }
+
+    #[test]
+    fn files_keep_it_and_it_holds_for_their_renderer() {
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
+        let holds = |file: &ModelFile, renderer: &str| {
+            ModelPredictor::new(&file.to_model().unwrap()).unwrap().quality(renderer)
+        };
+        assert_eq!(holds(&file, ""), None);
+        SOME.store(&mut file).unwrap();
+        file.metadata.insert(Key::Renderer.into(), "mine".into());
+        assert_eq!(Quality::of(&file.to_model().unwrap()).unwrap(), Some(SOME));
+        assert_eq!(
+            [holds(&file, ""), holds(&file, "mine"), holds(&file, "other")],
+            [Some(SOME), Some(SOME), None]
+        );
+        assert!(Quality { ray_share: 1.0, ..SOME }.store(&mut file).is_err());
+        for bad in [
+            "{",
+            "{}",
+            r#"{"image_weight":0.0,"step_exponent":1.0,"image_exponent":1.0,"ray_share":0.0}"#,
+            r#"{"image_weight":1.0,"step_exponent":1.0,"image_exponent":1.0,"ray_share":1e40}"#,
+        ] {
+            file.metadata.insert(Key::Quality.into(), bad.into());
+            let error = ModelPredictor::new(&file.to_model().unwrap()).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::InvalidModel);
+            assert!(error.to_string().contains("entire.quality"), "{error}");
+        }
+    }
+}

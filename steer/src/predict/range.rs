@@ -1,0 +1,149 @@
+//! Beyond what a learned factor has seen of an input, it is that of the nearest value that it has.
+
+use super::network::Stored;
+use alloc::boxed::Box;
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::model::{Key, Model, ModelFile};
+
+/// Least and greatest value of every input that a network learned from; its inputs are held within.
+///
+/// Networks go on in a straight line where they have seen nothing, and a factor on an estimate of the time
+/// has no reason to. Where frames of training volumes beyond 85 % of one input are left out, a factor whose
+/// inputs are held is nearer than one that goes on (`lab/scripts/beyond.py`).
+#[derive(Clone, Debug, PartialEq)]
+pub struct InputRange {
+    /// Low and high end by input, each finite, low ≤ high.
+    ends: Box<[(f32, f32)]>,
+}
+
+impl InputRange {
+    /// Of rows of `width` inputs each; `free` more inputs, after these, are never held. Values that are not
+    /// finite are passed over.
+    pub fn of_rows(rows: &[f32], width: usize, free: usize) -> Self {
+        let mut seen = Self { ends: alloc::vec![(f32::MAX, f32::MIN); width].into() };
+        seen.extend(rows);
+        let any = |(low, high)| if low > high { (f32::MIN, f32::MAX) } else { (low, high) };
+        let free = core::iter::repeat_n((f32::MIN, f32::MAX), free);
+        Self { ends: seen.ends.iter().copied().map(any).chain(free).collect() }
+    }
+
+    /// Takes in what further rows hold.
+    pub fn extend(&mut self, rows: &[f32]) {
+        for row in rows.chunks_exact(self.ends.len().max(1)) {
+            for (&x, (low, high)) in row.iter().zip(&mut self.ends) {
+                if x.is_finite() {
+                    (*low, *high) = (low.min(x), high.max(x));
+                }
+            }
+        }
+    }
+
+    /// What a model file holds; `None` where its inputs are free.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] for another number of inputs than `width`, or ends that are out of
+    /// order or not finite.
+    pub fn of(model: &Model, width: usize) -> Result<Option<Self>> {
+        let Some(Stored { input_low: Some(low), input_high: Some(high), .. }) = Stored::of(model)? else {
+            return Ok(None);
+        };
+        if low.len() != width || high.len() != width {
+            bail!(
+                InvalidModel,
+                "{} limits {} and {} inputs; the model takes {width}",
+                Key::Calibration,
+                low.len(),
+                high.len()
+            );
+        }
+        let ends: Vec<(f32, f32)> = low.into_iter().zip(high).collect();
+        if let Some((i, (low, high))) =
+            ends.iter().enumerate().find(|(_, (l, h))| !(l.is_finite() && h.is_finite() && l <= h))
+        {
+            bail!(InvalidModel, "{}: input {i} is limited to {low} to {high}", Key::Calibration);
+        }
+        Ok(Some(Self { ends: ends.into() }))
+    }
+
+    /// Puts the range into a model file, keeping what else its calibration holds.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] when what the file holds is damaged.
+    pub fn store(&self, file: &mut ModelFile) -> Result<()> {
+        let (low, high): (Vec<f32>, Vec<f32>) = self.ends.iter().copied().unzip();
+        super::bounds::store_in_calibration(
+            file,
+            [("input_low", serde_json::json!(low)), ("input_high", serde_json::json!(high))],
+        )
+    }
+
+    /// Holds the inputs of one row within.
+    pub fn hold(&self, row: &mut [f32]) {
+        for (x, &(low, high)) in row.iter_mut().zip(&self.ends) {
+            // A NaN stays one.
+            *x = x.clamp(low, high);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::predict::UpperBound;
+    use alloc::vec;
+    use entire_core::ErrorKind;
+    use entire_core::model::InputGroup;
+    use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
+
+    fn file() -> ModelFile {
+        let layer =
+            DenseParts { inputs: 2, outputs: 1, weight: vec![1.0; 2], bias: vec![0.0], dtype: Dtype::F32 };
+        let parts =
+            PredNetParts { layers: vec![layer], input: None, output: None, target: Target::LogSeconds };
+        let mut file = ModelFile::default();
+        file.set_prednet(&parts, &[InputGroup { name: "resolution".into(), size: 2 }]).unwrap();
+        file
+    }
+
+    #[test]
+    fn inputs_are_held_within_what_was_seen() {
+        let mut range = InputRange::of_rows(&[1.0, 5.0, 3.0, f32::NAN, 2.0, 9.0], 2, 0);
+        let held = |range: &InputRange, mut row: [f32; 2]| {
+            range.hold(&mut row);
+            row
+        };
+        assert_eq!(held(&range, [0.0, 99.0]), [1.0, 9.0]);
+        assert_eq!(held(&range, [2.5, 6.0]), [2.5, 6.0]);
+        assert!(held(&range, [f32::NAN, 6.0])[0].is_nan());
+        range.extend(&[-4.0, 6.0]);
+        assert_eq!(held(&range, [-9.0, 99.0]), [-4.0, 9.0]);
+        // The second is free; so is one that no row has.
+        let free = InputRange::of_rows(&[1.0], 1, 1);
+        assert_eq!(held(&free, [7.0, 1e30]), [1.0, 1e30]);
+        assert_eq!(held(&InputRange::of_rows(&[f32::NAN, 1.0], 2, 0), [3.0, 3.0]), [3.0, 1.0]);
+    }
+
+    #[test]
+    fn files_keep_it_beside_the_bound_and_damage_is_told() {
+        let range = InputRange::of_rows(&[1.0, 5.0, 3.0], 1, 1);
+        let mut stored = file();
+        assert_eq!(InputRange::of(&stored.to_model().unwrap(), 2).unwrap(), None);
+        UpperBound { log_factor: 0.25 }.store(&mut stored).unwrap();
+        range.store(&mut stored).unwrap();
+        UpperBound { log_factor: 0.5 }.store(&mut stored).unwrap();
+        let model = stored.to_model().unwrap();
+        assert_eq!(InputRange::of(&model, 2).unwrap(), Some(range));
+        assert_eq!(Stored::of(&model).unwrap().unwrap().log_factor, Some(0.5));
+        for bad in [
+            r#"{"level":0.95,"input_low":[0.0],"input_high":[1.0]}"#,
+            r#"{"level":0.95,"input_low":[0.0,2.0],"input_high":[1.0,1.0]}"#,
+        ] {
+            stored.metadata.insert(Key::Calibration.into(), bad.into());
+            let error = InputRange::of(&stored.to_model().unwrap(), 2).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::InvalidModel);
+            assert!(error.to_string().contains("entire.calibration"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! Longest-processing-time-first for render farms (paper, section "Load Balancing").
+//!
+//! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment
+//! is made from *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times
+//! whose sum is finite on the slowest node.
+
+use alloc::vec::Vec;
+use entire_core::Result;
+use entire_core::bail;
+use entire_core::memory::{collected, filled};
+
+/// Most nodes of a schedule.
+pub const MAX_NODES: usize = 1 << 20;
+
+/// Which node runs each task.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Assignment {
+    /// Node of each task, by task.
+    pub node_of: Vec<usize>,
+    /// Number of nodes.
+    pub nodes: usize,
+}
+
+impl Assignment {
+    /// Time until the last node is done, for given task times and node speeds.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment
+    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable, or a task on a
+    /// node that there is not.
+    pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
+        check(times, speeds)?;
+        if times.len() != self.node_of.len() || speeds.len() != self.nodes {
+            bail!(
+                SizeMismatch,
+                "{} times and {} speeds for an assignment of {} tasks to {} nodes",
+                times.len(),
+                speeds.len(),
+                self.node_of.len(),
+                self.nodes
+            );
+        }
+        let mut loads = filled(self.nodes, 0.0)?;
+        for (&node, &time) in self.node_of.iter().zip(times) {
+            let Some(load) = loads.get_mut(node) else {
+                bail!(InvalidArgument, "the assignment names node {node}, there are {}", self.nodes);
+            };
+            *load += time / speeds[node];
+        }
+        Ok(loads.into_iter().fold(0.0, f64::max))
+    }
+}
+
+/// Task numbers from longest to shortest; equal times in ascending number.
+///
+/// # Errors
+/// [`crate::ErrorKind::InvalidArgument`] for a time that is negative or not finite,
+/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the numbers.
+pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
+    check_times(times)?;
+    let mut order = collected(0..times.len())?;
+    // In place; the number decides among equal times.
+    order.sort_unstable_by(|&a, &b| times[b].total_cmp(&times[a]).then(a.cmp(&b)));
+    Ok(order)
+}
+
+/// Longest processing time first (Graham 1969): tasks in descending time, each to the node that would finish
+/// it first. For uniform times pass equal numbers: tasks are then dealt out in turn.
+///
+/// # Errors
+/// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
+/// finite and positive, a time that is negative or not finite, or times whose sum is not;
+/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the assignment.
+pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
+    check(times, speeds)?;
+    let mut loads = filled(speeds.len(), 0.0f64)?;
+    let mut node_of = filled(times.len(), 0)?;
+    for task in longest_first(times)? {
+        let done = |n: usize| loads[n] + times[task] / speeds[n];
+        let node = (0..speeds.len()).min_by(|&a, &b| done(a).total_cmp(&done(b))).unwrap_or(0);
+        loads[node] = done(node);
+        node_of[task] = node;
+    }
+    Ok(Assignment { node_of, nodes: speeds.len() })
+}
+
+fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
+    if speeds.is_empty() {
+        bail!(InvalidArgument, "there are no nodes; at least one is needed");
+    }
+    if speeds.len() > MAX_NODES {
+        bail!(
+            InvalidArgument,
+            "there are {} nodes, at most {MAX_NODES} are accepted; check the number of nodes",
+            speeds.len()
+        );
+    }
+    for (i, &s) in speeds.iter().enumerate() {
+        if !(s.is_finite() && s > 0.0) {
+            bail!(InvalidArgument, "the speed of node {i} is {s}; it must be finite and positive");
+        }
+    }
+    check_times(times)?;
+    // No node's load can be beyond a number then, whichever tasks it runs.
+    let slowest = speeds.iter().copied().fold(f64::INFINITY, f64::min);
+    if !times.iter().map(|t| t / slowest).sum::<f64>().is_finite() {
+        bail!(
+            InvalidArgument,
+            "the times add up to more than a number can hold on a node of speed {slowest}; check their unit"
+        );
+    }
+    Ok(())
+}
+
+fn check_times(times: &[f64]) -> Result<()> {
+    for (i, &t) in times.iter().enumerate() {
+        if !(t.is_finite() && t >= 0.0) {
+            bail!(InvalidArgument, "the time of task {i} is {t}; it must be finite and not negative");
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

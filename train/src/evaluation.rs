@@ -1,0 +1,227 @@
+//! Evaluation of predictors: errors by kind of frame, the constant baseline, warm latency.
+
+use crate::inputs::{Layout, measure, open_volume};
+use anyhow::{Context, Result};
+use entire_core::model::Model;
+use entire_core::nn::{Executor, PredNet, VolumeNet};
+use entire_io::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor};
+use entire_io::metrics::{Metrics, median};
+use entire_io::options::thread_pool;
+use entire_steer::control::ObserveFlags;
+use entire_steer::control::{HybridOptions, Session};
+use entire_steer::features::{
+    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+};
+use entire_steer::predict::{GroupKind, Inputs, load};
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// Share of each volume's frames that the constant baseline renders to take their mean (Bruder et al. 2022).
+pub const PROBE_SHARE: f64 = 0.15;
+
+/// Warm time of one prediction, in one thread.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WarmLatency {
+    /// Median seconds of one prediction, from camera and transfer function to seconds, without the work per
+    /// volume and per transfer function.
+    pub seconds: f64,
+    /// The network's part of it.
+    pub network_seconds: f64,
+    /// Median seconds of the work per transfer function; 0 where the model does not use it.
+    pub transfer_seconds: f64,
+}
+
+/// A kind of frame: its name, and the test for it.
+type Kind = (&'static str, fn(&TimedFrame) -> bool);
+
+const KINDS: [Kind; 6] = [
+    ("under 128² pixels", |f| f.scene.pixels() < 128 * 128),
+    ("128² to 512² pixels", |f| (128 * 128..512 * 512).contains(&f.scene.pixels())),
+    ("512² pixels and more", |f| f.scene.pixels() >= 512 * 512),
+    ("eye within 1 radius", |f| f.scene.camera.dz <= 1.0),
+    ("finer than the reference step", |f| f.scene.step < 1.0),
+    ("coarser than the reference step", |f| f.scene.step > 1.0),
+];
+
+/// Errors by image size, distance of the eye (near or inside the volume), and ray step; kinds without frames
+/// are left out.
+pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
+    let errors = |(name, test): Kind| {
+        let (p, t): (Vec<f64>, Vec<f64>) = frames
+            .iter()
+            .zip(predicted.iter().zip(measured))
+            .filter(|(f, _)| test(f))
+            .map(|(_, (p, t))| (*p, *t))
+            .unzip();
+        Some((name, Metrics::new(&p, &t)?))
+    };
+    KINDS.into_iter().filter_map(errors).collect()
+}
+
+/// The noise floor of frames of each kind; kinds without repeated frames are left out. `passes` as for
+/// [`noise_floor`].
+pub fn noise_by_kind(
+    frames: &[&TimedFrame],
+    clock: Clock,
+    passes: impl Fn(&TimedFrame) -> usize,
+) -> Vec<(&'static str, NoiseFloor)> {
+    let floor = |(name, test): Kind| {
+        let of_kind = frames.iter().copied().filter(|f| test(f));
+        Some((name, noise_floor(of_kind, clock, &passes)?))
+    };
+    KINDS.into_iter().filter_map(floor).collect()
+}
+
+/// For each frame the mean time of a random share of its volume's frames, which may include it.
+pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f64> {
+    let mut by_volume: BTreeMap<(usize, &str), Vec<usize>> = BTreeMap::new();
+    for (i, f) in frames.iter().enumerate() {
+        by_volume.entry((f.table, &f.scene.volume)).or_default().push(i);
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut means = vec![0.0; frames.len()];
+    for members in by_volume.into_values() {
+        let mut order = members.clone();
+        order.shuffle(&mut rng);
+        order.truncate(((PROBE_SHARE * members.len() as f64).ceil() as usize).max(1));
+        let mean = order.iter().map(|&i| measured[i]).sum::<f64>() / order.len() as f64;
+        for i in members {
+            means[i] = mean;
+        }
+    }
+    means
+}
+
+/// Warm latency over frames of the first volume: the median over many calls of each stage.
+///
+/// # Errors
+/// When the model uses the scene and that volume is missing: stored features have values but no latency.
+pub fn warm_latency(
+    model: &Model,
+    layout: &Layout,
+    tables: &[Table],
+    frames: &[&TimedFrame],
+    rows: &[f32],
+) -> Result<WarmLatency> {
+    const FRAMES: usize = 64;
+    const ROUNDS: usize = 40;
+    let first = frames.first().context("there are no frames to compare")?;
+    let of_volume: Vec<&TimedFrame> = frames
+        .iter()
+        .filter(|f| f.table == first.table && f.scene.volume == first.scene.volume)
+        .take(FRAMES)
+        .copied()
+        .collect();
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let net = PredNet::new(parts)?;
+    let mut scratch = net.scratch(1)?;
+    let middle = |mut times: Vec<f64>| median(&mut times).unwrap_or(f64::NAN);
+    let width = layout.width();
+    let mut times = Vec::new();
+    for _ in 0..ROUNDS {
+        for row in rows.chunks_exact(width).take(FRAMES) {
+            let start = Instant::now();
+            std::hint::black_box(net.predict(std::hint::black_box(row), &mut scratch));
+            times.push(start.elapsed().as_secs_f64());
+        }
+    }
+    let network_seconds = middle(times);
+    let code = vec![0.0; model.volumenet().map_or(0, |v| v.fc.outputs)];
+    let looks = layout.groups().any(|g| g == GroupKind::SceneFeatures);
+    let serial = thread_pool(Some(1))?;
+    let hidden = indicatif::ProgressBar::hidden();
+    let mut row = vec![0.0f32; width];
+    if !looks {
+        let times = measure(tables, &of_volume, None, None, &serial, &hidden, |_, inputs| {
+            let mut row = vec![0.0f32; width];
+            let inputs = Inputs { volume_features: Some(&code), ..*inputs };
+            let start = Instant::now();
+            for _ in 0..ROUNDS {
+                layout.write(std::hint::black_box(&inputs), &mut row)?;
+                std::hint::black_box(&row);
+            }
+            Ok(start.elapsed().as_secs_f64() / ROUNDS as f64)
+        })?;
+        return Ok(WarmLatency {
+            seconds: middle(times) + network_seconds,
+            network_seconds,
+            transfer_seconds: 0.0,
+        });
+    }
+    let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
+    let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
+    let mut features = FrameFeatures::with_probe_side(layout.probe_side());
+    let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
+    for f in of_volume {
+        let (frame, table) = (f.scene.to_frame()?, f.scene.to_table()?);
+        let mut transfer = TransferSummary::new(&summary, &table)?;
+        let start = Instant::now();
+        transfer.update(&summary, std::hint::black_box(&table))?;
+        if f.scene.skipping == entire_core::scene::Skipping::Distance {
+            transfer.prepare_distance();
+        }
+        transfer_times.push(start.elapsed().as_secs_f64());
+        let setting = Setting::from(&frame);
+        for _ in 0..ROUNDS {
+            let start = Instant::now();
+            features.measure(&summary, &mut transfer, std::hint::black_box(&frame))?;
+            let inputs = Inputs {
+                features: &features,
+                setting,
+                changes: Changes::default(),
+                camera: f.scene.camera,
+                volume_features: Some(&code),
+                lobes: Some(&f.scene.lobes),
+            };
+            layout.write(&inputs, &mut row)?;
+            std::hint::black_box(net.predict(&row, &mut scratch));
+            all.push(start.elapsed().as_secs_f64());
+        }
+    }
+    Ok(WarmLatency { seconds: middle(all), network_seconds, transfer_seconds: middle(transfer_times) })
+}
+
+/// Seconds that a session predicts: it plans and observes the frames in their order, as a render loop would,
+/// so later predictions use the observations of earlier frames.
+///
+/// # Errors
+/// When a volume is not found or the model predicts no times.
+pub fn in_session(
+    model: &Model,
+    tables: &[Table],
+    frames: &[&TimedFrame],
+    measured: &[f64],
+) -> Result<Vec<f64>> {
+    let mut session = Session::new(load(model)?, HybridOptions::default());
+    let mut shown: Option<(usize, &str, [u32; 3])> = None;
+    let mut features = None;
+    let mut out = Vec::with_capacity(frames.len());
+    for (f, &seconds) in frames.iter().zip(measured) {
+        let key = (f.table, f.scene.volume.as_str(), f.scene.dims);
+        if shown != Some(key) {
+            let volume = open_volume(&tables[f.table], key.1, key.2)?;
+            if let Some(parts) = model.volumenet() {
+                let net = VolumeNet::new(parts)?;
+                let mut code = vec![0.0; net.feature_len()];
+                net.encode(&volume.view(), &mut net.scratch(), Executor::Serial, &mut code)?;
+                features = Some(code);
+            }
+            let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
+            session.set_volume(summary, features.clone());
+            shown = Some(key);
+        }
+        session.set_transfer(&f.scene.to_table()?, Some(&f.scene.lobes))?;
+        let frame = f.scene.to_frame()?;
+        let (_, plan) = session.choose(&frame, &[Setting::from(&frame)], NO_TARGET)?;
+        out.push(f64::from(plan.seconds));
+        session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
+    }
+    Ok(out)
+}
+
+/// A target that every frame meets, seconds.
+const NO_TARGET: f32 = 1e3;

@@ -1,0 +1,118 @@
+//! Fitting of predictors to measured frames.
+//!
+//! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one
+//!   dense layer on counts that gives seconds.
+//! * `linear`: ln seconds as a linear function of scene features, robust least squares. Stored as one dense
+//!   layer that gives log seconds.
+//! * `network`: PredNet by gradient descent.
+//! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
+//!   as dense layers that carry `log_estimated_seconds` past the network.
+
+mod analytic;
+mod compose;
+mod recipe;
+#[cfg(test)]
+mod tests;
+mod training;
+
+pub use analytic::{counts, expected_costs};
+pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_features};
+
+use crate::gradient::EpochRecord;
+use crate::inputs::Layout;
+use anyhow::{Context as _, Result};
+use entire_core::model::{Model, ModelFile};
+use entire_core::nn::{Level, PredNet, Storage};
+use entire_io::dataset::{Table, TimedFrame};
+use entire_steer::predict::{InputRange, check_predictions};
+use indicatif::ProgressBar;
+use rayon::ThreadPool;
+use std::borrow::Cow;
+
+/// Context of fitting and prediction: the data and the machine.
+pub struct FitContext<'a> {
+    /// The tables that the frames are of.
+    pub tables: &'a [Table],
+    /// Threads.
+    pub pool: &'a ThreadPool,
+    /// Progress bar of the training; its message and position are set.
+    pub bar: &'a ProgressBar,
+    /// Called after every step; true stops.
+    pub stop: &'a dyn Fn() -> bool,
+}
+
+/// A fitted predictor.
+#[derive(Clone, Debug)]
+pub struct FittedModel {
+    /// The model file.
+    pub file: ModelFile,
+    /// Description of the model, in one line.
+    pub what: String,
+    /// Settings of the fit.
+    pub settings: serde_json::Value,
+    /// Every epoch of a network.
+    pub history: Vec<EpochRecord>,
+    /// Result of the fit, in one line.
+    pub outcome: String,
+}
+
+/// Seconds for rows of inputs, by the network in its final form: finite and positive, as from every
+/// predictor.
+///
+/// # Errors
+/// When the model holds no PredNet, or its answer for a row is no number.
+pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    rows_by_network(model, &PredNet::new(parts)?, rows, width)
+}
+
+/// As [`predict_rows`], with a network that was built from the model before.
+///
+/// # Errors
+/// When its answer for a row is no number.
+pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+    let mut scratch = net.scratch(1)?;
+    let rows = held(model, rows, width)?;
+    let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
+    check_predictions(&mut seconds)?;
+    Ok(seconds.into_iter().map(f64::from).collect())
+}
+
+/// Rows as inputs of a model's network: clamped to the training range, if the model states it.
+fn held<'a>(model: &Model, rows: &'a [f32], width: usize) -> Result<Cow<'a, [f32]>> {
+    let Some(range) = InputRange::of(model, width)? else { return Ok(Cow::Borrowed(rows)) };
+    let mut rows = rows.to_vec();
+    rows.chunks_exact_mut(width).for_each(|row| range.hold(row));
+    Ok(Cow::Owned(rows))
+}
+
+/// Seconds that a model file predicts for frames.
+///
+/// # Errors
+/// When its inputs cannot be computed.
+pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
+    let (rows, width) = rows_of(model, context, frames)?;
+    predict_rows(model, &rows, width)
+}
+
+/// As [`predict`], with another storage format of the network's weights.
+///
+/// # Errors
+/// As [`predict`]; a model without a network has no weights.
+pub fn predict_stored(
+    model: &Model,
+    storage: Storage,
+    context: &FitContext<'_>,
+    frames: &[&TimedFrame],
+) -> Result<Vec<f64>> {
+    let (rows, width) = rows_of(model, context, frames)?;
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, &rows, width)
+}
+
+/// A model's inputs for frames, and their number per frame.
+fn rows_of(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<(Vec<f32>, usize)> {
+    let layout = Layout::of_model(model)?;
+    let rows = layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
+    Ok((rows, layout.width()))
+}

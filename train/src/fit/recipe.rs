@@ -1,0 +1,521 @@
+//! Recipe of a predictor, shared by commands and studies, and its execution.
+
+use super::analytic::{estimates, fit_analytic};
+use super::compose::{carry_past, side_by_side};
+use super::training::run_training;
+use super::{FitContext, FittedModel};
+use crate::gradient::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
+use crate::inputs::{Encoder, Layout};
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use entire_core::model::{GroupKind, ModelFile};
+use entire_core::nn::{Dtype, PredNetParts, Target};
+use entire_io::dataset::Timed;
+use entire_io::files::read_model_file;
+use entire_steer::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
+use entire_steer::predict::{InputLayout, InputRange};
+use indicatif::ProgressBar;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Maximum number of networks in an ensemble.
+const MAX_ENSEMBLE: usize = 16;
+
+/// Kind of the fitted model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A network, by gradient descent.
+    #[default]
+    #[value(alias = "network")]
+    #[serde(alias = "network")]
+    Prednet,
+    /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
+    Analytic,
+    /// The analytic model times a learned factor: a small network on ln(measured / analytic).
+    Residual,
+}
+
+/// Output quantity of the network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[value(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case")]
+pub enum TargetChoice {
+    /// Seconds, as in the paper.
+    Seconds,
+    /// Natural logarithm of seconds.
+    #[default]
+    LogSeconds,
+}
+
+/// Storage format of weights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DtypeChoice {
+    /// Single precision.
+    #[default]
+    F32,
+    /// Half precision.
+    F16,
+    /// bfloat16.
+    Bf16,
+}
+
+impl DtypeChoice {
+    /// The format.
+    pub fn storage(self) -> Dtype {
+        match self {
+            Self::F32 => Dtype::F32,
+            Self::F16 => Dtype::F16,
+            Self::Bf16 => Dtype::Bf16,
+        }
+    }
+}
+
+/// Recipe of a predictor. Omitted fields have the values of [`Recipe::default`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Recipe {
+    /// Kind of the fitted model.
+    pub kind: Kind,
+    /// Hidden layer widths of networks.
+    pub layers: Vec<usize>,
+    /// Layers of the paper, such as 12C256, instead of `layers`.
+    pub preset: Option<String>,
+    /// Input groups, in order.
+    pub inputs: Vec<String>,
+    /// Scene features, in order; default: the standard ones.
+    pub scene_features: Vec<String>,
+    /// Rays along each side of the probe for scene features; default: the standard number.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub probe_side: Option<usize>,
+    /// Number of networks with different seeds whose mean is taken; stored as one network.
+    pub ensemble: usize,
+    /// Output quantity of a network.
+    pub target: TargetChoice,
+    /// `mse`, `relative`, `huber:DELTA` or `pinball:QUANTILE`.
+    pub loss: String,
+    /// Maximum number of passes over the training frames.
+    pub epochs: usize,
+    /// Frames per step.
+    pub batch: usize,
+    /// First learning rate; 1e-4 with a preset or when fine-tuning, else 1e-3.
+    pub learning_rate: Option<f64>,
+    /// Last learning rate; default: a hundredth of the first.
+    pub final_learning_rate: Option<f64>,
+    /// Largest norm of the gradient.
+    pub clip: f64,
+    /// Epochs without a better validation loss after which training stops.
+    pub patience: usize,
+    /// Seed of weights and of the frames' order.
+    pub seed: u64,
+    /// Model file with the VolumeNet that encodes volumes.
+    pub volumenet: Option<PathBuf>,
+    /// Start from this model instead of random weights.
+    pub fine_tune: Option<PathBuf>,
+    /// True if Gaussian lobes go in by ascending center.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub sorted_lobes: bool,
+    /// An existing model file; all other fields are then ignored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+    /// Storage format of weights.
+    pub dtype: DtypeChoice,
+}
+
+impl Default for Recipe {
+    fn default() -> Self {
+        Self {
+            kind: Kind::Prednet,
+            layers: vec![64, 64],
+            preset: None,
+            inputs: vec![GroupKind::SceneFeatures.to_string()],
+            scene_features: Vec::new(),
+            probe_side: None,
+            ensemble: 1,
+            target: TargetChoice::LogSeconds,
+            loss: "mse".into(),
+            epochs: 200,
+            batch: 256,
+            learning_rate: None,
+            final_learning_rate: None,
+            clip: 1.0,
+            patience: 50,
+            seed: 1,
+            volumenet: None,
+            fine_tune: None,
+            sorted_lobes: false,
+            file: None,
+            dtype: DtypeChoice::F32,
+        }
+    }
+}
+
+/// Reads a loss: `mse`, `relative`, `huber`, `huber:DELTA`, `pinball:QUANTILE`.
+///
+/// # Errors
+/// For anything else.
+pub fn parse_loss(text: &str) -> Result<Loss> {
+    let (name, value) = match text.split_once(':') {
+        Some((name, value)) => {
+            let value: f64 = value.parse().map_err(|_| anyhow!("{value:?} after {name} is no number"))?;
+            (name, Some(value))
+        }
+        None => (text, None),
+    };
+    match (name, value) {
+        ("mse", None) => Ok(Loss::SquaredError),
+        ("relative", None) => Ok(Loss::Relative),
+        ("huber", delta) => Ok(Loss::Huber { delta: delta.unwrap_or(1.0) }),
+        ("pinball", Some(quantile)) => Ok(Loss::Pinball { quantile }),
+        _ => bail!("loss {text:?}; mse, relative, huber, huber:DELTA or pinball:QUANTILE is expected"),
+    }
+}
+
+/// Measured over estimated seconds of each frame.
+fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
+    seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
+}
+
+/// Default scene features of a small model: logarithms of counts and lengths, shares, modes.
+pub fn standard_features() -> Vec<SceneFeature> {
+    use SceneQuantity as Q;
+    [
+        (Q::Pixels, true),
+        (Q::SamplesPerPixel, true),
+        (Q::ShadowPerPixel, true),
+        (Q::SegmentsPerRay, true),
+        (Q::RaySpacing, true),
+        (Q::FootprintShare, false),
+        (Q::TerminatedShare, false),
+        (Q::Divergence, true),
+        (Q::OccupiedShare, false),
+        (Q::VisibleShare, true),
+        (Q::MeanExtinction, true),
+        (Q::MeanChord, true),
+        (Q::Step, true),
+        (Q::Voxels, true),
+    ]
+    .map(|(quantity, log)| SceneFeature { quantity, log })
+    .to_vec()
+}
+
+impl Recipe {
+    /// The scene features of the recipe.
+    ///
+    /// # Errors
+    /// For a name that is not known.
+    pub fn features(&self) -> Result<Vec<SceneFeature>> {
+        if self.scene_features.is_empty() {
+            return Ok(standard_features());
+        }
+        self.scene_features.iter().map(|n| Ok(n.trim().parse()?)).collect()
+    }
+
+    /// Fits the predictor. Validation frames decide when a network stops; the other kinds do not use them.
+    ///
+    /// # Errors
+    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or
+    /// training fails.
+    pub fn make(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
+        if let Some(path) = &self.file {
+            let (file, _) = read_model_file(path)?;
+            return Ok(FittedModel {
+                file,
+                what: "A model file as it is".into(),
+                settings: json!({ "file": path.file_name().map(|n| n.to_string_lossy()) }),
+                history: Vec::new(),
+                outcome: "nothing was fitted".into(),
+            });
+        }
+        ensure!(!training.frames.is_empty(), "there are no training frames");
+        ensure!(
+            (1..=MAX_ENSEMBLE).contains(&self.ensemble),
+            "an ensemble of {}; 1 to {MAX_ENSEMBLE} is accepted",
+            self.ensemble
+        );
+        if let Some(side) = self.probe_side {
+            ensure!(
+                (1..=MAX_PROBE_SIDE).contains(&side),
+                "a probe of {side} rays a side; 1 to {MAX_PROBE_SIDE} is accepted"
+            );
+        }
+        self.settings()?;
+        ensure!(
+            self.kind != Kind::Residual
+                || self.fine_tune.is_some()
+                || self.inputs.iter().map(|g| g.trim()).eq([<&str>::from(GroupKind::SceneFeatures)]),
+            "a residual model takes scene_features alone; leave out other --inputs"
+        );
+        if let Some(path) = &self.fine_tune {
+            return self.fine_tune(path, context, training, validation);
+        }
+        match self.kind {
+            Kind::Analytic => self.analytic(context, training),
+            Kind::Residual => self.residual(context, training, validation),
+            Kind::Prednet => self.network(context, training, validation),
+        }
+    }
+
+    /// True if the ray step is an input, by itself or in counts of samples.
+    ///
+    /// # Errors
+    /// For a group or feature that is not known.
+    pub fn knows_step(&self) -> Result<bool> {
+        if matches!(self.kind, Kind::Analytic | Kind::Residual) {
+            return Ok(true);
+        }
+        let groups = self
+            .inputs
+            .iter()
+            .map(|n| n.trim().parse::<GroupKind>())
+            .collect::<Result<Vec<_>, entire_core::Error>>()?;
+        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
+        // The sizes of the other groups do not depend on the step.
+        Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
+    }
+
+    fn side(&self) -> usize {
+        self.probe_side.unwrap_or(PROBE_SIDE)
+    }
+
+    /// The layout of its inputs, and a new model file: with the VolumeNet, if one is named.
+    ///
+    /// # Errors
+    /// For names that are not known, or when the VolumeNet's file cannot be read.
+    pub fn layout(&self, training: Timed<'_>) -> Result<(ModelFile, Layout)> {
+        let groups: Vec<GroupKind> =
+            self.inputs.iter().map(|n| Ok(n.trim().parse::<GroupKind>()?)).collect::<Result<_>>()?;
+        let (file, encoder) = match &self.volumenet {
+            Some(path) => {
+                let (file, model) = read_model_file(path)?;
+                let parts =
+                    model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+                (file, Some(Encoder::new(parts)?))
+            }
+            None => (ModelFile::default(), None),
+        };
+        let lobes = training.frames.first().map_or(0, |f| f.scene.lobes.len());
+        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
+        let layout = Layout::new(&groups, features, lobes, encoder)?
+            .with_probe_side(self.side())
+            .with_sorted_lobes(self.sorted_lobes);
+        Ok((file, layout))
+    }
+
+    fn settings(&self) -> Result<Settings> {
+        let mut settings = Settings::default();
+        settings.epochs = self.epochs;
+        settings.batch = self.batch;
+        settings.learning_rate = self
+            .learning_rate
+            .unwrap_or(if self.preset.is_some() || self.fine_tune.is_some() { 1e-4 } else { 1e-3 });
+        settings.final_learning_rate = self.final_learning_rate.unwrap_or(settings.learning_rate / 100.0);
+        settings.clip_norm = self.clip;
+        settings.patience = self.patience;
+        settings.loss = parse_loss(&self.loss)?;
+        settings.seed = self.seed;
+        settings.target = match self.target {
+            TargetChoice::Seconds => Target::Seconds,
+            TargetChoice::LogSeconds => Target::LogSeconds,
+        };
+        Ok(settings)
+    }
+
+    /// The recipe for a model file: with names of other files only, since their places are of this machine.
+    fn portable(&self) -> Self {
+        let name = |path: &Option<PathBuf>| path.as_ref().and_then(|p| p.file_name()).map(PathBuf::from);
+        Self {
+            volumenet: name(&self.volumenet),
+            fine_tune: name(&self.fine_tune),
+            file: name(&self.file),
+            ..self.clone()
+        }
+    }
+
+    fn analytic(&self, context: &FitContext<'_>, training: Timed<'_>) -> Result<FittedModel> {
+        let (model, report) = fit_analytic(context, training, self.side())?;
+        let costs: BTreeMap<String, f64> = model.costs().named().map(|(n, c)| (n.into(), c)).collect();
+        Ok(FittedModel {
+            file: model.to_model_file()?,
+            what: "Unit costs of estimated work".into(),
+            settings: json!({ "kind": self.kind, "probe_side": self.side(), "unit_costs_seconds": costs }),
+            history: Vec::new(),
+            outcome: report,
+        })
+    }
+
+    fn residual(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
+        let (mut file, layout) = self.layout(training)?;
+        let (model, report) = fit_analytic(context, training, self.side())?;
+        let costs = model.costs();
+        let estimated = estimates(context, training, &costs, self.side())?;
+        let ratios = ratios_of(training.seconds, &estimated);
+        let judged = ratios_of(validation.seconds, &estimates(context, validation, &costs, self.side())?);
+        let mut settings = self.settings()?;
+        settings.target = Target::LogSeconds;
+        let widths = self.widths(layout.width());
+        let hidden = ProgressBar::hidden();
+        let x = layout.rows(context.tables, training.frames, context.pool, &hidden)?;
+        let vx = layout.rows(context.tables, validation.frames, context.pool, &hidden)?;
+        let (parts, history, outcome) = self.ensemble(
+            context,
+            &widths,
+            (Samples { inputs: &x, seconds: &ratios }, Samples { inputs: &vx, seconds: &judged }),
+            &settings,
+        )?;
+        let mut features = layout.scene_features().to_vec();
+        features.push(SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
+        let logs: Vec<f64> = estimated.iter().map(|e| e.ln()).collect();
+        let n = logs.len() as f64;
+        let mean = logs.iter().sum::<f64>() / n;
+        let sd = (logs.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
+        let parts = carry_past(parts, mean as f32, sd as f32);
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?
+            .with_probe_side(self.side())
+            .with_unit_costs(costs);
+        self.store(&mut file, parts, &wide)?;
+        // The estimate is not clamped, unlike the factor's inputs.
+        InputRange::of_rows(&x, layout.width(), 1).store(&mut file)?;
+        let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
+        Ok(FittedModel {
+            file,
+            what: format!(
+                "Analytic cost model times a learned factor, {} hidden units{}",
+                self.layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-"),
+                if self.ensemble > 1 {
+                    format!(", mean of {} networks stored as one", self.ensemble)
+                } else {
+                    String::new()
+                }
+            ),
+            settings: json!({ "recipe": self.portable(), "unit_costs_seconds": costs }),
+            history,
+            outcome: format!("analytic part {report}; factor: {outcome}"),
+        })
+    }
+
+    /// Layer widths of a network: inputs, hidden units, one output.
+    fn widths(&self, inputs: usize) -> Vec<usize> {
+        [&[inputs], &self.layers[..], &[1]].concat()
+    }
+
+    fn network(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
+        let (mut file, layout) = self.layout(training)?;
+        let widths = match &self.preset {
+            Some(preset) => preset_widths(preset, layout.width())?,
+            None => self.widths(layout.width()),
+        };
+        let bar = ProgressBar::hidden();
+        let x = layout.rows(context.tables, training.frames, context.pool, &bar)?;
+        let vx = layout.rows(context.tables, validation.frames, context.pool, &bar)?;
+        let (parts, history, outcome) = self.ensemble(
+            context,
+            &widths,
+            (
+                Samples { inputs: &x, seconds: training.seconds },
+                Samples { inputs: &vx, seconds: validation.seconds },
+            ),
+            &self.settings()?,
+        )?;
+        self.store(&mut file, parts, &layout)?;
+        Ok(FittedModel {
+            file,
+            what: format!(
+                "PredNet, widths {}",
+                widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
+            ),
+            settings: json!({ "recipe": self.portable(), "widths": widths, "optimizer": "Adam(0.9, \
+                0.999)", "schedule": "cosine, per step" }),
+            history,
+            outcome,
+        })
+    }
+
+    /// Trains the ensemble's networks, with consecutive seeds, and combines them.
+    fn ensemble(
+        &self,
+        context: &FitContext<'_>,
+        widths: &[usize],
+        samples: (Samples<'_>, Samples<'_>),
+        settings: &Settings,
+    ) -> Result<(PredNetParts, Vec<EpochRecord>, String)> {
+        let mut members = Vec::with_capacity(self.ensemble);
+        let mut first = None;
+        for seed in (self.seed..).take(self.ensemble) {
+            let network = Network::random(widths, seed)?;
+            let mut settings = *settings;
+            settings.seed = seed;
+            let (parts, history, outcome) = run_training(context, network, None, samples, &settings)?;
+            members.push(parts);
+            first.get_or_insert((history, outcome));
+        }
+        let (history, outcome) = first.context("an ensemble of no network")?;
+        Ok((side_by_side(members)?, history, outcome))
+    }
+
+    fn fine_tune(
+        &self,
+        path: &Path,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
+        ensure!(self.kind != Kind::Analytic, "an analytic model cannot be fine-tuned; leave out --fine-tune");
+        let (mut file, model) = read_model_file(path)?;
+        let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
+        let parts = model.prednet().context("the model file holds no PredNet")?;
+        let mut settings = self.settings()?;
+        settings.target = parts.target;
+        let bar = ProgressBar::hidden();
+        let x = layout.rows(context.tables, training.frames, context.pool, &bar)?;
+        let vx = layout.rows(context.tables, validation.frames, context.pool, &bar)?;
+        let (parts, history, outcome) = run_training(
+            context,
+            Network::from_parts(parts)?,
+            Some(Standardization::of(parts)),
+            (
+                Samples { inputs: &x, seconds: training.seconds },
+                Samples { inputs: &vx, seconds: validation.seconds },
+            ),
+            &settings,
+        )?;
+        self.store(&mut file, parts, &layout)?;
+        if let Some(mut range) = InputRange::of(&model, layout.width())? {
+            range.extend(&x);
+            range.store(&mut file)?;
+        }
+        Ok(FittedModel {
+            file,
+            what: "PredNet, fine-tuned".into(),
+            settings: json!({
+                "fine_tuned_from": path.file_name().map(|n| n.to_string_lossy()), "recipe": self.portable(),
+            }),
+            history,
+            outcome,
+        })
+    }
+
+    pub(super) fn store(&self, file: &mut ModelFile, mut parts: PredNetParts, layout: &Layout) -> Result<()> {
+        for layer in &mut parts.layers {
+            layer.dtype = self.dtype.storage();
+        }
+        layout.store(&parts, file)
+    }
+}

@@ -1,0 +1,193 @@
+//! Every kind of predictor against an independent evaluation of its parts.
+
+use super::compose::{carry_past, side_by_side};
+use super::*;
+use crate::gradient::Network;
+use crate::inputs::seconds_of;
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
+use entire_io::dataset::Timed;
+use entire_io::options::thread_pool;
+use entire_steer::features::{SceneFeature, SceneQuantity};
+use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, GroupKind};
+
+fn network(widths: &[usize], seed: u64) -> PredNetParts {
+    let net = Network::<f32>::random(widths, seed).unwrap();
+    let layers = (0..net.layers())
+        .map(|i| {
+            let (weight, bias) = net.layer(i);
+            let bias = bias.iter().enumerate().map(|(k, b)| b + 0.1 * (k as f32 + seed as f32)).collect();
+            DenseParts {
+                inputs: widths[i],
+                outputs: widths[i + 1],
+                weight: weight.to_vec(),
+                bias,
+                dtype: Dtype::F32,
+            }
+        })
+        .collect();
+    PredNetParts {
+        layers,
+        input: Some(Normalization { mean: vec![0.5; widths[0]], std: vec![2.0; widths[0]] }),
+        output: Some(Normalization { mean: vec![-3.0], std: vec![0.7] }),
+        target: Target::LogSeconds,
+    }
+}
+
+#[test]
+fn networks_side_by_side_give_the_mean_of_their_logarithms() {
+    for widths in [&[3, 1][..], &[3, 5, 1], &[3, 5, 4, 1]] {
+        let members: Vec<PredNetParts> = (1..=3).map(|seed| network(widths, seed)).collect();
+        let one = PredNet::new(&side_by_side(members.clone()).unwrap()).unwrap();
+        let each: Vec<PredNet> = members.iter().map(|m| PredNet::new(m).unwrap()).collect();
+        for x in [[0.0f32, 0.0, 0.0], [1.0, -2.0, 3.0], [9.0, 9.0, -9.0]] {
+            let mean: f64 =
+                each.iter().map(|n| f64::from(n.predict(&x, &mut n.scratch(1).unwrap())).ln()).sum::<f64>()
+                    / 3.0;
+            let found = f64::from(one.predict(&x, &mut one.scratch(1).unwrap())).ln();
+            assert!((found - mean).abs() < 1e-5, "{widths:?} {x:?}: {found} {mean}");
+        }
+    }
+    let unlike = vec![network(&[3, 5, 1], 1), network(&[3, 4, 1], 2)];
+    assert!(side_by_side(unlike).unwrap_err().to_string().contains("different widths"));
+}
+
+fn tables_of_no_volume(count: u64) -> Vec<TimedFrame> {
+    use entire_core::scene::{Arcball, Skipping};
+    (0..count)
+        .map(|number| {
+            let mut frame = TimedFrame::of_no_volume("nowhere.nrrd", "");
+            frame.number = number;
+            frame.scene.skipping = Skipping::None;
+            frame.scene.termination = 1.0;
+            frame.scene.camera = Arcball {
+                rx: (number * 37 % 17) as f32 * 0.2 - 1.5,
+                ry: (number * 11 % 23) as f32 * 0.2 - 2.0,
+                dz: 1.0 + (number * 5 % 13) as f32 * 0.2,
+            };
+            frame
+        })
+        .collect()
+}
+
+fn in_context<T>(run: impl FnOnce(&FitContext<'_>) -> T) -> T {
+    let pool = thread_pool(Some(1)).unwrap();
+    let tables = [Table {
+        path: "t.csv".into(),
+        manifest: None,
+        frames: Vec::new(),
+        hash: 0,
+        features: None,
+        root: None,
+    }];
+    run(&FitContext { tables: &tables, pool: &pool, bar: &ProgressBar::hidden(), stop: &|| false })
+}
+
+#[test]
+fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() {
+    use entire_core::scene::{Camera, Frame, TransferFunction};
+    use entire_steer::features::{
+        Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+    };
+    use entire_steer::predict::{InputRange, Inputs, ModelPredictor, Predictor};
+
+    let values: Vec<u8> = (0..16 * 12 * 10).map(|i| (i * 7 % 251) as u8).collect();
+    let data = entire_io::volume::VolumeData::U8(values);
+    let volume = entire_io::volume::Volume::new(data, [16, 12, 10], [1.0; 3], "v").unwrap();
+    let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
+    let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
+    let costs = analytic.costs();
+    let inputs = [
+        SceneFeature { quantity: SceneQuantity::Pixels, log: true },
+        SceneFeature { quantity: SceneQuantity::MeanChord, log: false },
+    ];
+    for widths in [&[2, 1][..], &[2, 4, 1], &[2, 6, 5, 1], &[2, 4, 4, 3, 1]] {
+        let mut ratio = network(widths, 3);
+        ratio.output = Some(Normalization { mean: vec![0.2], std: vec![0.3] });
+        let carried = carry_past(ratio.clone(), -3.0, 1.5);
+        let mut features = inputs.to_vec();
+        features.push(SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)
+            .unwrap()
+            .with_probe_side(5)
+            .with_unit_costs(costs);
+        let mut file = ModelFile::default();
+        Recipe::default().store(&mut file, carried, &wide).unwrap();
+        let model = file.to_model().unwrap();
+        let layout = Layout::of_model(&model).unwrap();
+        assert_eq!(layout.probe_side(), 5);
+        let mut predictor = ModelPredictor::new(&model).unwrap();
+        let factor = PredNet::new(&ratio).unwrap();
+        // Training range: images of 3 to 50 pixels, so that most are beyond; chords of 12 to 13.
+        let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
+        InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
+        let limited = file.to_model().unwrap();
+        let mut limited_predictor = ModelPredictor::new(&limited).unwrap();
+        for (lobes, distance, size) in
+            [("0.5 0.1 0.3", 2.0, 40), ("0.2 0.01 0.9", 3.5, 300), ("0.9 0.3 1", 1.2, 8)]
+        {
+            let camera = entire_core::scene::Arcball { rx: 20.0, ry: 70.0, dz: distance };
+            let frame = Frame::new(Camera::from_arcball(camera).unwrap(), size, size).unwrap();
+            let lobes = entire_io::dataset::parse_lobes(lobes).unwrap();
+            let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
+            let mut measured = FrameFeatures::with_probe_side(5);
+            measured
+                .measure(&summary, &mut TransferSummary::new(&summary, &table).expect("a summary"), &frame)
+                .expect("a frame");
+            let setting = Setting::from(&frame);
+            let asked = Inputs {
+                features: &measured,
+                setting,
+                changes: Changes::default(),
+                camera,
+                volume_features: None,
+                lobes: Some(&lobes),
+            };
+            let work = measured.work(&setting);
+            let quantity = |q| measured.quantity(q, &setting, &work);
+            let x = [
+                (quantity(SceneQuantity::Pixels) + 1.0).ln() as f32,
+                quantity(SceneQuantity::MeanChord) as f32,
+            ];
+            let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
+            let expected =
+                seconds_of(&costs, &counts) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
+            // Far from a network's shortest time, where all predictions would be equal.
+            assert!((1e-4..1e4).contains(&expected), "{expected}");
+            let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
+            let mut row = vec![0.0; layout.width()];
+            layout.write(&asked, &mut row).unwrap();
+            let by_row = predict_rows(&model, &row, row.len()).unwrap()[0];
+            for found in [predicted, by_row] {
+                assert!((found / expected - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
+            }
+            // Clamped to the training range, only the factor changes.
+            let held = [x[0].clamp(seen[0], seen[2]), x[1].clamp(seen[1], seen[3])];
+            assert_ne!(held, x);
+            let mut scratch = factor.scratch(1).unwrap();
+            let change = f64::from(factor.predict(&held, &mut scratch) / factor.predict(&x, &mut scratch));
+            let by_predictor = limited_predictor.predict(&asked).unwrap();
+            let by_row = predict_rows(&limited, &row, row.len()).unwrap()[0];
+            for found in [f64::from(by_predictor.seconds), by_row] {
+                assert!((found / (expected * change) - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
+            }
+            let free = predictor.predict(&asked).unwrap();
+            assert_eq!(by_predictor.out_of_range.to_bits(), free.out_of_range.to_bits());
+        }
+    }
+}
+
+#[test]
+fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
+    let frames = tables_of_no_volume(3);
+    let frames: Vec<&TimedFrame> = frames.iter().collect();
+    let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0] };
+    // The volume does not exist, so any attempt to compute fails with another error.
+    let says =
+        |recipe: Recipe| in_context(|context| format!("{:#}", recipe.make(context, part, part).unwrap_err()));
+    let residual = Recipe { kind: Kind::Residual, ..Recipe::default() };
+    let inputs = vec!["scene_features".into(), "camera".into()];
+    assert!(says(Recipe { inputs, ..residual.clone() }).contains("takes scene_features alone"));
+    assert!(says(Recipe { loss: "cosine".into(), ..residual.clone() }).contains("pinball"));
+    assert!(says(Recipe { scene_features: vec!["warp".into()], ..residual.clone() }).contains("warp"));
+    assert!(says(residual).contains("nowhere.nrrd"));
+}

@@ -1,0 +1,528 @@
+//! A whole training run: standardization, shuffled mini-batches, validation, early stopping, the best
+//! weights.
+
+use super::optimizer::{cosine_learning_rate, predict};
+use super::{Loss, Network, Real, Trainer};
+use anyhow::{Result, bail};
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
+use entire_steer::predict::LONGEST_FRAME;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use rayon::ThreadPool;
+use std::ops::ControlFlow;
+
+/// The target of a frame of this time.
+fn target_of(target: Target, seconds: f64) -> f64 {
+    match target {
+        Target::Seconds => seconds,
+        Target::LogSeconds => libm::log(seconds),
+    }
+}
+
+/// Seconds again.
+fn seconds_of(target: Target, value: f64) -> f64 {
+    match target {
+        Target::Seconds => value,
+        Target::LogSeconds => libm::exp(value),
+    }
+}
+
+/// Training frames.
+#[derive(Clone, Copy, Debug)]
+pub struct Samples<'a> {
+    /// One row per frame, [frames, width] by rows, as the model's input groups order them; not standardized.
+    pub inputs: &'a [f32],
+    /// Seconds of each frame, finite and positive.
+    pub seconds: &'a [f64],
+}
+
+impl Samples<'_> {
+    fn check(&self, what: &str, width: usize) -> Result<()> {
+        if self.inputs.len() != self.seconds.len() * width {
+            bail!(
+                "{what}: {} inputs for {} frames; {width} per frame are needed",
+                self.inputs.len(),
+                self.seconds.len()
+            );
+        }
+        if let Some(i) = self.inputs.iter().position(|v| !v.is_finite()) {
+            bail!(
+                "{what}: input {} of frame {} is {}; inputs must be finite",
+                i % width,
+                i / width,
+                self.inputs[i]
+            );
+        }
+        let longest = f64::from(LONGEST_FRAME);
+        if let Some(i) = self.seconds.iter().position(|t| !(*t > 0.0 && *t <= longest)) {
+            bail!(
+                "{what}: frame {i} took {} seconds; times must be positive and at most {longest}: check their unit, or leave \
+                 the frame out",
+                self.seconds[i]
+            );
+        }
+        Ok(())
+    }
+}
+
+/// Settings of a run. The default is the paper's, with batches of 256 and patience 50, which it does not
+/// state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Settings {
+    /// Maximum number of passes over the training frames.
+    pub epochs: usize,
+    /// Frames per step.
+    pub batch: usize,
+    /// Learning rate at the start.
+    pub learning_rate: f64,
+    /// Learning rate at the end of the last epoch; a half cosine in between, step by step.
+    pub final_learning_rate: f64,
+    /// Largest norm of the whole gradient.
+    pub clip_norm: f64,
+    /// Epochs without a better validation loss after which training stops.
+    pub patience: usize,
+    /// Loss function.
+    pub loss: Loss,
+    /// Output quantity of the network.
+    pub target: Target,
+    /// Seed of the order of the frames.
+    pub seed: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            epochs: 200,
+            batch: 256,
+            learning_rate: 1e-4,
+            final_learning_rate: 1e-6,
+            clip_norm: 1.0,
+            patience: 50,
+            loss: Loss::SquaredError,
+            target: Target::Seconds,
+            seed: 1,
+        }
+    }
+}
+
+impl Settings {
+    fn check(&self) -> Result<()> {
+        for (name, value) in [("epochs", self.epochs), ("batch", self.batch), ("patience", self.patience)] {
+            if value == 0 {
+                bail!("{name} is 0; it must be at least 1");
+            }
+        }
+        let (first, last) = (self.learning_rate, self.final_learning_rate);
+        if !(first.is_finite() && first > 0.0 && last.is_finite() && last >= 0.0) {
+            bail!(
+                "learning rate goes from {first} to {last}; both must be finite, the first positive, the \
+                 last not negative"
+            );
+        }
+        if self.loss == Loss::Relative && self.target == Target::LogSeconds {
+            bail!(
+                "the relative loss needs the target seconds; with log_seconds the squared error is relative \
+                 already"
+            );
+        }
+        self.loss.check()
+    }
+}
+
+/// x ← (x − mean) / std for inputs, and the same for the target; as in the model file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Standardization {
+    /// Mean of each input.
+    pub input_mean: Vec<f32>,
+    /// Standard deviation of each input; 1 where an input never changes.
+    pub input_std: Vec<f32>,
+    /// Mean of the target.
+    pub output_mean: f32,
+    /// Standard deviation of the target; 1 where it never changes.
+    pub output_std: f32,
+}
+
+impl Standardization {
+    /// From the training frames.
+    pub fn fit(samples: Samples<'_>, width: usize, target: Target) -> Self {
+        let n = samples.seconds.len().max(1) as f64;
+        let mut mean = vec![0.0f64; width];
+        for row in samples.inputs.chunks_exact(width) {
+            for (m, x) in mean.iter_mut().zip(row) {
+                *m += f64::from(*x) / n;
+            }
+        }
+        let mut variance = vec![0.0f64; width];
+        for row in samples.inputs.chunks_exact(width) {
+            for ((v, x), m) in variance.iter_mut().zip(row).zip(&mean) {
+                *v += (f64::from(*x) - m) * (f64::from(*x) - m) / n;
+            }
+        }
+        let targets = samples.seconds.iter().map(|&t| target_of(target, t));
+        let output_mean = targets.clone().sum::<f64>() / n;
+        let output_variance = targets.map(|y| (y - output_mean) * (y - output_mean)).sum::<f64>() / n;
+        Self {
+            input_std: variance.iter().zip(&mean).map(|(v, m)| deviation(*v, *m)).collect(),
+            input_mean: mean.iter().map(|m| *m as f32).collect(),
+            output_mean: output_mean as f32,
+            output_std: deviation(output_variance, output_mean),
+        }
+    }
+
+    /// None: means 0, deviations 1.
+    pub(crate) fn identity(width: usize) -> Self {
+        Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
+    }
+
+    /// Standardization of a model where it has one, else none.
+    pub fn of(parts: &PredNetParts) -> Self {
+        let mut out = Self::identity(parts.layers.first().map_or(0, |layer| layer.inputs));
+        if let Some(Normalization { mean, std }) = &parts.input {
+            out.input_mean.clone_from(mean);
+            out.input_std.clone_from(std);
+        }
+        if let Some(Normalization { mean, std }) = &parts.output
+            && let ([mean], [std]) = (&mean[..], &std[..])
+        {
+            (out.output_mean, out.output_std) = (*mean, *std);
+        }
+        out
+    }
+
+    fn inputs<T: Real>(&self, inputs: &[f32]) -> Vec<T> {
+        inputs
+            .chunks_exact(self.input_mean.len())
+            .flat_map(|row| row.iter().zip(&self.input_mean).zip(&self.input_std))
+            .map(|((x, m), s)| T::of((f64::from(*x) - f64::from(*m)) / f64::from(*s)))
+            .collect()
+    }
+
+    fn output(&self, target: f64) -> f64 {
+        (target - f64::from(self.output_mean)) / f64::from(self.output_std)
+    }
+
+    fn check(&self, width: usize) -> Result<()> {
+        if self.input_mean.len() != width || self.input_std.len() != width {
+            bail!(
+                "standardization of {} means and {} deviations for {width} inputs",
+                self.input_mean.len(),
+                self.input_std.len()
+            );
+        }
+        let all = self.input_mean.iter().chain(&self.input_std).chain([&self.output_mean, &self.output_std]);
+        if all.into_iter().any(|v| !v.is_finite())
+            || self.input_std.iter().chain([&self.output_std]).any(|s| *s <= 0.0)
+        {
+            bail!("standardization holds a mean that is not finite or a deviation that is not positive");
+        }
+        Ok(())
+    }
+}
+
+/// The square root of a variance, or 1 where it is only rounding noise.
+fn deviation(variance: f64, mean: f64) -> f32 {
+    let deviation = libm::sqrt(variance);
+    if deviation > 1e-7 * mean.abs() && deviation > 1e-30 { deviation as f32 } else { 1.0 }
+}
+
+/// Layer widths of a paper preset such as `12C256`: inputs → 256, 12 × (256 → 256), then halved down to 16,
+/// then 1 (paper, section "Architecture"). Any number of layers and any width of 32 or more that halves down
+/// to 16 is taken.
+///
+/// # Errors
+/// For any other text.
+pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
+    let parts = preset.split_once(['C', 'c']).and_then(|(n, w)| Some((n.parse().ok()?, w.parse().ok()?)));
+    let Some((layers, width)): Option<(usize, usize)> = parts
+        .filter(|&(n, w): &(usize, usize)| n <= 1000 && (32..=65_536).contains(&w) && w.is_power_of_two())
+    else {
+        bail!(
+            "preset {preset:?}; <layers>C<width> is expected, width a power of two from 32 on, as in 12C256"
+        );
+    };
+    let mut widths = vec![inputs];
+    widths.extend(std::iter::repeat_n(width, layers + 1));
+    let mut next = width / 2;
+    while next >= 16 {
+        widths.push(next);
+        next /= 2;
+    }
+    widths.push(1);
+    Ok(widths)
+}
+
+/// One epoch's losses, in squared standard deviations of the target (or what the loss is made of).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EpochRecord {
+    /// From 1.
+    pub epoch: usize,
+    /// Mean over the epoch's batches, each before its step.
+    pub training_loss: f64,
+    /// On the validation frames after the epoch; the training loss where there are none.
+    pub validation_loss: f64,
+    /// Learning rate of its last step.
+    pub learning_rate: f64,
+}
+
+/// Argument of the callback after every step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Epoch in progress, from 1.
+    pub epoch: usize,
+    /// Maximum number of epochs.
+    pub epochs: usize,
+    /// Steps done, over all epochs.
+    pub steps: u64,
+    /// Maximum number of steps, over all epochs.
+    pub total_steps: u64,
+    /// Loss of the last batch.
+    pub batch_loss: f64,
+    /// The epoch that just ended, once per epoch.
+    pub ended: Option<EpochRecord>,
+    /// Best validation loss so far; infinity before the first epoch's end.
+    pub best: f64,
+}
+
+/// Reason for the end of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Stop {
+    /// All epochs were finished.
+    Finished,
+    /// The validation loss stopped falling.
+    Early,
+    /// The callback stopped it.
+    Interrupted,
+    /// A loss was no longer finite: the learning rate is too high.
+    Diverged,
+}
+
+/// Result of a run.
+#[derive(Clone, Debug)]
+pub struct Trained<T> {
+    /// The weights with the lowest validation loss.
+    pub network: Network<T>,
+    /// Standardization, stored with the weights.
+    pub standardization: Standardization,
+    /// Meaning of the output.
+    pub target: Target,
+    /// Every epoch that ended.
+    pub history: Vec<EpochRecord>,
+    /// The epoch that the weights are from; 0 where they are those of the start.
+    pub best_epoch: usize,
+    /// Their validation loss.
+    pub best_loss: f64,
+    /// Reason for its end.
+    pub stop: Stop,
+}
+
+impl<T: Real> Trained<T> {
+    /// Contents of a model file, weights as F32.
+    pub fn to_parts(&self) -> PredNetParts {
+        let single = |values: &[T]| values.iter().map(|v| v.wide() as f32).collect();
+        let s = &self.standardization;
+        PredNetParts {
+            layers: (0..self.network.layers())
+                .map(|i| {
+                    let (weight, bias) = self.network.layer(i);
+                    let [inputs, outputs] = [self.network.widths()[i], self.network.widths()[i + 1]];
+                    DenseParts {
+                        inputs,
+                        outputs,
+                        weight: single(weight),
+                        bias: single(bias),
+                        dtype: Dtype::F32,
+                    }
+                })
+                .collect(),
+            input: Some(Normalization { mean: s.input_mean.clone(), std: s.input_std.clone() }),
+            output: Some(Normalization { mean: vec![s.output_mean], std: vec![s.output_std] }),
+            target: self.target,
+        }
+    }
+
+    /// Seconds for rows of inputs (not standardized), in parallel.
+    ///
+    /// # Errors
+    /// When the inputs are no whole number of rows.
+    pub fn predict(&self, pool: &ThreadPool, inputs: &[f32]) -> Result<Vec<f64>> {
+        let width = self.network.widths()[0];
+        if !inputs.len().is_multiple_of(width) {
+            bail!("{} inputs are no whole number of rows of {width}", inputs.len());
+        }
+        let s = &self.standardization;
+        Ok(predict(pool, &self.network, &s.inputs::<T>(inputs))
+            .into_iter()
+            .map(|y| seconds_of(self.target, y.wide() * f64::from(s.output_std) + f64::from(s.output_mean)))
+            .collect())
+    }
+}
+
+struct Prepared<T> {
+    inputs: Vec<T>,
+    targets: Vec<T>,
+    weights: Vec<T>,
+}
+
+fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settings) -> Prepared<T> {
+    let weights: Vec<f64> = match settings.loss {
+        Loss::Relative => {
+            let raw: Vec<f64> = samples.seconds.iter().map(|t| 1.0 / (t * t)).collect();
+            let mean = raw.iter().sum::<f64>() / raw.len().max(1) as f64;
+            raw.iter().map(|w| w / mean).collect()
+        }
+        _ => vec![1.0; samples.seconds.len()],
+    };
+    Prepared {
+        inputs: s.inputs(samples.inputs),
+        targets: samples.seconds.iter().map(|&t| T::of(s.output(target_of(settings.target, t)))).collect(),
+        weights: weights.into_iter().map(T::of).collect(),
+    }
+}
+
+/// Trains a network (random, or given to be fine-tuned) and returns the weights with the lowest validation
+/// loss.
+///
+/// `standardization` is fitted to the training frames where it is `None`; a fine-tuned model brings its own.
+/// Without validation frames the training loss decides. `progress` is called after every step and stops the
+/// run by [`ControlFlow::Break`]; the weights at that moment are then also candidates for the best.
+///
+/// # Errors
+/// For settings out of range, frames that are not finite, no frame at all, or where sizes do not fit.
+pub fn train<T: Real>(
+    pool: &ThreadPool,
+    network: Network<T>,
+    standardization: Option<Standardization>,
+    training: Samples<'_>,
+    validation: Samples<'_>,
+    settings: &Settings,
+    mut progress: impl FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Trained<T>> {
+    settings.check()?;
+    let width = network.widths()[0];
+    training.check("training frames", width)?;
+    validation.check("validation frames", width)?;
+    let frames = training.seconds.len();
+    if frames == 0 {
+        bail!("there are no training frames");
+    }
+    let standardization = match standardization {
+        Some(given) => {
+            given.check(width)?;
+            given
+        }
+        None => Standardization::fit(training, width, settings.target),
+    };
+    let data: Prepared<T> = prepare(training, &standardization, settings);
+    let judged: Prepared<T> = prepare(validation, &standardization, settings);
+    let mut trainer = Trainer::new(network, settings.loss, settings.clip_norm)?;
+
+    let batch = settings.batch.min(frames);
+    let steps_per_epoch = frames.div_ceil(batch);
+    let total_steps = (settings.epochs as u64).saturating_mul(steps_per_epoch as u64);
+    let mut order: Vec<usize> = (0..frames).collect();
+    let mut rng = ChaCha8Rng::seed_from_u64(settings.seed ^ 0x5348_5546_464c_4521);
+    let mut inputs: Vec<T> = Vec::with_capacity(batch * width);
+    let (mut targets, mut weights) = (Vec::with_capacity(batch), Vec::with_capacity(batch));
+
+    let mut best = trainer.network().clone();
+    let (mut best_loss, mut best_epoch) = (f64::INFINITY, 0);
+    let mut history = Vec::new();
+    let mut steps = 0u64;
+    let mut stop = Stop::Finished;
+    'epochs: for epoch in 1..=settings.epochs {
+        shuffle(&mut order, &mut rng);
+        let mut total = 0.0;
+        for (at, chosen) in order.chunks(batch).enumerate() {
+            inputs.clear();
+            targets.clear();
+            weights.clear();
+            for &i in chosen {
+                inputs.extend_from_slice(&data.inputs[i * width..(i + 1) * width]);
+                targets.push(data.targets[i]);
+                weights.push(data.weights[i]);
+            }
+            let rate = cosine_learning_rate(
+                settings.learning_rate,
+                settings.final_learning_rate,
+                steps,
+                total_steps,
+            );
+            let step = trainer.step(pool, &inputs, &targets, &weights, rate)?;
+            steps += 1;
+            total += step.loss * chosen.len() as f64;
+            if !(step.loss.is_finite() && step.gradient_norm.is_finite()) {
+                stop = Stop::Diverged;
+                break 'epochs;
+            }
+            let last = at + 1 == steps_per_epoch;
+            let mut told = Progress {
+                epoch,
+                epochs: settings.epochs,
+                steps,
+                total_steps,
+                batch_loss: step.loss,
+                ended: None,
+                best: best_loss,
+            };
+            if !last {
+                if progress(&told).is_break() {
+                    stop = Stop::Interrupted;
+                    let loss = validate(pool, &trainer, &judged).unwrap_or(total / ((at + 1) * batch) as f64);
+                    if loss < best_loss {
+                        (best_loss, best_epoch) = (loss, epoch);
+                        best = trainer.network().clone();
+                    }
+                    break 'epochs;
+                }
+                continue;
+            }
+            let training_loss = total / frames as f64;
+            let validation_loss = validate(pool, &trainer, &judged).unwrap_or(training_loss);
+            let record = EpochRecord { epoch, training_loss, validation_loss, learning_rate: rate };
+            history.push(record);
+            if !validation_loss.is_finite() {
+                stop = Stop::Diverged;
+                break 'epochs;
+            }
+            if validation_loss < best_loss {
+                (best_loss, best_epoch) = (validation_loss, epoch);
+                best = trainer.network().clone();
+            }
+            told.ended = Some(record);
+            told.best = best_loss;
+            if progress(&told).is_break() {
+                stop = Stop::Interrupted;
+                break 'epochs;
+            }
+            if epoch - best_epoch >= settings.patience && epoch < settings.epochs {
+                stop = Stop::Early;
+                break 'epochs;
+            }
+        }
+    }
+    Ok(Trained {
+        network: best,
+        standardization,
+        target: settings.target,
+        history,
+        best_epoch,
+        best_loss,
+        stop,
+    })
+}
+
+fn validate<T: Real>(pool: &ThreadPool, trainer: &Trainer<T>, judged: &Prepared<T>) -> Option<f64> {
+    (!judged.targets.is_empty())
+        .then(|| trainer.validate(pool, &judged.inputs, &judged.targets, &judged.weights))
+}
+
+/// Fisher–Yates.
+fn shuffle(order: &mut [usize], rng: &mut ChaCha8Rng) {
+    for i in (1..order.len()).rev() {
+        // The bias of the remainder is below 2^-32 for any number of frames that fits in memory.
+        let j = (rng.next_u64() % (i as u64 + 1)) as usize;
+        order.swap(i, j);
+    }
+}

@@ -1,0 +1,411 @@
+//! Model inputs of measured frames: opens the volumes that a timing table names, one at a time, and computes
+//! the values of a model's input groups.
+
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::model::{Model, ModelFile};
+use entire_core::nn::{Executor, PredNetParts, VolumeNet, VolumeNetParts};
+use entire_core::scene::{Arcball, GaussianLobe, Skipping};
+use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
+use entire_io::dataset::{Scene, Table, TimedFrame};
+use entire_io::enlarge::{MAX_FACTOR, enlarge};
+use entire_io::volume::Volume;
+use entire_steer::features::{
+    Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, SummaryOptions, TransferSummary,
+    VolumeSummary,
+};
+use entire_steer::predict::{COST_QUANTITIES, COSTS, GroupKind, InputLayout, InputValues, Inputs, UnitCosts};
+use indicatif::ProgressBar;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, HashMap};
+
+/// A VolumeNet and the name of its weights in feature tables.
+#[derive(Debug)]
+pub struct Encoder {
+    id: String,
+    net: VolumeNet,
+}
+
+impl Encoder {
+    /// From checked weights.
+    ///
+    /// # Errors
+    /// As [`VolumeNet::new`].
+    pub fn new(parts: &VolumeNetParts) -> Result<Self> {
+        Ok(Self { id: encoder_id(parts), net: VolumeNet::new(parts)? })
+    }
+}
+
+/// Inputs of a model, and the encoder of its volume features.
+#[derive(Debug)]
+pub struct Layout {
+    layout: InputLayout,
+    encoder: Option<Encoder>,
+}
+
+impl Layout {
+    /// A layout for a new model. `lobes` is the number of Gaussian lobes of the transfer functions.
+    ///
+    /// # Errors
+    /// When a group appears twice or none is given, volume features are requested without an encoder, or
+    /// there are no lobes.
+    pub fn new(
+        groups: &[GroupKind],
+        scene_features: Vec<SceneFeature>,
+        lobes: usize,
+        encoder: Option<Encoder>,
+    ) -> Result<Self> {
+        let volume_features = encoder.as_ref().map_or(0, |e| e.net.feature_len());
+        Ok(Self { layout: InputLayout::new(groups, scene_features, lobes, volume_features)?, encoder })
+    }
+
+    /// The layout of a model file.
+    ///
+    /// # Errors
+    /// When it holds no PredNet, an input group is unknown, or volume features are needed and the file has no
+    /// VolumeNet.
+    pub fn of_model(model: &Model) -> Result<Self> {
+        ensure!(model.prednet().is_some(), "the model file holds no PredNet");
+        let layout = InputLayout::of_model(model)?;
+        let encoder = model.volumenet().map(Encoder::new).transpose()?;
+        ensure!(
+            encoder.is_some() || layout.groups.iter().all(|g| g.0 != GroupKind::VolumeFeatures),
+            "the model takes volume_features and its file holds no VolumeNet; write both into one file"
+        );
+        Ok(Self { layout, encoder })
+    }
+
+    /// The same with another number of rays along each side of the probe.
+    pub fn with_probe_side(self, probe_side: usize) -> Self {
+        let probe_side = if self.layout.probe_side > 0 { probe_side } else { 0 };
+        Self { layout: InputLayout { probe_side, ..self.layout }, ..self }
+    }
+
+    /// The same, with Gaussian lobes sorted by center or in their given order.
+    pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
+        Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
+    }
+
+    /// True if Gaussian lobes go in by ascending center.
+    pub fn sorted_lobes(&self) -> bool {
+        self.layout.sorted_lobes
+    }
+
+    /// Rays along each side of the probe; 0 where no input needs it.
+    pub fn probe_side(&self) -> usize {
+        self.layout.probe_side
+    }
+
+    /// Numbers per frame.
+    pub fn width(&self) -> usize {
+        self.layout.width()
+    }
+
+    /// The same, with these unit costs for `estimated_seconds`.
+    pub fn with_unit_costs(self, costs: UnitCosts) -> Self {
+        Self { layout: InputLayout { unit_costs: Some(costs), ..self.layout }, ..self }
+    }
+
+    /// Puts a network with this layout into a model file.
+    ///
+    /// # Errors
+    /// As [`InputLayout::store`].
+    pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
+        Ok(self.layout.store(net, file)?)
+    }
+
+    /// The groups, in order.
+    pub fn groups(&self) -> impl Iterator<Item = GroupKind> {
+        self.layout.groups.iter().map(|(g, _)| *g)
+    }
+
+    /// The groups with their sizes, in order.
+    pub fn sizes(&self) -> impl Iterator<Item = (GroupKind, usize)> {
+        self.layout.groups.iter().copied()
+    }
+
+    /// The scene features, in order.
+    pub fn scene_features(&self) -> &[SceneFeature] {
+        &self.layout.scene_features
+    }
+
+    fn encoder(&self) -> Option<&Encoder> {
+        self.encoder.as_ref().filter(|_| self.groups().any(|g| g == GroupKind::VolumeFeatures))
+    }
+
+    fn needs_summary(&self) -> bool {
+        self.groups().any(|g| g == GroupKind::SceneFeatures)
+    }
+
+    /// Writes one frame's inputs.
+    ///
+    /// # Errors
+    /// When a group's size is not the model's (another number of lobes, for example).
+    pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
+        Ok(self.layout.write(inputs, row)?)
+    }
+
+    /// Inputs of frames, one row each, in their order.
+    ///
+    /// # Errors
+    /// As [`measure`]; also when a frame lacks what a group needs.
+    pub fn rows(
+        &self,
+        tables: &[Table],
+        frames: &[&TimedFrame],
+        pool: &ThreadPool,
+        bar: &ProgressBar,
+    ) -> Result<Vec<f32>> {
+        if let Some(rows) = self.rows_beside(tables, frames) {
+            return Ok(rows);
+        }
+        let rows = measure(
+            tables,
+            frames,
+            self.needs_summary().then_some(self.probe_side()),
+            self.encoder().map(|e| &e.net),
+            pool,
+            bar,
+            |frame, inputs| {
+                let mut row = vec![0.0; self.width()];
+                self.write(inputs, &mut row).with_context(|| format!("frame {}", frame.number))?;
+                Ok(row)
+            },
+        )?;
+        Ok(rows.concat())
+    }
+}
+
+impl Layout {
+    /// Rows from the feature tables; `None` where any value is missing.
+    pub fn rows_beside(&self, tables: &[Table], frames: &[&TimedFrame]) -> Option<Vec<f32>> {
+        let mut out = vec![0.0; frames.len() * self.width()];
+        let mut current: Option<(usize, KeptColumns<'_>)> = None;
+        for (frame, row) in frames.iter().zip(out.chunks_exact_mut(self.width())) {
+            if current.as_ref().is_none_or(|(table, _)| *table != frame.table) {
+                current = Some((frame.table, self.kept_columns(tables.get(frame.table)?)?));
+            }
+            let (_, columns) = current.as_ref()?;
+            self.layout.write_from(&mut columns.values(frame)?, row).ok()?;
+        }
+        Some(out)
+    }
+
+    /// Columns of a table's feature table; `None` where any is missing.
+    fn kept_columns<'a>(&self, table: &'a Table) -> Option<KeptColumns<'a>> {
+        let features = table.features.as_ref()?;
+        let column = |q: SceneQuantity| features.column(&quantity_column(q, self.probe_side()));
+        let mut quantities = HashMap::new();
+        for feature in self.scene_features() {
+            quantities.insert(feature.quantity, column(feature.quantity)?);
+        }
+        // Quantities without a unit cost are not kept.
+        quantities.extend(COST_QUANTITIES.iter().filter_map(|&q| Some((q, column(q)?))));
+        let code = match self.encoder() {
+            Some(e) => (0..e.net.feature_len())
+                .map(|i| features.column(&code_column(&e.id, i)))
+                .collect::<Option<_>>()?,
+            None => Vec::new(),
+        };
+        Some(KeptColumns { features, quantities, code })
+    }
+}
+
+/// Columns in a feature table of a model's inputs.
+struct KeptColumns<'a> {
+    features: &'a FeatureTable,
+    quantities: HashMap<SceneQuantity, usize>,
+    code: Vec<usize>,
+}
+
+impl KeptColumns<'_> {
+    fn values<'a>(&'a self, frame: &'a TimedFrame) -> Option<KeptValues<'a>> {
+        let row = self.features.row(frame.number)?;
+        let code = self.code.iter().map(|&column| row[column]).collect();
+        Some(KeptValues { columns: self, row, scene: &frame.scene, code })
+    }
+}
+
+/// Values of a frame in a feature table.
+struct KeptValues<'a> {
+    columns: &'a KeptColumns<'a>,
+    row: &'a [f32],
+    scene: &'a Scene,
+    code: Vec<f32>,
+}
+
+impl KeptValues<'_> {
+    fn kept(&self, quantity: SceneQuantity) -> Option<f32> {
+        self.columns.quantities.get(&quantity).map(|&column| self.row[column])
+    }
+}
+
+impl InputValues for KeptValues<'_> {
+    fn volume_features(&self) -> Option<&[f32]> {
+        Some(&self.code)
+    }
+
+    fn camera(&self) -> Arcball {
+        self.scene.camera
+    }
+
+    fn image_size(&self) -> [u32; 2] {
+        [self.scene.width, self.scene.height]
+    }
+
+    fn step(&self) -> f32 {
+        self.scene.step
+    }
+
+    fn lobes(&self) -> Option<&[GaussianLobe]> {
+        Some(&self.scene.lobes)
+    }
+
+    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
+        self.kept(quantity).map(f64::from)
+    }
+
+    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
+        let work: Option<Vec<f32>> = COST_QUANTITIES
+            .iter()
+            .zip(&costs.0[1..])
+            .map(|(q, &cost)| if cost == 0.0 { Some(0.0) } else { self.kept(*q) })
+            .collect();
+        // In single precision, like the table's values for other costs.
+        Some(f64::from(seconds_of(costs, &work?) as f32))
+    }
+}
+
+/// Calls `f` with all known data of each frame before it is drawn, in parallel over the frames of a volume,
+/// one volume after another; returns the results in the frames' order. `probe_side` goes to
+/// [`FrameFeatures::with_probe_side`]; without it the scene features are empty, and volumes are opened only
+/// for an encoder.
+///
+/// # Errors
+/// When a volume is not found or has another size than the table says, or `f` fails.
+pub fn measure<T: Send>(
+    tables: &[Table],
+    frames: &[&TimedFrame],
+    probe_side: Option<usize>,
+    encoder: Option<&VolumeNet>,
+    pool: &ThreadPool,
+    bar: &ProgressBar,
+    f: impl Fn(&TimedFrame, &Inputs<'_>) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
+    let mut by_volume: BTreeMap<(usize, &str, [u32; 3]), Vec<usize>> = BTreeMap::new();
+    for (i, frame) in frames.iter().enumerate() {
+        by_volume.entry((frame.table, frame.scene.volume.as_str(), frame.scene.dims)).or_default().push(i);
+    }
+    let mut results: Vec<Option<T>> = frames.iter().map(|_| None).collect();
+    let mut scratch = encoder.map(VolumeNet::scratch);
+    bar.set_length(frames.len() as u64);
+    for ((table, name, dims), members) in by_volume {
+        let mut code = Vec::new();
+        let mut volume_summary = None;
+        if probe_side.is_some() || encoder.is_some() {
+            let volume = open_volume(&tables[table], name, dims)?;
+            let view = volume.view();
+            if probe_side.is_some() {
+                volume_summary = Some(
+                    VolumeSummary::new(&view, SummaryOptions::default())
+                        .with_context(|| format!("volume {name}"))?,
+                );
+            }
+            if let (Some(encoder), Some(scratch)) = (encoder, &mut scratch) {
+                code = vec![0.0; encoder.feature_len()];
+                encoder
+                    .encode(&view, scratch, Executor::Rayon(pool), &mut code)
+                    .with_context(|| format!("volume {name}"))?;
+            }
+        }
+        let computed: Vec<Result<(usize, T)>> = pool.install(|| {
+            members
+                .par_iter()
+                .map(|&i| {
+                    let scene = &frames[i].scene;
+                    let frame = scene.to_frame()?;
+                    let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
+                    if let Some(summary) = &volume_summary {
+                        let mut transfer = TransferSummary::new(summary, &scene.to_table()?)?;
+                        if scene.skipping == Skipping::Distance {
+                            transfer.prepare_distance();
+                        }
+                        features.measure(summary, &mut transfer, &frame)?;
+                    }
+                    let inputs = Inputs {
+                        features: &features,
+                        setting: Setting::from(&frame),
+                        changes: Changes::default(),
+                        camera: scene.camera,
+                        volume_features: encoder.map(|_| &code[..]),
+                        lobes: Some(&scene.lobes),
+                    };
+                    let result = f(frames[i], &inputs)?;
+                    bar.inc(1);
+                    Ok((i, result))
+                })
+                .collect()
+        });
+        for one in computed {
+            let (i, result) = one?;
+            results[i] = Some(result);
+        }
+    }
+    results.into_iter().map(|r| r.context("a frame was left out")).collect()
+}
+
+/// Opens the volume that a frame names, enlarged where the table's size is a whole multiple of the file's.
+///
+/// # Errors
+/// When it is not found, cannot be read, has another size than the table says, or changed after its frames
+/// were measured.
+pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
+    let path = table.resolve_volume(name).with_context(|| {
+        format!(
+            "volume {name} of {} is not there, neither from the working folder nor beside the table; run \
+             where it was collected, put it there, or keep the features beside the table with `entire \
+             features`",
+            table.path.display()
+        )
+    })?;
+    let reading =
+        table.manifest.as_ref().map(entire_io::dataset::Manifest::reading).transpose()?.unwrap_or_default();
+    let volume = entire_io::files::open_volume(&path, &reading)?;
+    if let Some(manifest) = &table.manifest
+        && let Some(what) = manifest.changed(name, &path)?
+    {
+        bail!(
+            "{} changed after the frames of {} were measured: {what}; restore the file, or collect its \
+             frames again into another table",
+            path.display(),
+            table.path.display()
+        );
+    }
+    let want = dims.map(|n| n as usize);
+    let have = volume.dims();
+    if have == want {
+        return Ok(volume);
+    }
+    let factor = want[0] / have[0].max(1);
+    if (2..=MAX_FACTOR).contains(&factor) && have.map(|n| n * factor) == want {
+        return enlarge(&volume, factor);
+    }
+    bail!(
+        "volume {name} has {have:?} voxels and {} says {want:?}; is it another file of the same name?",
+        table.path.display()
+    );
+}
+
+/// Inputs of the unit costs: one frame, then values of [`COST_QUANTITIES`], in their order.
+pub fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
+    let mut work = [1.0; COSTS];
+    for (slot, count) in work[1..].iter_mut().zip(counts) {
+        *slot = f64::from(count);
+    }
+    work
+}
+
+/// Seconds that unit costs give for values of [`COST_QUANTITIES`], in their order.
+pub(crate) fn seconds_of(costs: &UnitCosts, counts: &[f32]) -> f64 {
+    costs.0[0] + costs.0[1..].iter().zip(counts).map(|(c, &v)| c * f64::from(v)).sum::<f64>()
+}

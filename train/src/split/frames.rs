@@ -1,0 +1,176 @@
+//! Frames with their seconds, and parts of them that share no ensemble member.
+
+use super::GroupBy;
+use entire_io::dataset::{Clock, Timed, TimedFrame};
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use std::collections::BTreeSet;
+
+/// Parts of a cross-validation at most.
+pub const FOLDS: usize = 5;
+
+/// Frames with their seconds, owned.
+#[derive(Clone, Debug, Default)]
+pub struct TimedFrames<'a> {
+    /// The frames.
+    pub frames: Vec<&'a TimedFrame>,
+    /// Seconds of each.
+    pub seconds: Vec<f64>,
+}
+
+impl<'a> TimedFrames<'a> {
+    /// Frames that have seconds by the clock.
+    pub fn of(frames: impl IntoIterator<Item = &'a TimedFrame>, clock: Clock) -> Self {
+        let (frames, seconds) = frames.into_iter().filter_map(|f| Some((f, f.seconds(clock)?))).unzip();
+        Self { frames, seconds }
+    }
+
+    /// Borrowed.
+    pub fn timed(&self) -> Timed<'_> {
+        Timed { frames: &self.frames, seconds: &self.seconds }
+    }
+
+    /// These frames together with others.
+    pub fn and(&self, other: Self) -> Self {
+        let frames = self.frames.iter().copied().chain(other.frames).collect();
+        let seconds = self.seconds.iter().copied().chain(other.seconds).collect();
+        Self { frames, seconds }
+    }
+
+    /// The frames that match, and the rest.
+    pub fn parted(&self, wanted: impl Fn(&TimedFrame) -> bool) -> (Self, Self) {
+        self.divided(|i| wanted(self.frames[i]))
+    }
+
+    /// Groups for cross-validation, in at most [`FOLDS`] parts that are each held out together: ensemble
+    /// members, or volumes where there are fewer than three members; none where there are fewer than three
+    /// volumes.
+    pub fn folds(&self) -> (GroupBy, Vec<BTreeSet<String>>) {
+        let by = self.groups_at_least(3);
+        let groups: BTreeSet<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
+        if groups.len() < 3 {
+            return (by, Vec::new());
+        }
+        let mut groups: Vec<String> = groups.into_iter().collect();
+        groups.shuffle(&mut ChaCha8Rng::seed_from_u64(3));
+        let mut folds = vec![BTreeSet::new(); FOLDS.min(groups.len())];
+        let count = folds.len();
+        for (i, group) in groups.into_iter().enumerate() {
+            folds[i % count].insert(group);
+        }
+        (by, folds)
+    }
+
+    fn divided(&self, first: impl Fn(usize) -> bool) -> (Self, Self) {
+        let pick = |want: bool| Self {
+            frames: self
+                .frames
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| first(*i) == want)
+                .map(|(_, f)| *f)
+                .collect(),
+            seconds: self
+                .seconds
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| first(*i) == want)
+                .map(|(_, t)| *t)
+                .collect(),
+        };
+        (pick(true), pick(false))
+    }
+
+    /// Groups that a split keeps together: ensemble members, or volumes where there are fewer than `needed`
+    /// members.
+    pub fn groups_at_least(&self, needed: usize) -> GroupBy {
+        let members: BTreeSet<String> = self.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
+        if members.len() < needed { GroupBy::Volume } else { GroupBy::Member }
+    }
+
+    /// A tenth of the groups (at least one where there are three) and the rest: validation and training.
+    pub fn hold_out(&self, by: GroupBy, seed: u64) -> (Self, Self) {
+        let of_frame: Vec<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
+        let mut groups: Vec<&String> = of_frame.iter().collect();
+        groups.sort_unstable();
+        groups.dedup();
+        if groups.len() < 3 {
+            return (Self { frames: vec![], seconds: vec![] }, self.divided(|_| true).0);
+        }
+        groups.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        groups.truncate((groups.len() as f64 / 10.0).round().max(1.0) as usize);
+        self.divided(|i| groups.contains(&&of_frame[i]))
+    }
+
+    /// `count` frames, chosen by the seed, and the rest.
+    pub fn sample(&self, count: usize, seed: u64) -> (Self, Self) {
+        let mut order: Vec<usize> = (0..self.frames.len()).collect();
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        let mut chosen = vec![false; order.len()];
+        order.iter().take(count).for_each(|&i| chosen[i] = true);
+        self.divided(|i| chosen[i])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_io::dataset::{Table, Timing};
+
+    fn table(volumes: &[(&str, &str)]) -> Table {
+        let frame = |number: usize, volume: &str, member: &str| TimedFrame {
+            number: number as u64,
+            repeats: vec![Timing { wall: Some(0.5), cpu: Some(0.25), ..Timing::default() }],
+            ..TimedFrame::of_no_volume(volume, member)
+        };
+        let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v, m)).collect();
+        Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
+    }
+
+    #[test]
+    fn whole_members_are_held_out_and_volumes_where_there_are_too_few_of_them() {
+        let many: Vec<(String, String)> =
+            (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
+        let many: Vec<(&str, &str)> = many.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
+        let t = table(&many);
+        let part = TimedFrames::of(&t.frames, Clock::Cpu);
+        let by = part.groups_at_least(4);
+        assert_eq!(by, GroupBy::Member);
+        let (held, rest) = part.hold_out(by, 1);
+        assert_eq!((held.frames.len(), rest.frames.len()), (10, 30));
+        let member = &held.frames[0].scene.member;
+        assert!(held.frames.iter().all(|f| f.scene.member == *member));
+        assert!(rest.frames.iter().all(|f| f.scene.member != *member));
+        assert_eq!(part.groups_at_least(5), GroupBy::Volume);
+        let (held, rest) = part.hold_out(GroupBy::Volume, 1);
+        assert_eq!((held.frames.len(), rest.frames.len()), (4, 36));
+
+        let alone = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
+        let part = TimedFrames::of(&alone.frames, Clock::Cpu);
+        let (held, rest) = part.hold_out(part.groups_at_least(3), 1);
+        assert_eq!((held.frames.len(), rest.frames.len()), (0, 2));
+    }
+
+    #[test]
+    fn folds_share_no_member_and_leave_none_out() {
+        let frames: Vec<(String, String)> =
+            (0..60).map(|i| (format!("e/m{}/t{}.nrrd", i % 7, i / 7), format!("m{}", i % 7))).collect();
+        let frames: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
+        let t = table(&frames);
+        let part = TimedFrames::of(&t.frames, Clock::Cpu);
+        let (by, folds) = part.folds();
+        assert_eq!((by, folds.len()), (GroupBy::Member, FOLDS));
+        let all: Vec<&String> = folds.iter().flatten().collect();
+        assert_eq!((all.len(), all.iter().collect::<BTreeSet<_>>().len()), (7, 7));
+        let held: usize =
+            folds.iter().map(|f| part.parted(|x| f.contains(&by.group(&x.scene))).0.frames.len()).sum();
+        assert_eq!(held, part.frames.len());
+        // With two members, volumes are held out; with two volumes, nothing is.
+        let few = table(&[("e/a/t0.nrrd", "a"), ("e/a/t1.nrrd", "a"), ("e/b/t0.nrrd", "b")]);
+        let (by, folds) = TimedFrames::of(&few.frames, Clock::Cpu).folds();
+        assert_eq!((by, folds.len()), (GroupBy::Volume, 3));
+        let pair = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
+        assert!(TimedFrames::of(&pair.frames, Clock::Cpu).folds().1.is_empty());
+    }
+}

@@ -1,0 +1,212 @@
+//! Training, validation and test frames, split by volume or ensemble member and never by frame.
+
+mod frames;
+
+pub use frames::{FOLDS, TimedFrames};
+
+use anyhow::{Result, bail, ensure};
+use entire_io::dataset::{Scene, TimedFrame};
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Unit that a split keeps together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum GroupBy {
+    /// All frames of an ensemble member (of a volume, if it belongs to none).
+    #[default]
+    Member,
+    /// All frames of a volume.
+    Volume,
+}
+
+impl GroupBy {
+    /// The name used in options and metadata.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Member => "member",
+            Self::Volume => "volume",
+        }
+    }
+
+    /// The group of a frame. A member's name includes the folder above its own, since ensembles often have
+    /// the same member numbers: `castro_blast/m01`.
+    pub fn group(self, scene: &Scene) -> String {
+        let folder = Path::new(&scene.volume).parent();
+        let name = |p: Option<&Path>| p.and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned());
+        match self {
+            Self::Member if !scene.member.is_empty() => match name(folder.and_then(Path::parent)) {
+                Some(ensemble) if name(folder).as_ref() == Some(&scene.member) => {
+                    format!("{ensemble}/{}", scene.member)
+                }
+                _ => scene.member.clone(),
+            },
+            _ => scene.volume.clone(),
+        }
+    }
+}
+
+/// Groups for training, validation and testing.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Split {
+    /// Kind of the groups.
+    pub by: GroupBy,
+    /// Learned from.
+    pub training: BTreeSet<String>,
+    /// Decides when training stops.
+    pub validation: BTreeSet<String>,
+    /// Not used in training.
+    pub test: BTreeSet<String>,
+}
+
+impl Split {
+    /// Splits groups: those named for validation and testing; by default a random tenth for each (at least
+    /// one where there are three groups or more), by the seed.
+    ///
+    /// # Errors
+    /// For a name that is no group or is named twice, or when no training group is left.
+    pub fn new<'a>(
+        frames: impl IntoIterator<Item = &'a TimedFrame>,
+        by: GroupBy,
+        validation: &[String],
+        test: &[String],
+        seed: u64,
+    ) -> Result<Self> {
+        let groups: BTreeSet<String> = frames.into_iter().map(|f| by.group(&f.scene)).collect();
+        let list = || groups.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+        for name in validation.iter().chain(test) {
+            ensure!(groups.contains(name), "{} {name:?} is not in the data; there are {}", by.name(), list());
+        }
+        if let Some(both) = validation.iter().find(|v| test.contains(v)) {
+            bail!("{} {both:?} is named both for validation and for testing; name it once", by.name());
+        }
+        let mut split = Self {
+            by,
+            validation: validation.iter().cloned().collect(),
+            test: test.iter().cloned().collect(),
+            ..Self::default()
+        };
+        if validation.is_empty() && test.is_empty() && groups.len() >= 3 {
+            let mut shuffled: Vec<&String> = groups.iter().collect();
+            shuffled.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+            let tenth = ((groups.len() as f64 / 10.0).round() as usize).max(1);
+            split.test = shuffled[..tenth].iter().map(|g| (*g).clone()).collect();
+            split.validation = shuffled[tenth..2 * tenth].iter().map(|g| (*g).clone()).collect();
+        }
+        split.training = groups
+            .iter()
+            .filter(|g| !split.validation.contains(*g) && !split.test.contains(*g))
+            .cloned()
+            .collect();
+        ensure!(
+            !split.training.is_empty(),
+            "no {} is left to train on; name fewer for validation and testing",
+            by.name()
+        );
+        Ok(split)
+    }
+
+    /// The part that a frame belongs to.
+    pub fn part(&self, scene: &Scene) -> Part {
+        let group = self.by.group(scene);
+        if self.test.contains(&group) {
+            Part::Test
+        } else if self.validation.contains(&group) {
+            Part::Validation
+        } else if self.training.contains(&group) {
+            Part::Training
+        } else {
+            Part::Unknown
+        }
+    }
+
+    /// Frames per part.
+    pub fn divide<'a>(&self, frames: &[&'a TimedFrame]) -> BTreeMap<Part, Vec<&'a TimedFrame>> {
+        let mut parts: BTreeMap<Part, Vec<&TimedFrame>> = BTreeMap::new();
+        for frame in frames {
+            parts.entry(self.part(&frame.scene)).or_default().push(frame);
+        }
+        parts
+    }
+}
+
+/// A part of a split.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Part {
+    /// Learned from.
+    Training,
+    /// Decides when training stops.
+    Validation,
+    /// Not used in training.
+    Test,
+    /// The group is not part of the split.
+    Unknown,
+}
+
+impl Part {
+    /// For reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Training => "training",
+            Self::Validation => "validation",
+            Self::Test => "test",
+            Self::Unknown => "other",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn members_of_two_ensembles_with_one_name_are_two_groups() {
+        let scene = TimedFrame::of_no_volume("data/castro/m01/t0001.nrrd", "m01").scene;
+        assert_eq!(GroupBy::Member.group(&scene), "castro/m01");
+        assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("m01/t1.nrrd", "m01").scene), "m01");
+        assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "x").scene), "x");
+        assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "").scene), "a/b.nrrd");
+        assert_eq!(GroupBy::Volume.group(&scene), "data/castro/m01/t0001.nrrd");
+    }
+
+    #[test]
+    fn a_tenth_each_and_no_group_torn_apart() {
+        let frames: Vec<TimedFrame> =
+            (0..200).map(|i| TimedFrame::of_no_volume(&format!("v{}.nrrd", i % 20), "")).collect();
+        let split = Split::new(&frames, GroupBy::Volume, &[], &[], 3).unwrap();
+        assert_eq!((split.training.len(), split.validation.len(), split.test.len()), (16, 2, 2));
+        let refs: Vec<&TimedFrame> = frames.iter().collect();
+        let parts = split.divide(&refs);
+        assert_eq!(parts[&Part::Training].len(), 160);
+        assert!(parts[&Part::Test].iter().all(|f| split.test.contains(&f.scene.volume)));
+        assert_eq!(split, Split::new(&frames, GroupBy::Volume, &[], &[], 3).unwrap());
+        assert_ne!(split.test, Split::new(&frames, GroupBy::Volume, &[], &[], 4).unwrap().test);
+    }
+
+    #[test]
+    fn names_are_obeyed_and_checked() {
+        let frames = [
+            TimedFrame::of_no_volume("a", ""),
+            TimedFrame::of_no_volume("b", ""),
+            TimedFrame::of_no_volume("c", ""),
+        ];
+        let names = |n: &[&str]| n.iter().map(|s| (*s).to_owned()).collect::<Vec<_>>();
+        let split = Split::new(&frames, GroupBy::Volume, &names(&["a"]), &names(&["c"]), 1).unwrap();
+        assert_eq!(split.part(&frames[0].scene), Part::Validation);
+        assert_eq!(split.part(&frames[1].scene), Part::Training);
+        assert_eq!(split.part(&frames[2].scene), Part::Test);
+        assert_eq!(split.part(&TimedFrame::of_no_volume("d", "").scene), Part::Unknown);
+        let fails = |v: &[&str], t: &[&str]| {
+            Split::new(&frames, GroupBy::Volume, &names(v), &names(t), 1).unwrap_err().to_string()
+        };
+        assert!(fails(&["x"], &[]).contains("there are a, b, c"));
+        assert!(fails(&["a"], &["a"]).contains("named both"));
+        assert!(fails(&["a"], &["b", "c"]).contains("left to train on"));
+        let few = Split::new(&frames[..2], GroupBy::Volume, &[], &[], 1).unwrap();
+        assert_eq!((few.training.len(), few.test.len()), (2, 0));
+    }
+}
