@@ -76,7 +76,7 @@ impl SteeringModel {
 /// The predictor of a comparison, for output.
 #[derive(Clone, Debug, Serialize)]
 pub struct Steers {
-    /// What it is.
+    /// Name of the predictor.
     pub title: String,
     /// Its errors on the random frames of the volume, which it was not fitted to.
     pub on_this_volume: Quality,
