@@ -153,7 +153,7 @@ pub enum Entry {
         /// Why.
         why: String,
     },
-    /// A task is given up.
+    /// Gives a task up.
     Quarantined {
         /// Its id.
         task: String,

@@ -1,5 +1,6 @@
-//! What the `entire` command reads and writes: volume files, timing tables, paths of cameras and transfer functions,
-//! and files that are whole or not there. Options, clocks and progress bars that its programs share stand here too.
+//! Input and output of the programs: volume files, timing tables, paths of cameras and transfer functions, and
+//! files that are written completely or not at all; also the options, clocks and progress bars that the programs
+//! share.
 
 pub mod clock;
 pub mod dataset;

@@ -108,7 +108,7 @@ impl Report {
             measured.push(f.seconds);
             groups.push(f.group);
         }
-        let metrics = Metrics::new(&predicted, &measured).context("there are no frames to judge by")?;
+        let metrics = Metrics::new(&predicted, &measured).context("there are no test frames")?;
         let volumes: BTreeSet<u64> = observed.iter().map(|f| f.group).collect();
         Ok(Self {
             shading: shading.into(),

@@ -129,7 +129,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     Ok(out)
 }
 
-/// A table in the making.
+/// A log file in the making.
 struct Open {
     writer: Writer,
     manifest: Manifest,

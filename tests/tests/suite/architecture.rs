@@ -249,10 +249,11 @@ const CLI: &Rooms = &[
     ("pictures", &[]),
     ("program", &[]),
     ("reference", &[]),
+    ("shipped", &[]),
     ("collection", &[]),
     ("calibrate", &["collection", "pictures"]),
-    ("steering", &["calibrate", "pictures"]),
-    ("commands", &["calibrate", "collection", "pictures", "steering"]),
+    ("steering", &["calibrate", "pictures", "shipped"]),
+    ("commands", &["calibrate", "collection", "pictures", "shipped", "steering"]),
     ("command_line", &["commands", "program"]),
 ];
 
