@@ -14,7 +14,7 @@ use entire_core::scene::{COLOR_RAMP, Shading, Skipping};
 use entire_vk_raycaster::Region;
 use std::path::PathBuf;
 
-/// Requests of a person that the interface cannot fulfil itself.
+/// Requests of a person that the interface cannot meet itself.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Command {
     Open(PathBuf),
