@@ -22,12 +22,13 @@
 //! in the model's order, no header): their difference from f32 and, with measured seconds (one number per
 //! line), their error beside that of f32.
 
+use entire_core::kernels::{Executor, Storage};
+use entire_core::kernels::{Isa, Level};
 use entire_core::model::Model;
 use entire_core::nn::{
-    ConvBlockParts, DenseParts, Dtype, Executor, Normalization, PredNet, PredNetParts, Resampler, Storage,
-    Target, VolumeNet, VolumeNetParts,
+    ConvBlockParts, DenseParts, Dtype, Normalization, PredNet, PredNetParts, Resampler, Target, VolumeNet,
+    VolumeNetParts,
 };
-use entire_core::nn::{Isa, Level};
 use entire_core::scene::{Scalars, VolumeView};
 use std::fmt::Write;
 use std::hint::black_box;

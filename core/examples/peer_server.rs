@@ -11,10 +11,11 @@
 //! VolumeNet on a byte volume (`vol_…:f32` on the peers' floats); `resample/N` resamples N³ bytes to 128³ and
 //! returns the time of reading them once as `read`.
 
-use entire_core::nn::Level;
+use entire_core::kernels::Level;
+use entire_core::kernels::{Executor, Helper, SELU_ALPHA, SELU_SCALE, Storage};
 use entire_core::nn::{
-    ConvBlockParts, DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Resampler,
-    SELU_ALPHA, SELU_SCALE, Storage, Target, VolumeNet, VolumeNetParts,
+    ConvBlockParts, DenseParts, Dtype, Normalization, PredNet, PredNetParts, Resampler, Target, VolumeNet,
+    VolumeNetParts,
 };
 use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 use safetensors::SafeTensors;

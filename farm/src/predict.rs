@@ -4,8 +4,9 @@
 use super::job::{Job, Renderer, draw_settings};
 use super::record::parse_id;
 use anyhow::{Context, Result, ensure};
+use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::{Executor, VolumeNet};
+use entire_core::nn::VolumeNet;
 use entire_core::scene::{Camera, Frame, Shading, Skipping};
 use entire_io::dataset::Clock;
 use entire_io::files::{note, open_model, open_volume};

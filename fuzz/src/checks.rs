@@ -1,8 +1,9 @@
 //! Invariants of all readers' results.
 
 use crate::volume::Volume;
+use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::{Executor, PredNet, VolumeNet};
+use entire_core::nn::{PredNet, VolumeNet};
 use entire_core::scene::{Scalars, VolumeView};
 
 /// An accepted volume is whole and its geometry is finite; an error is one line.

@@ -1,6 +1,6 @@
 //! Provenance of numbers: the machine, its load, the program's version and the date.
 
-use entire_core::nn::{Isa, Level};
+use entire_core::kernels::{Isa, Level};
 use serde::Serialize;
 
 /// The program's version and, when it was built from a checkout, its commit.

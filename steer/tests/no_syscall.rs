@@ -51,10 +51,10 @@ mod child {
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod child {
-    use entire_core::nn::Level;
+    use entire_core::kernels::Level;
+    use entire_core::kernels::{Executor, Storage};
     use entire_core::nn::{
-        ConvBlockParts, DenseParts, Dtype, Executor, PredNet, PredNetParts, Storage, Target, VolumeNet,
-        VolumeNetParts,
+        ConvBlockParts, DenseParts, Dtype, PredNet, PredNetParts, Target, VolumeNet, VolumeNetParts,
     };
     use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
     use entire_steer::control::ObserveFlags;

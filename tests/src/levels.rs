@@ -1,6 +1,6 @@
 //! The same test on every level of the kernels.
 
-use entire_core::nn::{Isa, Level};
+use entire_core::kernels::{Isa, Level};
 use libtest_mimic::{Failed, Trial};
 
 /// One trial per instruction set: `name::avx2`, … . A level that this CPU lacks is reported as ignored, never

@@ -2,8 +2,9 @@
 //! would no longer fit. Every file's length field is right; the data after it are wrong in ways that a reader
 //! must detect.
 
+use entire_core::kernels::Executor;
 use entire_core::model::{GroupKind, Key, Model};
-use entire_core::nn::{Executor, PredNet, VolumeNet, VolumeNetParts};
+use entire_core::nn::{PredNet, VolumeNet, VolumeNetParts};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, VolumeView};
 use entire_steer::features::{Changes, FrameFeatures, Setting};
 use entire_steer::predict::{Inputs, check_predictions, load};

@@ -1,7 +1,7 @@
 //! The environment is read once for the level: a host that changes it later, from another thread, has no
 //! effect.
 
-use entire_core::nn::Level;
+use entire_core::kernels::Level;
 use libtest_mimic::{Arguments, Failed, Trial};
 
 /// Variable that a user sets.

@@ -1,9 +1,10 @@
 //! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), one test for every level.
 //! A level that this CPU lacks is reported as ignored.
 
+use entire_core::kernels::{Executor, Storage};
+use entire_core::kernels::{Isa, Level};
 use entire_core::model::Model;
-use entire_core::nn::{Dtype, Executor, PredNet, Storage};
-use entire_core::nn::{Isa, Level};
+use entire_core::nn::{Dtype, PredNet};
 use entire_tests::levels::on_every_level;
 use libtest_mimic::{Arguments, Trial};
 use serde_json::Value;

@@ -2,8 +2,9 @@
 
 use crate::inputs::{Layout, measure, open_volume};
 use anyhow::{Context, Result};
+use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::{Executor, PredNet, VolumeNet};
+use entire_core::nn::{PredNet, VolumeNet};
 use entire_io::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor};
 use entire_io::metrics::{Metrics, median};
 use entire_io::options::thread_pool;

@@ -2,8 +2,9 @@
 //! the values of a model's input groups.
 
 use anyhow::{Context, Result, bail, ensure};
+use entire_core::kernels::Executor;
 use entire_core::model::{Model, ModelFile};
-use entire_core::nn::{Executor, PredNetParts, VolumeNet, VolumeNetParts};
+use entire_core::nn::{PredNetParts, VolumeNet, VolumeNetParts};
 use entire_core::scene::{Arcball, GaussianLobe, Skipping};
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Scene, Table, TimedFrame};

@@ -14,8 +14,8 @@ pub mod pool;
 pub mod report;
 
 use anyhow::{Context, Result, ensure};
+use entire_core::kernels::Executor;
 use entire_core::model::ModelFile;
-use entire_core::nn::Executor;
 use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed};
 use entire_io::volume::Reading;

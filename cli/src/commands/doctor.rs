@@ -3,7 +3,7 @@
 use crate::calibrate::place::{DATA_FOLDER, file_of, machine_model};
 use crate::shipped::shipped_models;
 use anyhow::Result;
-use entire_core::nn::Level;
+use entire_core::kernels::Level;
 use entire_core::scene::Shading;
 use entire_io::device::is_software;
 use entire_io::machine;

@@ -1,7 +1,8 @@
 //! `entire encode`: turn a volume into its feature vector.
 
 use anyhow::{Context, Result, bail};
-use entire_core::nn::{Executor, VolumeNet};
+use entire_core::kernels::Executor;
+use entire_core::nn::VolumeNet;
 use entire_io::files::{digits, open_model, open_volume};
 use entire_io::options::{VolumeArgs, thread_pool};
 use std::io::Write;

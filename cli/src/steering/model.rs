@@ -2,8 +2,9 @@
 
 use super::calibrate::{Quality, Sample};
 use anyhow::{Context, Result};
+use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::{Executor, VolumeNet};
+use entire_core::nn::VolumeNet;
 use entire_core::scene::VolumeView;
 use entire_steer::predict::{GroupKind, Predictor, load};
 use serde::Serialize;

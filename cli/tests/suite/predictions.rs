@@ -2,8 +2,9 @@
 //! ordinary and hostile: never zero, negative or NaN at the predictor, and no more such outputs of the
 //! networks than are known.
 
+use entire_core::kernels::Executor;
 use entire_core::model::{Model, ModelFile};
-use entire_core::nn::{Executor, Normalization, PredNet};
+use entire_core::nn::{Normalization, PredNet};
 use entire_io::dataset::{Table, TimedFrame};
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use entire_train::fit::predict_rows;

@@ -1,7 +1,8 @@
 //! The encoders in `models/` give the same features as PyTorch, the predictors the errors on their cards.
 
+use entire_core::kernels::Executor;
 use entire_core::model::{Key, Model};
-use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
+use entire_core::nn::{VOLUMENET_TOLERANCE, VolumeNet};
 use entire_io::dataset::{Clock, Table};
 use entire_io::metrics::Metrics;
 use entire_io::volume::Volume;

@@ -42,7 +42,7 @@ pub(crate) trait Join {
 /// work itself, with the same result.
 ///
 /// ```
-/// let helper = entire_core::nn::Helper::new();
+/// let helper = entire_core::kernels::Helper::new();
 /// std::thread::scope(|scope| {
 ///     scope.spawn(|| helper.serve());
 ///     // … predict with Executor::Helper(&helper) …

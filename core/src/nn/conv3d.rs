@@ -1,7 +1,7 @@
 //! The definition of a block, in float64: the reference in tests of the kernels.
 
 use super::parts::ConvBlockParts;
-use super::{SELU_ALPHA, SELU_SCALE};
+use crate::kernels::{SELU_ALPHA, SELU_SCALE};
 use alloc::vec::Vec;
 
 /// SELU of the convolution, as [`VolumeNet`](super::VolumeNet) defines it. Tensors are (C, D, H, W), the last

@@ -1,7 +1,8 @@
 //! Networks: dense layers, activation, PredNet, VolumeNet. The fast loops are in `kernels`.
 //!
 //! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without a memory layout, as a model file holds
-//! them and training writes them. [`PredNet`] is built from them for one [`Level`] and one [`Storage`].
+//! them and training writes them. [`PredNet`] is built from them for one
+//! [`Level`](crate::kernels::Level) and one [`Storage`](crate::kernels::Storage).
 
 #[cfg(test)]
 mod conv3d;
@@ -10,7 +11,6 @@ mod prednet;
 mod resample;
 mod volumenet;
 
-pub use crate::kernels::{Executor, Helper, Isa, Level, SELU_ALPHA, SELU_SCALE, Storage, selu};
 pub use parts::{ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts};
 pub use prednet::{PredNet, PredScratch};
 pub use resample::Resampler;

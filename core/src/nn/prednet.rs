@@ -151,7 +151,7 @@ impl PredNet {
 
     /// As [`predict`](Self::predict), each large layer split between the caller and one more thread: same
     /// bits. It pays where the weights exceed one core's cache and the executor is a
-    /// [`Helper`](super::Helper); handing work to a pool takes longer than it saves. A helper adds no
+    /// [`Helper`](crate::kernels::Helper); handing work to a pool takes longer than it saves. A helper adds no
     /// allocation, lock or system call.
     pub fn predict_on(&self, executor: Executor<'_>, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward_split(&executor, inputs, &mut scratch.mlp) {
@@ -229,7 +229,8 @@ impl PredNet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::nn::{DenseParts, Normalization, SELU_ALPHA, SELU_SCALE};
+    use crate::kernels::{SELU_ALPHA, SELU_SCALE};
+    use crate::nn::{DenseParts, Normalization};
     use alloc::format;
     use alloc::string::String;
     use alloc::vec;

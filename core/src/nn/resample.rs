@@ -13,10 +13,10 @@
 
 use crate::Result;
 use crate::error::bail;
+use crate::kernels::Executor;
 use crate::kernels::Level;
 use crate::kernels::resample::{self as kernel, Affine, Map, Span};
 use crate::memory::{reserve, resize};
-use crate::nn::Executor;
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 

@@ -1,10 +1,11 @@
 //! VolumeNet's encoder: a few features that describe a volume.
 
+use super::Resampler;
 use super::parts::VolumeNetParts;
 use super::resample::Exact;
-use super::{Executor, Resampler};
 use crate::Result;
 use crate::error::bail;
+use crate::kernels::Executor;
 use crate::kernels::Level;
 use crate::kernels::conv::{Block, Encoder, Head, PreparedPlane, Scratch};
 use crate::kernels::resample::{Affine, Raw, Scalar};

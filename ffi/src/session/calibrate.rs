@@ -8,7 +8,7 @@ use crate::handle::{borrow, share};
 use crate::model::{entire_model, give_model};
 use crate::reserve;
 use crate::result::entire_result;
-use entire_core::nn::Executor;
+use entire_core::kernels::Executor;
 use entire_steer::calibrate::{HeldOut, Picture};
 use std::mem::size_of;
 

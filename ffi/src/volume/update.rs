@@ -6,7 +6,7 @@ use crate::guard::{Outcome, changing};
 use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
-use entire_core::nn::Executor;
+use entire_core::kernels::Executor;
 use entire_steer::features::{SummaryOptions, SummarySeries};
 use std::ops::Range;
 use std::sync::OnceLock;

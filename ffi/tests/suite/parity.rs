@@ -4,8 +4,9 @@
 //! Run by `make test-ffi`, which builds the program against the installed library and names it in
 //! `ENTIRE_C_PARITY`.
 
+use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::{Executor, PredNet, VolumeNet};
+use entire_core::nn::{PredNet, VolumeNet};
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeOptions, VolumeView,
 };

@@ -8,7 +8,7 @@ use crate::lock::Guarded;
 use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::nn::Executor;
+use entire_core::kernels::Executor;
 use entire_core::scene::Skipping;
 use entire_steer::calibrate::{Calibrated, Calibration as Core, Picture, Shown};
 use entire_steer::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary};

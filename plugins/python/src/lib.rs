@@ -55,7 +55,7 @@ mod _native {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-        module.add("simd_level", entire_core::nn::Level::detect().to_string())?;
+        module.add("simd_level", entire_core::kernels::Level::detect().to_string())?;
         let end = wrap_pyfunction!(crate::detach::end, module)?;
         module.py().import("atexit")?.call_method1("register", (end,))?;
         Ok(())

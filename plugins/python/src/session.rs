@@ -13,7 +13,7 @@ use crate::plan::{Plan, Prediction};
 use crate::state::State;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::nn::Executor;
+use entire_core::kernels::Executor;
 use entire_core::scene::Frame;
 use entire_steer::calibrate::Calibrated;
 use entire_steer::control::ObserveFlags;

@@ -3,7 +3,7 @@
 use crate::detach::{calling, detached};
 use crate::errors::raise;
 use crate::lock::Guarded;
-use entire_core::nn::Executor;
+use entire_core::kernels::Executor;
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
 use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
 use glam::Vec3;

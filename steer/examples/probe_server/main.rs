@@ -8,7 +8,7 @@ mod calls;
 mod scene;
 
 use calls::{Types, Volumes, report, time};
-use entire_core::nn::Executor;
+use entire_core::kernels::Executor;
 use entire_core::{Result, VolumeView};
 use entire_steer::features::{SummaryBuilder, SummaryOptions, SummarySeries, VolumeSummary};
 use std::hint::black_box;

@@ -15,8 +15,9 @@ use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::kernels::Executor;
+use entire_core::kernels::{SELU_ALPHA, SELU_SCALE};
 use entire_core::model::ModelFile;
-use entire_core::nn::{Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE, Target};
+use entire_core::nn::{Normalization, PredNet, PredNetParts, Target};
 
 const NOT_A_PRIOR: &str = "a calibration starts from analytic models, or from one analytic model times a learned factor \
      (entire train --model-kind analytic and residual make them); give another, or none";

@@ -8,9 +8,10 @@ use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
 use core::fmt::Write;
+use entire_core::kernels::Level;
+use entire_core::kernels::{Executor, Storage};
 use entire_core::model::Model;
-use entire_core::nn::Level;
-use entire_core::nn::{Executor, PredNet, Storage, VolumeNet};
+use entire_core::nn::{PredNet, VolumeNet};
 use entire_core::scene::{Scalars, VolumeView};
 
 /// Loads a model and prints the bits of its results, one line per network, level and input.

@@ -2,8 +2,9 @@
 //! shipped ones.
 
 use entire_core::ErrorKind;
+use entire_core::kernels::Executor;
 use entire_core::model::{InputGroup, Model, ModelFile};
-use entire_core::nn::{DenseParts, Dtype, Executor, PredNet, PredNetParts, Target};
+use entire_core::nn::{DenseParts, Dtype, PredNet, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame};
 use entire_steer::features::{Changes, FrameFeatures, Setting};
 use entire_steer::predict::{Inputs, Prediction, check_predictions, load};

@@ -1,10 +1,9 @@
 //! Hot calls allocate nothing after set-up: counted by the global allocator, on every level and storage
 //! format.
 
-use entire_core::nn::Level;
-use entire_core::nn::{
-    DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Storage, Target,
-};
+use entire_core::kernels::Level;
+use entire_core::kernels::{Executor, Helper, Storage};
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use entire_steer::control::{ObserveFlags, Session};
 use entire_steer::features::{SummaryOptions, VolumeSummary};

@@ -1,7 +1,8 @@
 //! Networks composed of networks: an ensemble as one network, and a network with an estimate carried past it.
 
 use anyhow::{Context, Result, ensure};
-use entire_core::nn::{DenseParts, Normalization, PredNetParts, SELU_SCALE, Target};
+use entire_core::kernels::SELU_SCALE;
+use entire_core::nn::{DenseParts, Normalization, PredNetParts, Target};
 
 /// One network that computes the mean of several with equal widths and standardization: their hidden layers
 /// side by side, and a last layer over all of them.

@@ -21,8 +21,9 @@ pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_f
 use crate::gradient::EpochRecord;
 use crate::inputs::Layout;
 use anyhow::{Context as _, Result};
+use entire_core::kernels::{Level, Storage};
 use entire_core::model::{Model, ModelFile};
-use entire_core::nn::{Level, PredNet, Storage};
+use entire_core::nn::PredNet;
 use entire_io::dataset::{Table, TimedFrame};
 use entire_steer::predict::{InputRange, check_predictions};
 use indicatif::ProgressBar;

@@ -1,6 +1,6 @@
 //! Matrix products over slices, and plain loops compiled for this CPU.
 
-use entire_core::nn::Level;
+use entire_core::kernels::Level;
 use ndarray::{ArrayView2, ArrayViewMut2, LinalgScalar, linalg::general_mat_mul};
 use std::sync::OnceLock;
 

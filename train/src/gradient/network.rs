@@ -4,7 +4,8 @@
 use super::Real;
 use super::matmul::{matrix, multiply, vectorized};
 use anyhow::{Result, bail};
-use entire_core::nn::{PredNetParts, SELU_ALPHA, SELU_SCALE};
+use entire_core::kernels::{SELU_ALPHA, SELU_SCALE};
+use entire_core::nn::PredNetParts;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 

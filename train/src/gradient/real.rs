@@ -1,7 +1,7 @@
 //! Number types of training: `f32` for use, `f64` to check it.
 
 use super::matmul::level;
-use entire_core::nn::{SELU_ALPHA, SELU_SCALE, selu};
+use entire_core::kernels::{SELU_ALPHA, SELU_SCALE, selu};
 use std::fmt::{Debug, Display};
 use std::iter::Sum;
 use std::ops::{AddAssign, MulAssign, Neg, SubAssign};

@@ -3,8 +3,9 @@
 mod report;
 
 use anyhow::{Context, Result, ensure};
+use entire_core::kernels::{Level, Storage};
 use entire_core::model::{Key, Model};
-use entire_core::nn::{Level, PredNet, Storage};
+use entire_core::nn::PredNet;
 use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
 use entire_io::files::{fnv1a, note, parse_model, read_model_bytes};
 use entire_io::machine;

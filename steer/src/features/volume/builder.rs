@@ -16,7 +16,7 @@ use entire_core::scene::{Scalars, VolumeView};
 ///
 /// ```
 /// use entire_steer::features::{SummaryBuilder, SummaryOptions, VolumeSummary};
-/// use entire_core::nn::Executor;
+/// use entire_core::kernels::Executor;
 /// use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 ///
 /// let voxels: Vec<u16> = (0..40 * 30 * 20).map(|i| i as u16).collect();

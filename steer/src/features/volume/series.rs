@@ -31,7 +31,7 @@ use entire_core::scene::{Scalars, VolumeView};
 ///
 /// ```
 /// use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
-/// use entire_core::nn::Executor;
+/// use entire_core::kernels::Executor;
 /// use entire_core::scene::{Scalars, VolumeView};
 ///
 /// let mut voxels = vec![7u8; 40 * 30 * 20];
