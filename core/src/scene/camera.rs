@@ -195,8 +195,7 @@ impl Camera {
 
     /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centers at
     /// halves, y down: origin and unit direction in scene space.
-    #[cfg(test)]
-    fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
+    pub fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
         let (origin, direction) = self.ray_basis(width, height);
         let u = 2.0 * px / width as f32 - 1.0;
         let v = 1.0 - 2.0 * py / height as f32;

@@ -162,7 +162,6 @@ impl Polygon {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::pixel_ray;
     use super::*;
     use entire_core::scene::Arcball;
 
@@ -200,7 +199,7 @@ mod tests {
                     let mut count = 0;
                     for y in 0..height {
                         for x in 0..w {
-                            let (o, d) = pixel_ray(&camera, x, y, w, height);
+                            let (o, d) = camera.ray(x as f32 + 0.5, y as f32 + 0.5, w, height);
                             if hits(h, o, d) {
                                 count += 1;
                                 let u = 2.0 * (x as f32 + 0.5) / w as f32 - 1.0;

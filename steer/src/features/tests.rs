@@ -4,7 +4,6 @@ use super::frame::UNSHARED_SHADING;
 use super::*;
 use entire_core::scene::*;
 use entire_core::{ErrorKind, Result};
-use glam::Vec3;
 use proptest::prelude::*;
 use std::vec::Vec;
 
@@ -37,15 +36,6 @@ fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> Fra
     let mut features = FrameFeatures::default();
     features.measure(volume, &mut transfer, frame).unwrap();
     features
-}
-
-/// The ray through the center of a pixel: origin and unit direction in scene space.
-pub(super) fn pixel_ray(camera: &Camera, x: u32, y: u32, width: u32, height: u32) -> (Vec3, Vec3) {
-    let (origin, direction) = camera.ray_basis(width, height);
-    let u = 2.0 * (x as f32 + 0.5) / width as f32 - 1.0;
-    let v = 1.0 - 2.0 * (y as f32 + 0.5) / height as f32;
-    let at = |basis: [Vec3; 3]| basis[0] + u * basis[1] + v * basis[2];
-    (at(origin), at(direction).normalize())
 }
 
 #[test]
@@ -604,7 +594,7 @@ fn shares_of_borders_are_those_that_rays_count() {
         let mut shares = [0.0f64; 3];
         let mut rays = 0;
         for (x, y) in (0..60).flat_map(|y| (0..60).map(move |x| (x, y))) {
-            let (o, d) = pixel_ray(&f.camera, x, y, 60, 60);
+            let (o, d) = f.camera.ray(x as f32 + 0.5, y as f32 + 0.5, 60, 60);
             let (a, b) = ((-half - o) / d, (half - o) / d);
             let (near, far) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
             if near >= far {
