@@ -4,9 +4,9 @@ use super::baselines::low_resolution;
 use super::cache::identity;
 use super::runner::{Bounds, Crossed};
 use super::*;
-use entire_core::scene::{Arcball, Shading, Skipping};
+use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::feature_table::FeatureTable;
-use entire_io::dataset::{Clock, Scene, Table, TimedFrame, Timing, Writer, parse_lobes};
+use entire_io::dataset::{Clock, Scene, Table, TimedFrame, Timing, Writer};
 use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_train::bound;
@@ -14,31 +14,11 @@ use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use serde_json::json;
 
-/// A frame of a volume that does not exist.
-pub(super) fn scene(volume: &str, member: &str) -> Scene {
-    Scene {
-        volume: volume.into(),
-        member: member.into(),
-        time_step: None,
-        dims: [8; 3],
-        camera: Arcball { rx: 1.0, ry: 2.0, dz: 3.0 },
-        fov_y_degrees: 45.0,
-        width: 64,
-        height: 64,
-        step: 1.0,
-        shading: Shading::None,
-        skipping: Skipping::Blocks,
-        termination: 0.99,
-        lobes: parse_lobes("0.5 0.1 1").unwrap(),
-    }
-}
-
 pub(super) fn table(volumes: &[(&str, &str)]) -> Table {
     let frame = |number: usize, volume: &str, member: &str| TimedFrame {
-        table: 0,
         number: number as u64,
-        scene: scene(volume, member),
         repeats: vec![Timing { wall: Some(0.5), cpu: Some(0.25), ..Timing::default() }],
+        ..TimedFrame::of_no_volume(volume, member)
     };
     let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v, m)).collect();
     Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
