@@ -22,15 +22,16 @@ fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
     }
 }
 
+fn read((name, bytes): (&str, &[u8])) -> Result<(String, ModelFile)> {
+    Ok((format!("the shipped model {name}"), ModelFile::from_bytes(bytes)?))
+}
+
 /// The shipped models of a shading mode with their names; the first is the selected one.
 ///
 /// # Errors
 /// When a file holds no model.
 pub fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
-    files(shading)
-        .into_iter()
-        .map(|(name, bytes)| Ok((format!("the shipped model {name}"), ModelFile::from_bytes(bytes)?)))
-        .collect()
+    files(shading).into_iter().map(read).collect()
 }
 
 /// The shipped model that was selected for a shading mode, with its name.
@@ -38,10 +39,11 @@ pub fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
 /// # Errors
 /// When there is none.
 pub fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
-    shipped_models(shading)?
-        .into_iter()
-        .next()
-        .with_context(|| format!("no shipped model predicts shading {shading}; name one with --model"))
+    let selected = files(shading).into_iter().next();
+    read(
+        selected
+            .with_context(|| format!("no shipped model predicts shading {shading}; name one with --model"))?,
+    )
 }
 
 #[cfg(test)]
