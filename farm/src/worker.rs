@@ -8,6 +8,7 @@ use super::session::Session;
 use super::spool::tail;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
+use entire_io::child::wait_at_most;
 use entire_io::device::{self, Device};
 use entire_io::files::{make_folder_of, open_volume, write_whole};
 use entire_io::identity;
@@ -294,20 +295,8 @@ fn run(
         .with_context(|| format!("cannot start {program:?}; check the renderer's command"))?;
     let status = match limit {
         None => child.wait()?,
-        Some(limit) => {
-            let clock = Instant::now();
-            loop {
-                if let Some(status) = child.try_wait()? {
-                    break status;
-                }
-                if clock.elapsed() > limit {
-                    let _ = child.kill();
-                    let _ = child.wait();
-                    bail!("{program:?} was ended after {} s (timeout_s)", limit.as_secs_f64());
-                }
-                std::thread::sleep(Duration::from_millis(5));
-            }
-        }
+        Some(limit) => wait_at_most(&mut child, limit)?
+            .with_context(|| format!("{program:?} was ended after {} s (timeout_s)", limit.as_secs_f64()))?,
     };
     ensure!(status.success(), "{program:?} ended with {status}: {}", tail(log));
     Ok(Painted { load_s: 0.0, render_s: None })

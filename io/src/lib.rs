@@ -2,6 +2,7 @@
 //! files that are written completely or not at all; also the options, clocks and progress bars that the programs
 //! share.
 
+pub mod child;
 pub mod clock;
 pub mod dataset;
 pub mod device;

@@ -1,16 +1,18 @@
 //! `entire doctor`.
 
-use crate::calibrate::place::{DATA_FOLDER, file_of, machine_model};
+use crate::calibrate::place::{DATA_FOLDER, file_of, machine_model, volumes_in};
 use crate::shipped::shipped_models;
 use anyhow::Result;
 use entire_core::kernels::Level;
 use entire_core::scene::Shading;
+use entire_io::child::wait_at_most;
 use entire_io::device::is_software;
 use entire_io::machine;
 use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Report what is installed here and what works with it.
 ///
@@ -59,37 +61,32 @@ pub fn run(options: &Options) -> Result<()> {
     heading("Machine");
     found("processor", &machine::machine());
     found("inference", &format!("by {} instructions", Level::detect().isa()));
-    print("raycaster", &raycaster());
+    found("raycaster", &raycaster());
 
     heading("Models");
     for shading in [Shading::None, Shading::Local, Shading::Scatter] {
         let name: &str = shading.into();
         let shipped = shipped_models(shading)?.len();
-        print(
-            &format!("shading {name}"),
-            &match machine_model(shading)? {
-                Some((path, _, clock)) => Finding::There(format!(
-                    "{}, {} time",
-                    path.display(),
-                    clock.map_or("unstated", |c| c.name())
-                )),
-                None => Finding::There(format!(
-                    "{shipped} shipped; none of this machine (`entire calibrate --shade {name}` makes {})",
-                    file_of(shading).map_or("one with --out".into(), |p| p.display().to_string())
-                )),
-            },
-        );
+        let model = match machine_model(shading)? {
+            Some((path, _, clock)) => {
+                format!("{}, {} time", path.display(), clock.map_or("unstated", |c| c.name()))
+            }
+            None => format!(
+                "{shipped} shipped; none of this machine (`entire calibrate --shade {name}` makes {})",
+                file_of(shading).map_or("one with --out".into(), |p| p.display().to_string())
+            ),
+        };
+        found(&format!("shading {name}"), &model);
     }
-    let data = Path::new(DATA_FOLDER);
-    let volumes = crate::calibrate::place::volumes_in(data).map_or(0, |v| v.len());
-    match volumes {
+    match volumes_in(Path::new(DATA_FOLDER)).map_or(0, |v| v.len()) {
         0 => found("volumes", "none in data/: name your own, `entire calibrate VOLUME…`"),
         n => found("volumes", &format!("{n} in data/, for calibration")),
     }
 
     heading("Renderers");
+    let (asked, system) = (packages_of(&options.python), packages_of(SYSTEM_PYTHON));
     for (package, used_for) in PACKAGES {
-        print(&format!("{package} (Python)"), &python_package(&options.python, package, used_for));
+        print(&format!("{package} (Python)"), &python_package(package, used_for, &asked, &system));
     }
     print(
         "ParaView",
@@ -112,7 +109,7 @@ pub fn run(options: &Options) -> Result<()> {
     );
 
     heading("Render farms");
-    let engines = "more than this machine for `entire farm`";
+    let engines = "several machines with `entire farm`";
     print("Slurm", &version_of("sbatch", &["--version"], engines, "apt-get install slurm-wlm"));
     print(
         "HyperQueue",
@@ -137,26 +134,20 @@ fn print(name: &str, finding: &Finding) {
 }
 
 /// The renderer that `--device auto` opens.
-fn raycaster() -> Finding {
+fn raycaster() -> String {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => {
-            let kind = if is_software(&renderer) { "a software driver" } else { "a GPU" };
-            let clock = if renderer.has_timestamps() && !is_software(&renderer) {
-                "device"
-            } else {
-                "processor or wall"
-            };
-            Finding::There(format!(
-                "Vulkan on {} ({kind}); frames are timed in {clock} time",
-                renderer.device()
-            ))
+            let software = is_software(&renderer);
+            let kind = if software { "a software driver" } else { "a GPU" };
+            let clock = if renderer.has_timestamps() && !software { "device" } else { "processor or wall" };
+            format!("Vulkan on {} ({kind}); frames are timed in {clock} time", renderer.device())
         }
-        Err(error) => Finding::There(format!("on the CPU, without Vulkan: {error}")),
+        Err(error) => format!("on the CPU, without Vulkan: {error}"),
     }
 }
 
-/// The first line that a program prints in time, or `None` where it is missing, fails, or takes too long.
-fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
+/// The output of a program, or `None` if it is missing, fails, or takes too long.
+fn output_of(program: &str, arguments: &[&str]) -> Option<String> {
     let mut child = Command::new(program)
         .args(arguments)
         .stdin(Stdio::null())
@@ -164,20 +155,14 @@ fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
         .stderr(Stdio::null())
         .spawn()
         .ok()?;
-    let start = Instant::now();
-    while child.try_wait().ok()?.is_none() {
-        if start.elapsed() > PATIENCE {
-            let _ = child.kill();
-            let _ = child.wait();
-            return None;
-        }
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    wait_at_most(&mut child, PATIENCE).ok()??;
     let output = child.wait_with_output().ok()?;
-    if !output.status.success() {
-        return None;
-    }
-    let text = String::from_utf8_lossy(&output.stdout);
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// The first line of a program's output that is not blank; "installed" if there is none.
+fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
+    let text = output_of(program, arguments)?;
     Some(text.lines().map(str::trim).find(|l| !l.is_empty()).unwrap_or("installed").to_owned())
 }
 
@@ -211,24 +196,42 @@ fn vtk_for_cxx() -> Finding {
     }
 }
 
-/// A package of a Python: its version by its metadata, without importing it; VTK of Debian has none.
-fn python_package(python: &str, package: &str, used_for: &'static str) -> Finding {
-    let script = format!(
-        "import importlib.metadata as m, importlib.util as u
-try: print(m.version('{package}'))
-except m.PackageNotFoundError:
-    if u.find_spec('{package}') is None and not ('vtk' == '{package}' and u.find_spec('vtkmodules')): raise SystemExit(1)
-    print('vtk' == '{package}' and __import__('vtkmodules.vtkCommonCore', fromlist=['x']).vtkVersion.GetVTKVersion() or 'installed')"
-    );
-    if let Some(version) = first_line(python, &["-c", &script]) {
-        return Finding::There(version);
-    }
-    match first_line(SYSTEM_PYTHON, &["-c", &script]) {
-        Some(version) => Finding::There(format!("{version}, in {SYSTEM_PYTHON} alone")),
-        None if package == "entire" => {
+/// Prints name and version of those of the named packages that a Python has, by their metadata and without importing them;
+/// VTK of Debian has none.
+const LIST_PACKAGES: &str = "
+import importlib.metadata, importlib.util, sys
+for name in sys.argv[1:]:
+    try:
+        print(name, importlib.metadata.version(name))
+    except importlib.metadata.PackageNotFoundError:
+        if name == 'vtk' and importlib.util.find_spec('vtkmodules'):
+            from vtkmodules.vtkCommonCore import vtkVersion
+            print(name, vtkVersion.GetVTKVersion())
+        elif importlib.util.find_spec(name):
+            print(name, 'installed')
+";
+
+/// Versions of the packages that a Python has; none if it is missing.
+fn packages_of(python: &str) -> BTreeMap<String, String> {
+    let names = PACKAGES.map(|(package, _)| package);
+    let text = output_of(python, &[&["-c", LIST_PACKAGES], &names[..]].concat()).unwrap_or_default();
+    text.lines().filter_map(|l| l.split_once(' ')).map(|(n, v)| (n.to_owned(), v.to_owned())).collect()
+}
+
+/// A package of the Python that was asked for, else of the system's.
+fn python_package(
+    package: &str,
+    used_for: &'static str,
+    asked: &BTreeMap<String, String>,
+    system: &BTreeMap<String, String>,
+) -> Finding {
+    match (asked.get(package), system.get(package)) {
+        (Some(version), _) => Finding::There(version.clone()),
+        (None, Some(version)) => Finding::There(format!("{version}, in {SYSTEM_PYTHON} alone")),
+        (None, None) if package == "entire" => {
             Finding::Missing(used_for, "make wheel, then pip install out/wheels/entire-*.whl")
         }
-        None => Finding::Missing(used_for, "pip install it into this Python"),
+        (None, None) => Finding::Missing(used_for, "pip install it into this Python"),
     }
 }
 
@@ -246,7 +249,8 @@ mod tests {
 
     #[test]
     fn a_missing_package_has_a_remedy() {
-        let finding = python_package("entire-no-such-python", "entire_no_such_package", "a test");
+        let none = packages_of("entire-no-such-python");
+        let finding = python_package("entire_no_such_package", "a test", &none, &none);
         assert!(matches!(finding, Finding::Missing("a test", remedy) if remedy.contains("pip install")));
     }
 }

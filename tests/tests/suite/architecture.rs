@@ -217,6 +217,7 @@ const STEER: &Rooms = &[
 ];
 
 const IO: &Rooms = &[
+    ("child", &[]),
     ("volume", &[]),
     ("quiet", &[]),
     ("progress", &["quiet"]),
