@@ -11,7 +11,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CRATES = ("core", "steer", "io", "train", "report", "farm", "ffi", "vk-raycaster", "explore", "cli", "lab", "plugins/python")
-PATH = re.compile(r"\b(crate|super)((?:::super)*)::\{?([a-z_0-9]+)((?:::[a-z_0-9]+)*)")
+START = re.compile(r"\b(crate|super)((?:::super)*)::")
+NAME = re.compile(r"\s*([a-z_0-9]+)\s*(::)?")
 
 
 def file_of(source, parts):
@@ -24,6 +25,29 @@ def file_of(source, parts):
     return None
 
 
+def branches(text, at, before=()):
+    """Module paths that begin at a place of the text, those of a group in braces one by one, and the place behind."""
+    while text[at:at + 1].isspace():
+        at += 1
+    if text[at:at + 1] == "{":
+        found, at = [], at + 1
+        while text[at:at + 1] not in ("}", ""):
+            more, at = branches(text, at, before)
+            found += more
+            while text[at:at + 1] not in (",", "}", ""):
+                at += 1
+            at += text[at:at + 1] == ","
+            while text[at:at + 1].isspace():
+                at += 1
+        return found, at + 1
+    name = NAME.match(text, at)
+    if not name:
+        return ([before] if before else []), at
+    if not name[2]:
+        return [(*before, name[1])], name.end()
+    return branches(text, name.end(), (*before, name[1]))
+
+
 def uses(source):
     """Files of a crate, and the files that each uses."""
     graph = {}
@@ -33,12 +57,13 @@ def uses(source):
         text = path.read_text(encoding="utf-8").split("\n#[cfg(test)]\nmod tests")[0]
         module = list(path.relative_to(source).with_suffix("").parts)
         found = graph.setdefault(path, set())
-        for start, supers, first, rest in PATH.findall(text):
-            up = 1 + supers.count("super")
-            base = [] if start == "crate" else module[: len(module) - up]
-            other = file_of(source, base + [first] + [part for part in rest.split("::") if part])
-            if other and other != path and other.stem not in ("lib", "main", "mod"):
-                found.add(other)
+        for start in START.finditer(text):
+            up = 1 + start[2].count("super")
+            base = [] if start[1] == "crate" else module[: len(module) - up]
+            for parts in branches(text, start.end())[0]:
+                other = file_of(source, [*base, *parts])
+                if other and other != path and other.stem not in ("lib", "main", "mod"):
+                    found.add(other)
     return graph
 
 
