@@ -2,8 +2,7 @@
 
 use super::Work;
 use super::collect::{Kind, table_path};
-use super::description::BY_VOLUMES;
-use super::description::{DataSet, Panel};
+use super::description::{BY_MEMBERS, BY_VOLUMES, DataSet, Panel, Paper};
 use super::encode::{ALL, Encoder};
 use super::volumes::{Parts, Place, places};
 use crate::study::twins;
@@ -11,11 +10,15 @@ use anyhow::{Context, Result};
 use entire_cli::commands::features;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Clock, Table};
-use entire_io::files::open_model;
+use entire_io::files::{fnv1a, open_model, read_bytes};
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
+use entire_train::fit::Recipe;
 use entire_train::split::TimedFrames;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+
+/// Counts up whenever the same frames give other results.
+const MADE_AS: u32 = 2;
 
 /// Seconds of frames on few voxels, by table and frame number.
 pub(super) type Low = BTreeMap<(usize, u64), f64>;
@@ -196,4 +199,29 @@ pub(super) fn of_panel(work: &Work<'_>, panel: Panel) -> Result<Vec<(Place, Stri
         }
     }
     Ok(out)
+}
+
+/// Hash of a part's inputs.
+pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table]) -> Result<String> {
+    let p: &Paper = work.paper;
+    let bare = |r: &Recipe| Recipe { volumenet: None, ..r.clone() };
+    let ours: BTreeMap<&String, Recipe> = p.ours.iter().map(|(m, r)| (m, bare(r))).collect();
+    let mut text = format!(
+        "{MADE_AS} {} {set} {} {} {} {}",
+        env!("CARGO_PKG_VERSION"),
+        panel.name(),
+        p.clock,
+        p.runs,
+        serde_json::to_string(&(p.frames, bare(&p.network), ours, &p.shares, &p.depths, &p.encoder_depth))?,
+    );
+    text += &serde_json::to_string(&(&p.finalists, &p.tuning.frames, p.tuning.epochs, p.orbit.poses))?;
+    for table in tables {
+        text +=
+            &format!(" {:016x} {:016x}", table.hash, table.features.as_ref().map_or(0, FeatureTable::hash));
+    }
+    for split in [BY_VOLUMES, BY_MEMBERS] {
+        let bytes = read_bytes(&main_encoder(work, set, split)?.0)?;
+        text += &format!(" {:016x}", fnv1a(&bytes));
+    }
+    Ok(format!("{:016x}", fnv1a(text.as_bytes())))
 }

@@ -1,12 +1,10 @@
 //! Every data set and mode: the network, ours and the baselines, by the paper's rule for its test volumes and by the
 //! other split beside it.
 
-use super::description::{BY_MODALITY, BY_VOLUMES};
-use super::description::{Paper, Rule};
+use super::description::{BY_MODALITY, BY_VOLUMES, Paper, Rule};
 use super::interval;
 use super::judge::{NETWORK, OURS};
-use super::results::{CONSTANT, LVRP};
-use super::results::{Results, Row};
+use super::results::{CONSTANT, LVRP, Results, Row};
 use super::section::{Section, errors_table, seconds, title, title_of, with_interval};
 use super::volumes::in_words;
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};

@@ -2,8 +2,7 @@
 
 use super::Work;
 use super::collect::protocol;
-use super::description::BY_VOLUMES;
-use super::description::{Panel, RAYCASTER_MODES};
+use super::description::{BY_VOLUMES, Panel, RAYCASTER_MODES};
 use super::encode::Encoder;
 use super::results::{Results, kept, write};
 use super::volumes::Place;

@@ -2,8 +2,7 @@
 
 use super::description::Paper;
 use super::interval;
-use super::results::Results;
-use super::results::{CONSTANT, LVRP};
+use super::results::{CONSTANT, LVRP, Results};
 use super::volumes::in_words;
 use entire_report::{Chart, Column, Table};
 

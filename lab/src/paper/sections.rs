@@ -2,15 +2,13 @@
 
 use super::cases::NODES;
 use super::control;
-use super::description::BY_VOLUMES;
-use super::description::{Label, Panel, Paper};
+use super::description::{BY_VOLUMES, Label, Panel, Paper};
 use super::encode::{ALL, SHIPPED};
 use super::interval;
 use super::judge::{NETWORK, OURS};
 use super::material::Material;
 use super::overall::{distributions, overall};
-use super::results::{CONSTANT, LVRP};
-use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, Row, SORTED};
+use super::results::{CONSTANT, Curve, DRAWN_CHART, LVRP, ORBIT_CHART, Results, Row, SORTED};
 use super::section::{Section, errors_table, mode_in_words, over, ratio, seconds, title, with_interval};
 use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;

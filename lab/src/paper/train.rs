@@ -1,9 +1,8 @@
 //! Training and evaluation of the networks of every part of the study.
 
 use super::collect::{DRAWN_ORBIT, EXPERIMENTS, ORBIT, PER_EXPERIMENT};
-use super::description::{BY_MODALITY, BY_VOLUMES};
-use super::description::{Panel, Paper, RAYCASTER_MODES};
-use super::frames::{Loaded, SplitFrames, main_encoder, of_panel, trained};
+use super::description::{BY_MODALITY, BY_VOLUMES, Panel, Paper, RAYCASTER_MODES};
+use super::frames::{Loaded, SplitFrames, identity, main_encoder, of_panel, trained};
 use super::judge::{At, Method, NETWORK, OURS, by_proxy};
 use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, write};
 use super::volumes::{Parts, Place};
@@ -13,9 +12,8 @@ use anyhow::{Context, Result, bail};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::VolumeNet;
-use entire_io::dataset::Table;
-use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id};
-use entire_io::files::{fnv1a, open_model, read_bytes};
+use entire_io::dataset::feature_table::{code_column, encoder_id};
+use entire_io::files::open_model;
 use entire_io::metrics::percentile;
 use entire_io::progress::templated_bar;
 use entire_steer::predict::GroupKind;
@@ -25,9 +23,6 @@ use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-
-/// Counts up whenever the same frames give other results.
-const MADE_AS: u32 = 2;
 
 /// The parts that use the frames of one data set and mode each.
 const BY_SET: [Panel; 7] = [
@@ -101,31 +96,6 @@ pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     }
     bar.finish_and_clear();
     Ok(())
-}
-
-/// Hash of a part's inputs.
-pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table]) -> Result<String> {
-    let p: &Paper = work.paper;
-    let bare = |r: &Recipe| Recipe { volumenet: None, ..r.clone() };
-    let ours: BTreeMap<&String, Recipe> = p.ours.iter().map(|(m, r)| (m, bare(r))).collect();
-    let mut text = format!(
-        "{MADE_AS} {} {set} {} {} {} {}",
-        env!("CARGO_PKG_VERSION"),
-        panel.name(),
-        p.clock,
-        p.runs,
-        serde_json::to_string(&(p.frames, bare(&p.network), ours, &p.shares, &p.depths, &p.encoder_depth))?,
-    );
-    text += &serde_json::to_string(&(&p.finalists, &p.tuning.frames, p.tuning.epochs, p.orbit.poses))?;
-    for table in tables {
-        text +=
-            &format!(" {:016x} {:016x}", table.hash, table.features.as_ref().map_or(0, FeatureTable::hash));
-    }
-    for split in [BY_VOLUMES, super::description::BY_MEMBERS] {
-        let bytes = read_bytes(&main_encoder(work, set, split)?.0)?;
-        text += &format!(" {:016x}", fnv1a(&bytes));
-    }
-    Ok(format!("{:016x}", fnv1a(text.as_bytes())))
 }
 
 impl At<'_> {

@@ -3,10 +3,8 @@
 //! kept as soon as it is done.
 
 use super::Work;
-use super::description::BY_MEMBERS;
-use super::description::{Change, Panel, TrialTables, Validation};
-use super::frames::Low;
-use super::frames::main_encoder;
+use super::description::{BY_MEMBERS, Change, Panel, TrialTables, Validation};
+use super::frames::{Low, main_encoder};
 use super::judge::{Judge, line_of};
 use super::results::{Results, kept, write};
 use crate::study::{clock, twins};

@@ -4,12 +4,10 @@
 
 use super::Work;
 use super::collect::{Kind, table_path};
-use super::description::BY_VOLUMES;
-use super::description::Panel;
-use super::frames::Loaded;
+use super::description::{BY_VOLUMES, Panel};
+use super::frames::{Loaded, identity};
 use super::judge::{NETWORK, OURS};
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
-use super::train::identity;
 use super::volumes::{Selection, places, roots};
 use crate::study::{Bounds, Runner};
 use anyhow::{Context, Result, bail};
