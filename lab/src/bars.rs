@@ -14,7 +14,7 @@ pub struct Bar {
     pub limit: f64,
     /// True if the limit is met; false without a value.
     pub ok: bool,
-    /// What stands behind it in brackets; may be empty.
+    /// Text printed in brackets behind the bar; may be empty.
     pub note: String,
 }
 

@@ -27,7 +27,7 @@ pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> 
     results.row(split, OURS)
 }
 
-/// What was found, and its interval over test volumes.
+/// A ratio, and its interval over test volumes.
 type Ratio = (Option<f64>, Option<(f64, f64)>);
 
 /// A bar with its interval over volumes beside it.
@@ -135,13 +135,13 @@ pub fn bars(
     }
     let slowest = cases::slowest_node(all, NETWORK);
     out.push(Bar::at_most("paper/slowest-node-by-network", slowest, limits.slowest_node));
-    // Whether a sentence holds is read, not computed.
+    // A person checks the sentences; no program does.
     out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
     out.push(Bar::at_most("paper/report-seconds", Some(seconds), limits.report_seconds));
     out
 }
 
-/// What trials say of a data set whose members are held out: one network learned from all data sets together.
+/// Error on the held-out members of a data set of one network that was trained on all data sets, in words.
 fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     let of = |r: &&Results| r.panel == Panel::Procedure && r.mode == BASE_MODE;
     let title = &paper.data_set(set).filter(|d| d.rule == Rule::Members)?.title;
@@ -151,7 +151,7 @@ fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     Some(format!("{:.4} {brackets} by one network for all data sets", row.over_constant?))
 }
 
-/// What was found for a data set in a mode.
+/// Results of a data set in a mode.
 fn find<'a>(all: &[&'a Results], set: &str, mode: &str) -> Option<&'a Results> {
     all.iter().find(|r| r.set == set && r.mode == mode).copied()
 }
@@ -169,7 +169,7 @@ fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
     Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
 }
 
-/// Whether the frames of the training volumes are as many as the description asks for.
+/// True if the training volumes have as many frames as the description asks for.
 fn complete(results: &Results) -> bool {
     let times = results.facts.iter().find(|f| f.name == "times");
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();

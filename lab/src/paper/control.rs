@@ -327,7 +327,7 @@ pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64
     Some(of(ControllerKind::Algorithm1)? / of(ControllerKind::Olp)?)
 }
 
-/// What the table of controllers shows: a figure of the scores, its title, and whether it is a share.
+/// Columns of the table of controllers: a figure of the scores, its title, and true if it is a share.
 const COLUMNS: [(&str, &str, bool); 7] = [
     (ALL_FRAMES, "mean distance from the target", true),
     ("all missed", "frames over 1.1 × target", true),

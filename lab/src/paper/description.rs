@@ -64,7 +64,7 @@ pub struct Paper {
     pub tuning: Tuning,
     /// Load balancing.
     pub orbit: Orbit,
-    /// What the network's error comes from.
+    /// Experiments on the causes of the network's error.
     pub trials: Trials,
     /// For each part of the study, the data sets and modes that it is made of; `overall` is made of all.
     pub panels: BTreeMap<Panel, Vec<(String, String)>>,
@@ -113,7 +113,7 @@ pub struct DataSet {
     /// True if it only tests models of the others: volumes of another kind.
     #[serde(default)]
     pub only_tests: bool,
-    /// What the paper tests on.
+    /// The paper's split of this data set.
     #[serde(default)]
     pub rule: Rule,
     /// The members of the split by member.
@@ -121,7 +121,7 @@ pub struct DataSet {
     pub members: Option<MemberSplit>,
 }
 
-/// What the paper holds out of a data set to test on. Its headline numbers are of that split.
+/// The split by which the paper tests on a data set. Its headline numbers are of that split.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
@@ -150,7 +150,7 @@ impl Rule {
     }
 }
 
-/// Which ensemble members serve what in the split by member; all others are learned from.
+/// Roles of ensemble members in the split by member; all others are for training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MemberSplit {
@@ -241,7 +241,7 @@ pub struct Orbit {
     pub size: u32,
 }
 
-/// Trials of what the network's error comes from, on frames that the repository holds.
+/// Experiments on the causes of the network's error, on frames of the repository.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trials {
@@ -257,7 +257,7 @@ pub struct Trials {
     pub runs: usize,
     /// Passes over the measured frames.
     pub epochs: usize,
-    /// What is changed, one at a time.
+    /// Changes of the recipe, tried one at a time.
     pub changes: Vec<Change>,
 }
 
@@ -291,17 +291,17 @@ pub struct Change {
     pub log_inputs: bool,
     /// One number for the image's size, the geometric mean of its sides.
     pub one_resolution: bool,
-    /// What the network gives.
+    /// Output of the network.
     pub target: Option<TargetChoice>,
     /// Frames per step.
     pub batch: Option<usize>,
     /// Gradients as they are.
     pub no_clipping: bool,
-    /// What decides which epoch's weights are kept.
+    /// Frames by whose error the epoch of the weights is chosen.
     pub validation: Validation,
 }
 
-/// What decides which epoch's weights are kept.
+/// Frames by whose error the epoch of the weights is chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Validation {
@@ -430,7 +430,7 @@ impl Paper {
         self.data_sets.iter().find(|d| d.name == name)
     }
 
-    /// What the paper tests on in a data set.
+    /// The paper's split of a data set.
     pub fn rule(&self, set: &str) -> Rule {
         self.data_set(set).map_or_else(Rule::default, |d| d.rule)
     }

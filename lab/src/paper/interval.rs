@@ -1,5 +1,5 @@
-//! Intervals of ratios of errors: test volumes drawn anew with replacement. Runs and seeds stay as they are, so
-//! that an interval says what a ratio owes to which volumes were tested on.
+//! Intervals of ratios of errors by bootstrap over test volumes. Training runs are not resampled: an interval
+//! states the dependence of a ratio on the choice of test volumes.
 
 use crate::study::LEVEL;
 use entire_io::metrics::percentile;
@@ -16,7 +16,7 @@ const SEED: u64 = 1;
 /// Squared errors on the frames of one volume.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
-    /// How many frames.
+    /// Number of frames.
     pub frames: usize,
     /// Sum over them, seconds squared, by run.
     pub squared: Vec<f64>,
@@ -78,12 +78,12 @@ pub(super) fn of_ratio(over: &ByVolume, under: &ByVolume) -> Option<(f64, f64)> 
     Some((percentile(&ratios, outside), percentile(&ratios, 1.0 - outside)))
 }
 
-/// What stands in brackets beside a ratio.
+/// An interval in brackets, beside its ratio.
 pub(super) fn in_brackets(interval: Option<(f64, f64)>) -> String {
     interval.map_or_else(|| "(not kept)".into(), |(low, high)| format!("({low:.2}–{high:.2})"))
 }
 
-/// What the brackets beside ratios mean.
+/// Explanation of the brackets beside ratios.
 pub(super) fn sentence() -> String {
     format!(
         "In brackets beside a ratio: the interval that holds {:.0} % of {DRAWS} draws of the test volumes with \

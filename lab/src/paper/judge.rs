@@ -133,7 +133,7 @@ pub(super) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
     (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
 }
 
-/// What the proxy predicts; `None` for a frame that was not rendered on few voxels.
+/// Predictions of the proxy; `None` for a frame without a rendering at low resolution.
 pub(super) fn by_proxy(low: &Low, line: Option<Line>, frames: &[&TimedFrame]) -> Vec<Option<f64>> {
     frames.iter().map(|f| Some(line?.at(*low.get(&(f.table, f.number))?))).collect()
 }
@@ -142,11 +142,11 @@ pub(super) fn by_proxy(low: &Low, line: Option<Line>, frames: &[&TimedFrame]) ->
 pub(super) struct Judge<'a> {
     split: String,
     frames: &'a TimedFrames<'a>,
-    /// What the proxy predicts for those frames that it has.
+    /// Predictions of the proxy for the frames that it has.
     proxy: Vec<Option<f64>>,
     constant: Option<Row>,
     lvrp: Option<Row>,
-    /// What was found.
+    /// Results.
     pub(super) rows: Vec<Row>,
 }
 

@@ -79,7 +79,7 @@ pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Materi
     Ok(Material { all, reconstructions, pictures })
 }
 
-/// What the file of an encoder that ships says about its training.
+/// Training record in the file of a shipped encoder.
 fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
     let (file, model) = read_model_file(path)?;
     let net = model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
@@ -88,7 +88,7 @@ fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
         .with_context(|| format!("{} does not say how it was trained", path.display()))?;
     let (size, features) = (net.input, net.fc.outputs);
     let encoder = Encoder { set: SHIPPED.into(), size, features, channels: Vec::new() };
-    // How long it took is not in the file.
+    // The duration of the training is not in the file.
     Ok(Some(Reconstruction { encoder, record: Record { provenance, seconds: 0.0 } }))
 }
 

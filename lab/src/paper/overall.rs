@@ -9,7 +9,7 @@ use super::section::{Section, errors_table, seconds, title, title_of, with_inter
 use super::volumes::in_words;
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 
-/// What the paper's rule is, for captions.
+/// The paper's rule in captions.
 const RULE: &str = "MAESTROeX by random volumes, Nyx and Castro by ensemble member";
 
 /// Prediction by data set and renderer.
@@ -75,7 +75,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((chart, "Lower left is better.".into()));
 }
 
-/// A row for every data set and mode that has the split; `parts` gets what stands in them, in words.
+/// A row for every data set and mode that has the split; `parts` receives their ratios in words.
 fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
     let mut table = Table::new(vec![
         Column::text("data set, renderer"),

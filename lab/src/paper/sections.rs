@@ -263,7 +263,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
 }
 
-/// What an encoder of several data sets is.
+/// Name of an encoder of several data sets.
 fn of_all(set: &str) -> &'static str {
     if set == SHIPPED { "of all, as shipped" } else { "of all" }
 }
@@ -473,13 +473,13 @@ pub(super) struct Trial {
     pub(super) title: &'static str,
     /// The command that makes it.
     pub(super) command: &'static str,
-    /// What its files' names begin with.
+    /// Beginning of its files' names.
     pub(super) stem: &'static str,
-    /// What was found.
+    /// Its tables and charts.
     pub(super) section: Section,
 }
 
-/// What the network's error comes from, as far as that was tried.
+/// Sections of the experiments on the causes of the network's error.
 pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
     let of = |panel: Panel| material.all.iter().filter(move |r| r.panel == panel);
     let mut procedure = Section::default();

@@ -1,6 +1,6 @@
-//! What the network's error comes from: the paper's recipe on frames that the repository holds, one change at a
-//! time, and on a teacher's labels, by their number. Trainings run beside one another, one thread each; every one is
-//! kept as soon as it is done.
+//! Causes of the network's error: the paper's recipe on frames of the repository with one change at a time, and on
+//! different numbers of a teacher's labels. Trainings run in parallel, one thread each; each is stored as soon as it
+//! ends.
 
 use super::Work;
 use super::description::{BY_MEMBERS, Change, Panel, TrialTables, Validation};
@@ -34,7 +34,7 @@ pub(super) const TOGETHER: &str = "left-out members";
 /// The set's name in results.
 const SETS: &str = "all";
 
-/// Counts up whenever the same frames give other results.
+/// Version of the results: raised whenever the same frames give other ones.
 const MADE_AS: u32 = 1;
 
 /// Numbers of a Gaussian lobe: center, width, height.
@@ -52,7 +52,7 @@ struct Trial {
     test: Vec<f32>,
 }
 
-/// Frames as a network takes them.
+/// Inputs of a network, one row per frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Rows {
     inputs: Vec<f32>,
@@ -65,14 +65,14 @@ impl Rows {
     }
 }
 
-/// A training that is done.
+/// Result of a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Done {
     /// Seconds of the test frames.
     predicted: Vec<f64>,
-    /// The epoch of the weights.
+    /// Epoch of the weights.
     best_epoch: usize,
-    /// How long it took.
+    /// Duration of the training, seconds.
     seconds: f64,
 }
 
@@ -105,7 +105,7 @@ impl Measured {
     }
 }
 
-/// Makes what is missing of the trials asked for.
+/// Runs the missing ones of the requested trials.
 ///
 /// # Errors
 /// When tables cannot be read, a training fails, and when it is stopped.
@@ -129,7 +129,7 @@ pub fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     Ok(())
 }
 
-/// The paper's recipe, and where `changed` every change of it.
+/// The paper's recipe, and every change of it if `changed`.
 fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
     let asked = &work.paper.trials;
     let all = measured.frames(0);
@@ -179,7 +179,7 @@ fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
     Ok(out)
 }
 
-/// So many frames of each volume, the first ones.
+/// The first `count` frames of each volume.
 fn first_of_each<'a>(all: &TimedFrames<'a>, count: usize) -> Result<TimedFrames<'a>> {
     let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
     let mut out = TimedFrames::default();
@@ -197,7 +197,7 @@ fn first_of_each<'a>(all: &TimedFrames<'a>, count: usize) -> Result<TimedFrames<
     Ok(out)
 }
 
-/// What a trial learns from.
+/// Training and validation frames of a trial.
 struct Parts<'a> {
     tables: &'a [Table],
     training: &'a TimedFrames<'a>,
@@ -238,13 +238,13 @@ impl Parts<'_> {
     }
 }
 
-/// Where a group stands in a row.
+/// Range of a group in a row.
 fn place(groups: &[(GroupKind, usize)], wanted: GroupKind) -> std::ops::Range<usize> {
     let before: usize = groups.iter().take_while(|g| g.0 != wanted).map(|g| g.1).sum();
     before..before + groups.iter().find(|g| g.0 == wanted).map_or(0, |g| g.1)
 }
 
-/// Rows as a change has them, and how long one is.
+/// Rows with a change applied, and the length of one.
 fn changed(rows: &[f32], groups: &[(GroupKind, usize)], change: &Change) -> (Vec<f32>, usize) {
     let width: usize = groups.iter().map(|g| g.1).sum();
     let sides = place(groups, GroupKind::Resolution);
@@ -324,7 +324,7 @@ impl Trial {
         ensure!(!stop.load(Ordering::Relaxed), "stopped");
         let mut predicted = trained.predict(pool, &self.test)?;
         ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.name);
-        // No frame takes less than no time.
+        // Seconds are not negative.
         predicted.iter_mut().for_each(|t| *t = t.max(0.0));
         Ok(Done { predicted, best_epoch: trained.best_epoch, seconds: started.elapsed().as_secs_f64() })
     }
@@ -342,7 +342,7 @@ impl Trial {
     }
 }
 
-/// Trains what is missing and writes down how all did.
+/// Runs the missing trainings and writes the results of all.
 fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: &[Trial]) -> Result<()> {
     let asked = &work.paper.trials;
     let runs = if panel == Panel::Frames { asked.label_runs } else { asked.runs };
@@ -429,7 +429,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     write(work.out, &results)
 }
 
-/// Runs workers beside one another until all are done or one fails; tells them to stop where that is asked for.
+/// Runs workers in parallel until all are done or one fails; sets `stop` once `asked` returns true.
 fn side_by_side(
     count: usize,
     worker: &(dyn Fn() -> Result<()> + Sync),

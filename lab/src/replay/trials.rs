@@ -11,7 +11,7 @@ use entire_steer::control::StepLimits;
 
 /// One trace with one target or a series of targets.
 pub struct Trial {
-    /// Which trace.
+    /// Index of the trace.
     pub trace: usize,
     /// The target in reports.
     pub label: String,
@@ -21,7 +21,7 @@ pub struct Trial {
 
 /// Outcome of a trial, per controller.
 pub struct Outcome {
-    /// Which trial.
+    /// Index of the trial.
     pub trial: usize,
     /// Per controller, the frames of the first round.
     pub frames: Vec<Vec<Replayed>>,
