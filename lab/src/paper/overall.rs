@@ -59,7 +59,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
         "Accuracy against latency, test volumes by the paper's rule",
         Axis::log("one prediction, ms"),
         Axis::log("RMSE / SD"),
-    );
+    )
+    .size(860.0, 520.0);
     for (i, name) in [NETWORK, OURS, LVRP].into_iter().enumerate() {
         let points: Vec<(f64, f64, String)> = of
             .iter()
