@@ -22,6 +22,10 @@ test-paraview: ## Build the ParaView plugin, load and check it (skipped where Pa
 test-matrix: ## Test the VTK class and the ParaView plugin with the versions of Debian stable and testing, beside those installed here
 	@CARGO="$(CARGO)" scripts/matrix.sh $(MATRIX)
 
+.PHONY: bars-windows
+bars-windows: ## Measure stereo, several volumes and several renderers in one window, held by the VTK class and by the Python package
+	@CARGO="$(CARGO)" lab/scripts/vtk/windows.sh
+
 .PHONY: bars-reach
 bars-reach: ## Print the bars of the versions that test-matrix ran last, here or elsewhere (.ci/matrix.csv); fails when one is short
 	@python3 lab/scripts/reach.py bars

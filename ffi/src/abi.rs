@@ -176,6 +176,7 @@ pub(crate) unsafe fn slice_mut<'a, T: Number>(
 
 /// Types for which any bytes are a valid value.
 pub(crate) trait Number: Copy {}
+impl Number for u32 {}
 impl Number for f32 {}
 impl Number for f64 {}
 impl Number for usize {}

@@ -46,6 +46,8 @@ mod frame;
 
 mod session;
 
+mod budget;
+
 mod schedule;
 
 #[cfg(test)]

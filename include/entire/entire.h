@@ -904,6 +904,31 @@ typedef struct entire_setting {
 typedef uint32_t entire_clock;
 
 /**
+ * Time of a window's frame. Zeros at first; the words are the library's.
+ *
+ * For each frame, in this order: entire_budget_begin, then entire_budget_share before and entire_budget_drew
+ * after each pass that draws a volume (several volumes, two eyes, several renderers), then entire_budget_end. One
+ * thread at a time.
+ */
+typedef struct entire_budget {
+    /**
+     * The state.
+     */
+    uint32_t words[12];
+} entire_budget;
+
+/**
+ * State of one volume in a window's frames, which may draw it several times. Zeros at first; the words are the
+ * library's.
+ */
+typedef struct entire_pass {
+    /**
+     * The state.
+     */
+    uint32_t words[4];
+} entire_pass;
+
+/**
  * Nothing is logged.
  */
 #define ENTIRE_LOG_OFF 0
@@ -1849,6 +1874,44 @@ entire_result entire_session_save_state(const struct entire_session *session,
 entire_result entire_session_load_state(struct entire_session *session,
                                         const uint8_t *bytes,
                                         size_t byte_count);
+
+/**
+ * Begins a frame of the window.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_budget_begin(struct entire_budget *budget);
+
+/**
+ * Seconds for the next pass if the whole frame may take `target` seconds, as the target of
+ * entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality, so that
+ * all are coarsened alike; together they leave out what the window's last frames took besides.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_budget_share(const struct entire_budget *budget,
+                                  const struct entire_pass *pass,
+                                  float target,
+                                  float *seconds);
+
+/**
+ * Adds a pass that took `seconds`, and would have taken about `full_seconds` at full quality: `seconds` times
+ * entire_plan.step / the finest step, times the square of entire_plan.image_sample_distance.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_budget_drew(struct entire_budget *budget,
+                                 struct entire_pass *pass,
+                                 float seconds,
+                                 float full_seconds);
+
+/**
+ * Ends a frame of the window that took `seconds` in all. `usual` is 0 if it included work that most frames do
+ * not: reading a volume, compiling a shader.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_budget_end(struct entire_budget *budget, float seconds, uint32_t usual);
 
 /**
  * Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.

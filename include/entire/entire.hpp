@@ -533,6 +533,29 @@ private:
     detail::owned<entire_session, entire_session_free> handle_;
 };
 
+// The time of a window's frame, divided among the passes that draw volumes in it; see entire_budget. A
+// default-constructed entire::pass is the state of one volume.
+struct pass : entire_pass {
+    pass() : entire_pass{} {}
+};
+
+class frame_budget {
+public:
+    status begin() { return detail::done(entire_budget_begin(&budget_)); }
+    plain_result<float> share(const pass &of, float target) const {
+        float seconds = 0;
+        if (auto code = entire_budget_share(&budget_, &of, target, &seconds)) return failure::last(code);
+        return seconds;
+    }
+    status drew(pass &of, float seconds, float full_seconds) {
+        return detail::done(entire_budget_drew(&budget_, &of, seconds, full_seconds));
+    }
+    status end(float seconds, bool usual = true) { return detail::done(entire_budget_end(&budget_, seconds, usual)); }
+
+private:
+    entire_budget budget_{};
+};
+
 } // namespace entire
 
 #endif // ENTIRE_ENTIRE_HPP

@@ -192,7 +192,12 @@ case $what in
         done
         ;;
     exec)
-        environment "$1" || lacks "$why"
+        # With the wheel, if one was built.
+        if compgen -G "out/wheels/entire-*.whl" >/dev/null; then
+            installed "$1" || lacks "$why"
+        else
+            environment "$1" || lacks "$why"
+        fi
         display env PATH="$out/$1/bin:$PATH" "${@:2}"
         ;;
 esac

@@ -158,6 +158,16 @@ int main(int argc, char **argv) {
     NONE(entire_session_last_error(NULL, NULL, 0, &n));
     entire_session_free(NULL);
 
+    entire_budget budget = {{0}};
+    entire_pass pass = {{0}};
+    NONE(entire_budget_begin(NULL));
+    NONE(entire_budget_share(NULL, &pass, 1, &q));
+    NONE(entire_budget_share(&budget, NULL, 1, &q));
+    NONE(entire_budget_share(&budget, &pass, 1, NULL));
+    NONE(entire_budget_drew(NULL, &pass, 1, 1));
+    NONE(entire_budget_drew(&budget, NULL, 1, 1));
+    NONE(entire_budget_end(NULL, 1, 1));
+
     const double times[2] = {1, 2};
     size_t nodes[2] = {9, 9};
     double makespan = 9;

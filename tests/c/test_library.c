@@ -1,5 +1,6 @@
 /* Version, result names, last error, log callback, struct sizes. */
 #include "check.h"
+#include <math.h>
 
 _Static_assert(ENTIRE_OK == 0 && ENTIRE_INVALID_ARGUMENT == 1 && ENTIRE_SIZE_MISMATCH == 2 && ENTIRE_INVALID_MODEL == 3 &&
                    ENTIRE_INVALID_TENSOR == 4 && ENTIRE_MISSING_INPUT == 5 && ENTIRE_NOT_READY == 6 &&
@@ -134,6 +135,33 @@ static void schedule(void) {
     CHECK(makespan == -5 && nodes[0] == 77);
 }
 
+/* Two volumes and a window that takes 5 ms besides. */
+static void budget(void) {
+    entire_budget budget = {{0}};
+    entire_pass small = {{0}}, large = {{0}};
+    float share = 0;
+    for (int frame = 0; frame < 6; ++frame) {
+        OK(entire_budget_begin(&budget));
+        OK(entire_budget_drew(&budget, &small, 0.005f, 0.010f));
+        OK(entire_budget_drew(&budget, &large, 0.015f, 0.030f));
+        OK(entire_budget_end(&budget, 0.025f, 1));
+    }
+    OK(entire_budget_begin(&budget));
+    OK(entire_budget_share(&budget, &small, 0.025f, &share));
+    CHECK(share > 0.00499f && share < 0.00501f);
+    OK(entire_budget_share(&budget, &large, 0.025f, &share));
+    CHECK(share > 0.01499f && share < 0.01501f);
+    const float odd[] = {-1, INFINITY, NAN};
+    const entire_budget before = budget;
+    for (int i = 0; i < 3; ++i) {
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_budget_share(&budget, &small, odd[i], &share));
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_budget_drew(&budget, &small, odd[i], 1));
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_budget_drew(&budget, &small, 1, odd[i]));
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_budget_end(&budget, odd[i], 1));
+    }
+    CHECK(memcmp(&before, &budget, sizeof budget) == 0 && share > 0.01499f);
+}
+
 int main(void) {
     CHECK(strcmp(entire_version(), ENTIRE_VERSION) == 0);
     CHECK(entire_version_number() == ENTIRE_VERSION_NUMBER);
@@ -146,5 +174,6 @@ int main(void) {
     log_callback();
     struct_sizes();
     schedule();
+    budget();
     return 0;
 }

@@ -5,6 +5,7 @@
 //! views predicted. Nothing here starts a thread, so that a process may fork and an interpreter may end at
 //! any time.
 
+mod budget;
 mod calibration;
 mod camera;
 mod command;
@@ -27,6 +28,8 @@ use pyo3::prelude::*;
 /// The native part of `entire`; import the names from `entire`.
 #[pymodule]
 mod _native {
+    #[pymodule_export]
+    use crate::budget::{FrameBudget, PassShare};
     #[pymodule_export]
     use crate::calibration::Calibration;
     #[pymodule_export]

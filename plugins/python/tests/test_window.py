@@ -1,34 +1,26 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Several passes in a window's frame: two eyes, renderers side by side."""
 
+import sys
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("vtkmodules")
+# With the tests of the class vtkEntireSteering.
+sys.path.insert(0, str(Path(__file__).parents[2] / "windows"))
 
 import entire
 import entire.vtk
+import windows
 from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from scenes import View, add_volume
 
 
-@pytest.mark.parametrize("kind", ["gpu", "fixed"])
-def test_a_stereo_frame_has_one_budget_for_both_eyes(voxels, kind):
-    view = View()
-    add_volume(view.renderer, voxels, kind)
-    view.window.StereoCapableWindowOn()
-    view.window.SetStereoTypeToAnaglyph()
-    view.window.SetStereoRender(1)
-    held = entire.vtk.hold(view.renderer, seconds=10.0, clock="cpu")
-    view.draw(6)
-    full = held.frame_time
-    held.seconds = 0.5 * full
-    view.draw(14)
-    leaf = held.leaves[0]
-    assert leaf._passes == 2
-    # Each eye gets half of the time for both.
-    assert held._share(leaf) == pytest.approx(0.5 * held._left)
-    assert held.steered_frames == 2 * held.frames
+@pytest.mark.parametrize(("mapper", "kind"), windows.CASES, ids=str)
+def test_passes_share_the_time_of_a_frame(mapper, kind):
+    windows.check("python", mapper, kind)
 
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])

@@ -20,9 +20,6 @@
 
 namespace
 {
-// Smallest share of the target for a mapper, however long the rest of the frame takes.
-constexpr double LEAST_SHARE = 0.2;
-
 // The library's limit of the image's coarsening, relative to the mapper's own, and VTK's limit.
 constexpr double COARSEST_IMAGE = 64;
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
@@ -179,7 +176,10 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
   this->Volume = this->Grid.Key;
   this->HasTransfer = false;
   this->Range = range;
-  this->Internals->Clean = false;
+  if (this->Internals->Shared)
+  {
+    this->Internals->Shared->Usual = false;
+  }
   this->Internals->Owner->NumberOfVolumeReadings++;
   this->Internals->Owner->VolumeTime =
     std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
@@ -367,9 +367,16 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   frame.step = static_cast<float>(finest);
 
   const double wanted = owner->TargetFrameTime > 0 ? owner->TargetFrameTime : 1.0 / std::max(rate, 1.0e-4);
-  const double share =
-    std::max(wanted - this->Internals->Rest(), LEAST_SHARE * wanted) / this->Internals->LeavesLastFrame;
-  const float target = static_cast<float>(share);
+  const auto share = this->Internals->Shared
+    ? this->Internals->Shared->Budget.share(this->Pass, static_cast<float>(wanted))
+    : entire::plain_result<float>(static_cast<float>(wanted));
+  if (!share)
+  {
+    return share.message();
+  }
+  const float target = share.value();
+  owner->ShareTime = target;
+  this->Coarsening = 1;
   if (still || !owner->Enabled)
   {
     this->PlanUnsteered(frame, target, still);
@@ -404,6 +411,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     return planned.message();
   }
   this->Planned = planned.value();
+  this->Coarsening =
+    this->Planned.step / finest * this->Planned.image_sample_distance * this->Planned.image_sample_distance;
   vtkEntire::MapperSettings settings;
   settings.AutoAdjust = 0;
   settings.Lock = 0;
@@ -659,6 +668,11 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
     static_cast<void>(this->Session->observe(
       this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));
     this->Planned = {};
+  }
+  if (this->Internals->Shared)
+  {
+    static_cast<void>(this->Internals->Shared->Budget.drew(
+      this->Pass, static_cast<float>(seconds), static_cast<float>(seconds * this->Coarsening)));
   }
   this->Internals->MapperSeconds += seconds;
   this->Internals->Drawn++;

@@ -21,6 +21,7 @@ vtkEntireSteering::vtkEntireSteering()
   : PredictedTime(NOT_KNOWN)
   , MeasuredTime(NOT_KNOWN)
   , FrameTime(NOT_KNOWN)
+  , ShareTime(NOT_KNOWN)
   , SampleDistance(NOT_KNOWN)
   , ImageSampleDistance(NOT_KNOWN)
   , ObserverTime(NOT_KNOWN)
@@ -106,7 +107,7 @@ void vtkEntireSteering::Detach()
   this->NumberOfFallbackFrames = 0;
   this->NumberOfVolumeReadings = 0;
   this->NumberOfTransferFunctionReadings = 0;
-  this->PredictedTime = this->MeasuredTime = this->FrameTime = NOT_KNOWN;
+  this->PredictedTime = this->MeasuredTime = this->FrameTime = this->ShareTime = NOT_KNOWN;
   this->SampleDistance = this->ImageSampleDistance = this->ObserverTime = this->VolumeTime = NOT_KNOWN;
   delete[] this->Reason;
   this->Reason = nullptr;
@@ -217,6 +218,7 @@ void vtkEntireSteering::PrintSelf(ostream& os, vtkIndent indent)
   os << indent << "PredictedTime: " << this->PredictedTime << "\n";
   os << indent << "MeasuredTime: " << this->MeasuredTime << "\n";
   os << indent << "FrameTime: " << this->FrameTime << "\n";
+  os << indent << "ShareTime: " << this->ShareTime << "\n";
   os << indent << "SampleDistance: " << this->SampleDistance << "\n";
   os << indent << "ImageSampleDistance: " << this->ImageSampleDistance << "\n";
   os << indent << "ObserverTime: " << this->ObserverTime << "\n";

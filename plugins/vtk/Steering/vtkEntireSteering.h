@@ -241,14 +241,16 @@ public:
   ///@{
   /**
    * Read-outs of the last frame, seconds by the chosen clock; NaN where there is none. Predicted is of the
-   * mapper's work alone, as is Measured; FrameTime is of the whole frame. The sample distance is in the unit
-   * of the spacing, as the mapper has it. ObserverTime is what everything that vtkEntireSteering did during the
+   * mapper's work alone, as is Measured; FrameTime is of the whole frame. ShareTime is what the mapper was given
+   * of the target: all that steer in a window by the same clock share its frame's time, also two eyes and several
+   * renderers, and are coarsened alike. The sample distance is in the unit of the spacing, as the mapper has it. ObserverTime is what everything that vtkEntireSteering did during the
    * frame took, whatever Clock is by the wall clock; the time that pipelines, the graphics device and observers
    * of FrameEvent took meanwhile is no part of it.
    */
   vtkGetMacro(PredictedTime, double);
   vtkGetMacro(MeasuredTime, double);
   vtkGetMacro(FrameTime, double);
+  vtkGetMacro(ShareTime, double);
   vtkGetMacro(SampleDistance, double);
   vtkGetMacro(ImageSampleDistance, double);
   vtkGetMacro(ObserverTime, double);
@@ -306,6 +308,7 @@ protected:
   double PredictedTime;
   double MeasuredTime;
   double FrameTime;
+  double ShareTime;
   double SampleDistance;
   double ImageSampleDistance;
   double ObserverTime;

@@ -9,6 +9,9 @@
 #include <chrono>
 #include <cstring>
 #include <ctime>
+#include <iterator>
+#include <map>
+#include <mutex>
 
 namespace
 {
@@ -46,6 +49,31 @@ const char* NameOf(entire_clock clock)
       return nullptr;
   }
 }
+}
+
+//------------------------------------------------------------------------------
+std::shared_ptr<vtkEntire::WindowFrame> vtkEntire::WindowFrame::Of(vtkRenderWindow* window, int clock)
+{
+  if (!window)
+  {
+    return {};
+  }
+  // Windows may be drawn by different threads.
+  static std::mutex mutex;
+  static std::map<std::pair<vtkRenderWindow*, int>, std::weak_ptr<WindowFrame>> frames;
+  const std::lock_guard<std::mutex> lock(mutex);
+  for (auto each = frames.begin(); each != frames.end();)
+  {
+    each = each->second.expired() ? frames.erase(each) : std::next(each);
+  }
+  std::weak_ptr<WindowFrame>& known = frames[{ window, clock }];
+  std::shared_ptr<WindowFrame> frame = known.lock();
+  if (!frame)
+  {
+    frame = std::make_shared<WindowFrame>();
+    known = frame;
+  }
+  return frame;
 }
 
 //------------------------------------------------------------------------------
@@ -132,9 +160,6 @@ vtkEntireSteering::vtkInternals::Leaves vtkEntireSteering::vtkInternals::TakeApa
   this->ModelClock = ENTIRE_CLOCK_UNSTATED;
   this->Rendering = false;
   this->Present = false;
-  this->Frames = 0;
-  this->RestCount = 0;
-  this->LeavesLastFrame = 1;
   return leaves;
 }
 
@@ -189,21 +214,6 @@ void vtkEntireSteering::vtkInternals::SayWarnings()
 }
 
 //------------------------------------------------------------------------------
-double vtkEntireSteering::vtkInternals::Rest() const
-{
-  if (this->RestCount == 0)
-  {
-    return 0;
-  }
-  std::array<double, vtkEntire::REST_FRAMES> sorted;
-  sorted.fill(std::numeric_limits<double>::infinity());
-  const std::size_t n = std::min(this->RestCount, vtkEntire::REST_FRAMES);
-  std::copy_n(this->Rests.begin(), n, sorted.begin());
-  std::sort(sorted.begin(), sorted.end());
-  return sorted[n / 2];
-}
-
-//------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::Observe(vtkRenderer* renderer)
 {
   this->Renderer = renderer;
@@ -228,6 +238,7 @@ void vtkEntireSteering::vtkInternals::ObserveWindow(vtkRenderWindow* window)
   }
   this->InFrame = false;
   this->Window = window;
+  this->Shared = vtkEntire::WindowFrame::Of(window, this->Owner->Clock);
   if (window)
   {
     this->WindowTags[0] =
@@ -359,17 +370,23 @@ void vtkEntireSteering::vtkInternals::WindowStart()
   const vtkEntire::Busy::Handling handling(this->Busy);
   this->MapperSeconds = 0;
   this->Drawn = 0;
-  this->Clean = true;
   if (this->LastClock != this->Owner->Clock)
   {
     this->LastClock = this->Owner->Clock;
-    this->RestCount = 0;
+    this->Shared = vtkEntire::WindowFrame::Of(this->Window, this->Owner->Clock);
     for (const auto& leaf : this->Drawing)
     {
       leaf->Forget();
     }
   }
-  this->FrameStart = this->Now();
+  // The first of those that steer in this window begins the frame.
+  vtkEntire::WindowFrame& frame = *this->Shared;
+  if (!frame.Drawing)
+  {
+    frame.Drawing = frame.Usual = true;
+    static_cast<void>(frame.Budget.begin());
+    frame.Start = this->Now();
+  }
 }
 
 //------------------------------------------------------------------------------
@@ -382,8 +399,14 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
   {
     return;
   }
-  const double seconds = this->Now() - this->FrameStart;
+  const std::shared_ptr<vtkEntire::WindowFrame> frame = this->Shared;
+  const double seconds = this->Now() - frame->Start;
   this->InFrame = false;
+  if (frame->Drawing)
+  {
+    frame->Drawing = false;
+    static_cast<void>(frame->Budget.end(static_cast<float>(seconds), frame->Usual));
+  }
   // A multi-block mapper makes its mappers while it draws: they are steered from the next frame on.
   this->FindMappers();
   if (this->Attachment != attachment)
@@ -393,12 +416,6 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
   const bool drawn = this->Drawn > 0;
   if (drawn)
   {
-    this->LeavesLastFrame = this->Drawn;
-    // The first frame includes one-time work.
-    if (this->Frames++ > 0 && this->Clean)
-    {
-      this->Rests[this->RestCount++ % vtkEntire::REST_FRAMES] = std::max(0.0, seconds - this->MapperSeconds);
-    }
     owner->FrameTime = seconds;
     owner->MeasuredTime = this->MapperSeconds;
     owner->ObserverTime = this->Busy.Seconds();

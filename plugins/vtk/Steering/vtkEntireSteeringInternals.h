@@ -36,9 +36,6 @@ namespace vtkEntire
 {
 constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// Number of frames from which the time outside of the mapper is taken.
-constexpr std::size_t REST_FRAMES = 5;
-
 // Shading, interpolation, blend mode, gradient opacity; of GPU mappers also jittering and scattering.
 using ModeKey = std::array<int, 6>;
 
@@ -162,6 +159,20 @@ private:
   int Depth = 0;
   Time::time_point Since;
 };
+
+// A window's frame, shared by all that steer in the window by the same clock.
+struct WindowFrame
+{
+  // The one of a window and a clock; null without a window.
+  static std::shared_ptr<WindowFrame> Of(vtkRenderWindow* window, int clock);
+
+  entire::frame_budget Budget;
+  // True while the window draws.
+  bool Drawing = false;
+  double Start = 0;
+  // False if the frame includes the reading of voxels.
+  bool Usual = true;
+};
 }
 
 class vtkEntireSteering::vtkInternals
@@ -253,6 +264,9 @@ public:
     bool Drawing = false;
     bool Steered = false;
     double StartTime = 0;
+    // Share of the window's frame, and the factor from the planned frame's time to that of full quality.
+    entire::pass Pass;
+    double Coarsening = 1;
   };
   using Leaves = std::vector<std::shared_ptr<Leaf>>;
 
@@ -305,9 +319,6 @@ public:
   void Warn(const std::string& text) { this->Warnings.push_back(text); }
   void SayWarnings();
 
-  // Seconds of a frame outside of the mapper.
-  double Rest() const;
-
   vtkEntireSteering* Owner;
   // State of the current frame.
   vtkEntire::Busy Busy;
@@ -336,15 +347,9 @@ public:
   bool Present = false;
   // State of the window's current frame.
   bool InFrame = false;
-  double FrameStart = 0;
+  std::shared_ptr<vtkEntire::WindowFrame> Shared;
   double MapperSeconds = 0;
   int Drawn = 0;
-  bool Clean = true;
-  // State of earlier frames.
-  int LeavesLastFrame = 1;
-  std::size_t Frames = 0;
-  std::array<double, vtkEntire::REST_FRAMES> Rests{};
-  std::size_t RestCount = 0;
   int LastClock = -1;
   std::weak_ptr<Leaf> LastLeaf;
 };

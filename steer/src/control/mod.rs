@@ -5,6 +5,7 @@
 //! time. Controllers do not allocate after construction. [`Session`] combines a controller with a predictor
 //! and the scene's features for one render loop.
 
+mod budget;
 #[cfg(test)]
 mod caller_tests;
 mod coarsening;
@@ -19,6 +20,7 @@ mod tests;
 
 pub use crate::adapt::{CorrectionConstants, ObserveFlags, Prior, Verdict};
 pub use crate::predict::Quality;
+pub use budget::{FrameBudget, PassShare};
 pub use constants::HybridConstants;
 pub use hybrid::{Hybrid, HybridOptions};
 pub use session::{PENDING_PLANS, Plan, Session};

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from vtkmodules.vtkCommonCore import vtkWeakReference
 
 from .._core import Session, explain
-from .._native import Held, Plan
+from .._native import Held, PassShare, Plan
 from . import _mappers, _scene
 from ._mappers import CannotSteer
 
@@ -47,6 +47,9 @@ class Leaf:
     ----------
     measured : float
         Seconds that the mapper took; NaN before the first frame.
+    share_time : float
+        Seconds that its last pass was given of the target: all volumes that are held in a window share its frame's
+        time, also for two eyes and in several renderers.
     sample_distance : float
         Sample distance along rays that was drawn with, in the unit of the spacing; NaN where VTK chose it.
     image_sample_distance : float
@@ -62,11 +65,10 @@ class Leaf:
     __slots__ = (
         "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
         "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
-        "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_passes", "_passes_now", "_pixels", "_plain", "_plan", "_ready",
+        "_coarsening", "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_pass", "_pixels", "_plain", "_plan", "_ready",
         "_reason", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered",
-        "_steering", "_step", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_weight",
-        "_wrote",
-        "address", "image_sample_distance", "measured", "sample_distance", "status", "volume_time",
+        "_steering", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_wrote",
+        "address", "image_sample_distance", "measured", "sample_distance", "share_time", "status", "volume_time",
     )  # fmt: skip
 
     def __init__(self, steering: Steering, volume: Any, make_gpu: Callable[[Any], Any]) -> None:
@@ -86,15 +88,14 @@ class Leaf:
         self._session: Session
         self._forget()
         self.volume_time = _NAN
-        self._weight = 0.0
-        # Number of times that the last frame of the window drew it: two eyes, several viewports.
-        self._passes, self._passes_now = 1, 0
+        # Share of the window's frame, whose passes draw it once or several times: two eyes.
+        self._pass = PassShare()
         self._reset_readouts()
         self._observe(volume)
         self._volume_tag = volume.AddObserver("ModifiedEvent", self._on_modified)
 
     def _reset_readouts(self) -> None:
-        self.measured = self.sample_distance = self.image_sample_distance = _NAN
+        self.measured = self.sample_distance = self.image_sample_distance = self.share_time = _NAN
         self._seen: Plan | None = None
         self._reason, self.status = "", "no frame was drawn yet"
 
@@ -120,7 +121,7 @@ class Leaf:
         self._mapper_time = self._image_time = self._shown_time = -1
         # True if VTK's own rules are off, so that only the distances are set.
         self._plain = True
-        self._pixels = self._finest = self._termination = self._step = 1.0
+        self._pixels = self._finest = self._termination = self._coarsening = 1.0
         self._shading: Literal["none", "local"] = "none"
         self._wrote = (_NAN, _NAN)
         self._steered = self._ready = self._drawing = self._ended = self._stale = False
@@ -305,18 +306,9 @@ class Leaf:
         if plan is not None:
             # Observed with the next frame's plan, or when a read-out is requested.
             self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
-            # Rough time of the frame at full quality.
-            whole = seconds * self._step
-            self._weight = whole if self._weight == 0 else 0.7 * self._weight + 0.3 * whole
-        steering._mapper_seconds += seconds
+        steering._shared.budget.drew(self._pass, seconds, seconds * self._coarsening)
         steering._drawn += 1
-        self._passes_now += 1
         steering._last = self
-
-    def _count_passes(self) -> None:
-        """A frame of the window is over."""
-        if self._passes_now:
-            self._passes, self._passes_now = self._passes_now, 0
 
     def _restore(self) -> None:
         mapper, own = self._frame_mapper, self._own
@@ -344,6 +336,7 @@ class Leaf:
         if self._steered:
             self._restore()
         self._plan = self._explained = None
+        self._coarsening = 1.0
         try:
             self._choose(mapper)
         except ValueError as error:
@@ -375,7 +368,7 @@ class Leaf:
             grid = _scene.Grid(mapper, image, component)
             session.set_volume(grid.volume)
             self._grid, self._key, self._tf_key, self._nodes = grid, key, None, None
-            steering._clean = False
+            steering._shared.usual = False
             self.volume_time = perf_counter() - began
         grid = self._grid
         tf_key = _scene.transfer_key(prop)
@@ -461,7 +454,7 @@ class Leaf:
         steering._camera = camera, matrix
         due, self._due = self._due, None
         before, seconds, cancelled = _NONE_DUE if due is None else due
-        target = steering._left if steering._alone else steering._share(self)
+        target = self.share_time = steering._shared.budget.share(self._pass, steering._target)
         plan, coarse, image_distance = self._session.steer(
             self._held,
             _scene.elements(matrix),
@@ -476,7 +469,7 @@ class Leaf:
             cancelled,
         )
         self._plan = plan
-        self._step = coarse * image_distance * image_distance
+        self._coarsening = coarse / (self._finest if step is None else step) * image_distance * image_distance
         if not steered:
             self.sample_distance, self.image_sample_distance = self._finest * reference, pixels
             return

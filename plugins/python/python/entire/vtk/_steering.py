@@ -25,14 +25,15 @@ from . import _mappers
 from ._leaf import Leaf, weak
 from ._mappers import CannotSteer
 from ._overlay import Overlay
+from ._window import frame_of
 
 log = logging.getLogger("entire.vtk")
 
 # Rays along each side of the probe for linear cost models: between large frames every ray costs about a microsecond.
 _PROBE_SIDE = 6
-# Smallest share of the target for a mapper, however long the rest of the frame takes.
+# Smallest part of the target for the window's frame, however long passes outside of its drawing.
 _LEAST_SHARE = 0.2
-# Number of frames from which the time outside of the mappers is taken.
+# Number of frames from which the time outside of the window's drawing is taken.
 _OUTSIDE_TIMES = 5
 _NAN = math.nan
 # Functions that read each clock.
@@ -126,8 +127,7 @@ class Steering:
         self._state: bytes | None = None
         self._still = 0
         self._outside: deque[float] = deque(maxlen=_OUTSIDE_TIMES)
-        self._rests = (0.0, 0.0, 0.0)
-        self._rest = self._outside_time = 0.0
+        self._outside_time = 0.0
         self.frames = 0
         self._rendering = self._in_frame = False
         # References that are held only while a frame is drawn.
@@ -135,11 +135,10 @@ class Steering:
         self._frame_renderer: Any = None
         # The camera of the last frame and its matrix, without references to the scene.
         self._camera: Any = None
-        # Of the current frame: seconds for the mappers, flags for still and for steered.
-        self._left = _NAN
+        # Of the current frame: seconds for it, flags for still and for steered.
+        self._target = _NAN
         self._still_frame = self._steers = False
-        self._clean = True
-        self._frame_start = self._mapper_seconds = self._overhead = 0.0
+        self._overhead = 0.0
         self._drawn = 0
         self._last: Leaf | None = None
         self._props_time = 0
@@ -151,8 +150,7 @@ class Steering:
         self.on_frame: Callable[[Steering], None] | None = None
         self._renderer = weak(renderer)
         self._window = weak()
-        # True if one pass of one volume is all that is drawn.
-        self._alone = True
+        self._shared = frame_of(None, clock)
         self._window_tags: list[int] = []
         self._renderer_tags: list[int] = []
         self._overlay = Overlay(renderer) if overlay else None
@@ -399,6 +397,7 @@ class Steering:
         self._window_tags = []
         self._in_frame = False
         self._window = weak(window)
+        self._shared = frame_of(window, self._clock)
         if window is not None:
             self._window_tags = [
                 window.AddObserver("StartEvent", self._on_window_start, 1.0),
@@ -412,31 +411,28 @@ class Steering:
             # A picking pass, not a frame.
             return
         self._frame_window = window
-        self._clean = True
-        self._mapper_seconds = self._overhead = 0.0
+        self._overhead = 0.0
         self._drawn = 0
-        self._alone = len(self.leaves) == 1 and self.leaves[0]._passes == 1
-        self._frame_start = self._now()
+        frame = self._shared
+        # The first of those that steer in this window begins the frame.
+        if not frame.drawing:
+            frame.drawing = frame.usual = True
+            frame.budget.begin()
+            frame.start = self._now()
 
     def _on_window_end(self, _window: Any, _event: str) -> None:
         self._frame_window = None
         if not self._in_frame:
             return
-        seconds = self._now() - self._frame_start
+        frame = self._shared
+        seconds = self._now() - frame.start
         before = perf_counter()
         self._in_frame = False
+        if frame.drawing:
+            frame.drawing = False
+            frame.budget.end(seconds, frame.usual)
         if self._drawn == 0:
             return
-        for leaf in self.leaves:
-            leaf._count_passes()
-        # The first frame includes one-time work.
-        if self.frames > 0 and self._clean:
-            _, a, b = self._rests
-            c = seconds - self._mapper_seconds
-            self._rests = a, b, c
-            # The median of three, without the sort's cold instructions.
-            middle = b if a <= b <= c or c <= b <= a else a if b <= a <= c or c <= a <= b else c
-            self._rest = middle if middle > 0 else 0.0
         self.frames += 1
         self.frame_time = seconds
         self.overhead = self._overhead + perf_counter() - before
@@ -461,8 +457,8 @@ class Steering:
         wanted = self.seconds
         if wanted is None:
             wanted = 1.0 / max(1.0 if window is None else window.GetDesiredUpdateRate(), 1e-4)
-        left, least = wanted - self._rest - self._outside_time, _LEAST_SHARE * wanted
-        self._left = left if left > least else least
+        left, least = wanted - self._outside_time, _LEAST_SHARE * wanted
+        self._target = left if left > least else least
         for leaf in self.leaves:
             if leaf._stale:
                 leaf._follow()
@@ -510,16 +506,6 @@ class Steering:
         if always is None:
             always = window.GetInteractor() is None
         return not always and window.GetDesiredUpdateRate() < self.still_rate
-
-    def _share(self, leaf: Leaf) -> float:
-        """Seconds for one pass of one volume.
-
-        Shares go by what each pass would take at full quality, so that all are coarsened alike.
-        """
-        leaves = self.leaves
-        if all(other._weight for other in leaves):
-            return self._left * leaf._weight / sum(other._weight * other._passes for other in leaves)
-        return self._left / sum(other._passes for other in leaves)
 
 
 def _volumes(renderer: Any) -> list[Any]:

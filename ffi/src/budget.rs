@@ -1,0 +1,137 @@
+//! `entire_budget`: the time of a window's frame, divided among the passes that draw volumes in it.
+
+use crate::abi::{slice, slice_mut, write};
+use crate::guard::guard;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use entire_steer::control::{FrameBudget, PassShare};
+
+/// Time of a window's frame. Zeros at first; the words are the library's.
+///
+/// For each frame, in this order: entire_budget_begin, then entire_budget_share before and entire_budget_drew
+/// after each pass that draws a volume (several volumes, two eyes, several renderers), then entire_budget_end. One
+/// thread at a time.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_budget {
+    /// The state.
+    pub words: [u32; 12],
+}
+
+/// State of one volume in a window's frames, which may draw it several times. Zeros at first; the words are the
+/// library's.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_pass {
+    /// The state.
+    pub words: [u32; 4],
+}
+
+const _: () = {
+    assert!(size_of::<FrameBudget>() == size_of::<entire_budget>());
+    assert!(size_of::<PassShare>() == size_of::<entire_pass>());
+};
+
+/// The core's value of a caller's words.
+///
+/// # Safety
+/// `at` is NULL or valid for reads and writes of a `C`.
+unsafe fn value<'a, C, T: bytemuck::Pod>(at: *mut C, what: &str) -> Result<&'a mut T, Failure> {
+    // SAFETY: as the caller promises; a `C` is as many words as a `T`.
+    let words = unsafe { slice_mut(at.cast::<u32>(), size_of::<T>() / 4, what)? };
+    Ok(bytemuck::from_bytes_mut(bytemuck::cast_slice_mut(words)))
+}
+
+/// As [`value`], for reading.
+///
+/// # Safety
+/// `at` is NULL or valid for reads of a `C`.
+unsafe fn read<C, T: bytemuck::Pod>(at: *const C, what: &str) -> Result<T, Failure> {
+    // SAFETY: as the caller promises; a `C` is as many words as a `T`.
+    let words = unsafe { slice(at.cast::<u32>(), size_of::<T>() / 4, what)? };
+    Ok(bytemuck::pod_read_unaligned(bytemuck::cast_slice(words)))
+}
+
+fn check_seconds(seconds: f32, what: &str) -> Result<(), Failure> {
+    if seconds.is_finite() && seconds >= 0.0 {
+        return Ok(());
+    }
+    Err(Failure::new(
+        ENTIRE_INVALID_ARGUMENT,
+        format!("{what} is {seconds}; it must be finite and not negative (seconds)"),
+    ))
+}
+
+/// Begins a frame of the window.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe {
+        value::<_, FrameBudget>(budget, "budget")?.begin();
+        Ok(())
+    })
+}
+
+/// Seconds for the next pass if the whole frame may take `target` seconds, as the target of
+/// entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality, so that
+/// all are coarsened alike; together they leave out what the window's last frames took besides.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_budget_share(
+    budget: *const entire_budget,
+    pass: *const entire_pass,
+    target: f32,
+    seconds: *mut f32,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    guard(|| unsafe {
+        let budget: FrameBudget = read(budget, "budget")?;
+        let pass: PassShare = read(pass, "pass")?;
+        check_seconds(target, "target")?;
+        write(seconds, budget.share(&pass, target), "seconds (output)")
+    })
+}
+
+/// Adds a pass that took `seconds`, and would have taken about `full_seconds` at full quality: `seconds` times
+/// entire_plan.step / the finest step, times the square of entire_plan.image_sample_distance.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_budget_drew(
+    budget: *mut entire_budget,
+    pass: *mut entire_pass,
+    seconds: f32,
+    full_seconds: f32,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands, and point to different objects.
+    guard(|| unsafe {
+        let budget = value::<_, FrameBudget>(budget, "budget")?;
+        let pass = value::<_, PassShare>(pass, "pass")?;
+        check_seconds(seconds, "seconds")?;
+        check_seconds(full_seconds, "full_seconds")?;
+        budget.drew(pass, seconds, full_seconds);
+        Ok(())
+    })
+}
+
+/// Ends a frame of the window that took `seconds` in all. `usual` is 0 if it included work that most frames do
+/// not: reading a volume, compiling a shader.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_budget_end(
+    budget: *mut entire_budget,
+    seconds: f32,
+    usual: u32,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe {
+        let budget = value::<_, FrameBudget>(budget, "budget")?;
+        check_seconds(seconds, "seconds")?;
+        budget.end(seconds, usual != 0);
+        Ok(())
+    })
+}

@@ -1,0 +1,57 @@
+//! The time of a window's frame, divided among the passes that draw volumes in it.
+
+use entire_steer::control as core;
+use pyo3::prelude::*;
+
+/// `entire_steer::control::FrameBudget`, for the adapters of this package.
+#[pyclass(module = "entire._native")]
+pub(crate) struct FrameBudget(core::FrameBudget);
+
+/// State of one volume in a window's frames, which may draw it several times.
+#[pyclass(module = "entire._native")]
+pub(crate) struct PassShare(core::PassShare);
+
+#[pymethods]
+impl FrameBudget {
+    #[new]
+    fn new() -> Self {
+        Self(core::FrameBudget::default())
+    }
+
+    /// Begins a frame of the window.
+    fn begin(&mut self) {
+        self.0.begin();
+    }
+
+    /// Seconds for the next pass if the whole frame may take `target`.
+    #[pyo3(signature = (passed, target, /))]
+    fn share(&self, passed: &PassShare, target: f32) -> f32 {
+        self.0.share(&passed.0, target)
+    }
+
+    /// Adds a pass that took `seconds`, and would have taken about `full` at full quality.
+    #[pyo3(signature = (passed, seconds, full, /))]
+    fn drew(&mut self, passed: &mut PassShare, seconds: f32, full: f32) {
+        self.0.drew(&mut passed.0, seconds, full);
+    }
+
+    /// Ends a frame that took `seconds`; `usual` is false if it included work that most frames do not.
+    #[pyo3(signature = (seconds, usual, /))]
+    fn end(&mut self, seconds: f32, usual: bool) {
+        self.0.end(seconds, usual);
+    }
+
+    /// Seconds of a frame outside of the passes.
+    #[getter]
+    fn rest(&self) -> f32 {
+        self.0.rest()
+    }
+}
+
+#[pymethods]
+impl PassShare {
+    #[new]
+    fn new() -> Self {
+        Self(core::PassShare::default())
+    }
+}

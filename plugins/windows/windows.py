@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Windows that draw volumes in several passes, for the tests and the bars of both adapters: the class vtkEntireSteering
+and the Python package.
+
+    PYTHON windows.py class|python            tests that the passes of every window share its frame's time
+    PYTHON windows.py class|python bars       measures how well each window holds a third of its time at full quality
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import vtkmodules.vtkRenderingOpenGL2
+import vtkmodules.vtkRenderingVolumeOpenGL2  # noqa: F401
+from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPiecewiseFunction
+from vtkmodules.vtkRenderingCore import (
+    vtkColorTransferFunction,
+    vtkRenderer,
+    vtkRenderWindow,
+    vtkVolume,
+    vtkVolumeProperty,
+)
+from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper
+from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper
+
+# Most frames over 1.25 times the target, percent.
+MOST_LATE = 2
+MAPPERS = {"gpu": vtkOpenGLGPUVolumeRayCastMapper, "fixed": vtkFixedPointVolumeRayCastMapper}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of window: renderers side by side, volumes in each, and the number of eyes."""
+
+    name: str
+    renderers: int = 1
+    volumes: int = 1
+    eyes: int = 1
+
+    def __str__(self) -> str:
+        return self.name
+
+
+KINDS = (
+    Kind("one view"),
+    Kind("stereo", eyes=2),
+    Kind("two volumes", volumes=2),
+    Kind("two renderers", renderers=2),
+    Kind("three renderers", renderers=3),
+    Kind("two renderers in stereo", renderers=2, eyes=2),
+)
+
+
+@dataclass
+class Window:
+    """A window of a kind, off screen, with its renderers and their volumes."""
+
+    kind: Kind
+    mapper: str
+    size: int
+    voxels: int
+    window: Any = field(default_factory=vtkRenderWindow)
+    drawn: list[tuple[Any, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        kind, window = self.kind, self.window
+        window.SetOffScreenRendering(1)
+        window.SetSize(self.size * kind.renderers, self.size)
+        image = volume_image(self.voxels)
+        for i in range(kind.renderers):
+            renderer = vtkRenderer()
+            renderer.SetViewport(i / kind.renderers, 0, (i + 1) / kind.renderers, 1)
+            window.AddRenderer(renderer)
+            for j in range(kind.volumes):
+                volume = volume_of(image, MAPPERS[self.mapper]())
+                volume.SetPosition(1.1 * j * self.voxels, 0, 0)
+                renderer.AddVolume(volume)
+                self.drawn.append((renderer, volume))
+            renderer.ResetCamera()
+        if kind.eyes == 2:
+            window.StereoCapableWindowOn()
+            window.SetStereoTypeToAnaglyph()
+            window.StereoRenderOn()
+
+    def draw(self, frames: int) -> list[float]:
+        """Seconds of frames while every camera turns by 2 degrees before each."""
+        seconds = []
+        for _ in range(frames):
+            for renderer in {renderer for renderer, _ in self.drawn}:
+                renderer.GetActiveCamera().Azimuth(2)
+                renderer.ResetCameraClippingRange()
+            start = time.perf_counter()
+            self.window.Render()
+            seconds.append(time.perf_counter() - start)
+        return seconds
+
+
+def volume_image(n: int) -> Any:
+    """A smooth volume of n x n x n voxels with structure."""
+    x, y, z = np.mgrid[-1 : 1 : n * 1j, -1 : 1 : n * 1j, -1 : 1 : n * 1j]
+    values = 255 * np.exp(-4 * (x * x + y * y + z * z)) * (0.6 + 0.4 * np.sin(20 * x) * np.sin(17 * y))
+    image = vtkImageData()
+    image.SetDimensions(n, n, n)
+    image.GetPointData().SetScalars(numpy_to_vtk(values.astype(np.uint8).ravel(), deep=1))
+    return image
+
+
+def volume_of(image: Any, mapper: Any) -> Any:
+    """A volume that is drawn with linear interpolation and little opacity."""
+    mapper.SetInputData(image)
+    mapper.SetAutoAdjustSampleDistances(0)
+    opacity, color = vtkPiecewiseFunction(), vtkColorTransferFunction()
+    opacity.AddPoint(20, 0)
+    opacity.AddPoint(200, 0.05)
+    color.AddRGBPoint(0, 0, 0, 1)
+    color.AddRGBPoint(255, 1, 0.8, 0.6)
+    look = vtkVolumeProperty()
+    look.SetScalarOpacity(opacity)
+    look.SetColor(color)
+    look.SetInterpolationTypeToLinear()
+    volume = vtkVolume()
+    volume.SetMapper(mapper)
+    volume.SetProperty(look)
+    return volume
+
+
+@dataclass
+class Held:
+    """A volume that is held to a target."""
+
+    share: Callable[[], float]
+    steps: Callable[[], tuple[float, float]]
+    keep: Any
+
+
+def hold_by_class(renderer: Any, volume: Any, target: float, clock: str) -> Held:
+    """Held by vtkEntireSteering."""
+    from entire_vtk.vtkEntireSteering import vtkEntireSteering
+
+    held = vtkEntireSteering()
+    held.SetTargetFrameTime(target)
+    held.SetStillUpdateRate(0)
+    held.SetClock(vtkEntireSteering.PROCESS_CPU if clock == "cpu" else vtkEntireSteering.WALL)
+    assert held.Attach(renderer, volume)
+    return Held(
+        held.GetShareTime, lambda: (held.GetSampleDistance(), held.GetImageSampleDistance()), held
+    )
+
+
+def hold_by_package(renderer: Any, volume: Any, target: float, clock: str) -> Held:
+    """Held by the Python package."""
+    import entire.vtk
+
+    held = entire.vtk.hold(renderer, volume, seconds=target, always=True, clock=clock)
+    leaf = held.leaves[0]
+    return Held(lambda: leaf.share_time, lambda: (leaf.sample_distance, leaf.image_sample_distance), held)
+
+
+ADAPTERS = {"class": hold_by_class, "python": hold_by_package}
+
+
+CASES = [(mapper, kind) for mapper in MAPPERS for kind in KINDS]
+
+
+def check(adapter: str, mapper: str, kind: Kind) -> None:
+    """Passes share the time of a frame, whichever are shown. So long a target that nothing else counts."""
+    target = 1000.0
+    window = Window(kind, mapper, size=48, voxels=24)
+    held = [ADAPTERS[adapter](r, v, target, "cpu") for r, v in window.drawn]
+    window.draw(6)
+    shares = [h.share() for h in held]
+    assert abs(kind.eyes * sum(shares) - target) < 0.02 * target, (adapter, mapper, kind.name, shares)
+    assert all(h.steps() == (1.0, 1.0) for h in held), [h.steps() for h in held]
+    # Hidden volumes have no share.
+    for _, volume in window.drawn[1:]:
+        volume.VisibilityOff()
+    window.draw(2)
+    assert abs(kind.eyes * held[0].share() - target) < 0.02 * target, (adapter, mapper, kind.name, held[0].share())
+    for _, volume in window.drawn[1:]:
+        volume.VisibilityOn()
+    window.draw(2)
+    shares = [h.share() for h in held]
+    assert abs(kind.eyes * sum(shares) - target) < 0.02 * target, (adapter, mapper, kind.name, shares)
+
+
+def bars(adapter: str) -> bool:
+    """Measures 80 frames of every window by wall time, after 30 to learn; true if all bars are met."""
+    met = True
+    for mapper, kind in CASES:
+        window = Window(kind, mapper, size=400, voxels=128)
+        window.draw(4)
+        target = float(np.median(window.draw(9))) / 3
+        held = [ADAPTERS[adapter](r, v, target, "wall") for r, v in window.drawn]
+        share = np.array(window.draw(110)[30:]) / target
+        late = 100 * np.mean(share > 1.25)
+        print(
+            f"{adapter}, {mapper}, {kind}: target {1e3 * target:.1f} ms, median frame {np.median(share):.2f} of it, "
+            f"{late:.1f} % over 1.25 of it"
+        )
+        name = f"late-frames-{adapter}-{mapper}-{kind.name.replace(' ', '-')}"
+        print(f"bar {name} {late:.1f} {MOST_LATE} {'ok' if late <= MOST_LATE else 'short'}", flush=True)
+        met &= late <= MOST_LATE
+        del held
+    return met
+
+
+if __name__ == "__main__":
+    if sys.argv[2:] == ["bars"]:
+        sys.exit(not bars(sys.argv[1]))
+    for mapper, kind in CASES:
+        check(sys.argv[1], mapper, kind)

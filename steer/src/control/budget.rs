@@ -1,0 +1,269 @@
+//! One frame time for all that a window draws.
+
+/// Number of frames from which the time outside of the passes is taken.
+const REST_FRAMES: usize = 5;
+/// Smallest share of the target for all passes together, however long the rest of the frame takes.
+const LEAST_SHARE: f32 = 0.2;
+/// Weight of the newest time of a pass in its mean.
+const NEWEST: f32 = 0.3;
+
+/// Divides the target time of a window's frame among the passes that draw volumes in it: several volumes, two
+/// eyes, several renderers. All passes are coarsened alike, since each gets a share in proportion to its time at
+/// full quality; what the window does besides is left out of the target.
+///
+/// The caller reports each frame: [`FrameBudget::begin`], then for each pass [`FrameBudget::share`] before and
+/// [`FrameBudget::drew`] after it, then [`FrameBudget::end`]. The value of a new budget is all zeros.
+///
+/// ```
+/// use entire_steer::control::{FrameBudget, PassShare};
+///
+/// let (mut budget, mut left, mut right) = (FrameBudget::default(), PassShare::default(), PassShare::default());
+/// for _ in 0..3 {
+///     budget.begin();
+///     budget.drew(&mut left, 0.010, 0.010);
+///     budget.drew(&mut right, 0.030, 0.030);
+///     // Besides its passes, the window takes 5 ms.
+///     budget.end(0.045, true);
+/// }
+/// budget.begin();
+/// assert!((budget.share(&left, 0.025) - 0.005).abs() < 1e-6);
+/// assert!((budget.share(&right, 0.025) - 0.015).abs() < 1e-6);
+/// ```
+#[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct FrameBudget {
+    /// Seconds outside of the passes in the last frames, as a ring.
+    rests: [f32; REST_FRAMES],
+    /// Number of entries that were ever added to `rests`.
+    count: u32,
+    /// Number of begun frames; 0 before the first.
+    frame: u32,
+    /// Sum of the passes' times at full quality, and their number: of the last frame with passes and of the
+    /// current one.
+    full: [f32; 2],
+    passes: [u32; 2],
+    /// Seconds of the passes of the current frame.
+    drawn: f32,
+}
+
+/// State of what is drawn once or several times in a window's frame: of one volume, say. See [`FrameBudget`].
+/// The value of a new one is all zeros.
+#[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct PassShare {
+    /// Mean seconds at full quality, after the last pass and before the current frame; 0 before the first pass.
+    mean: f32,
+    before: f32,
+    /// Number of the frame that drew it last, and number of passes that it was drawn in then; 0 before.
+    frame: u32,
+    passes: u32,
+}
+
+impl FrameBudget {
+    /// Begins a frame of the window.
+    pub fn begin(&mut self) {
+        if self.passes[1] > 0 {
+            self.full[0] = self.full[1];
+            self.passes[0] = self.passes[1];
+        }
+        (self.full[1], self.passes[1], self.drawn) = (0.0, 0, 0.0);
+        self.frame = self.frame.checked_add(1).unwrap_or(1);
+    }
+
+    /// Seconds for the next pass if the whole frame may take `target` seconds.
+    pub fn share(&self, pass: &PassShare, target: f32) -> f32 {
+        let left = (target - self.rest()).max(LEAST_SHARE * target);
+        let (mut total, mut passes) = (self.full[0], self.passes[0]);
+        let known = if pass.frame == self.frame { pass.before } else { pass.mean };
+        // Passes that were not drawn yet count as the others.
+        let own = if known > 0.0 { known } else { total / passes.max(1) as f32 };
+        if !(pass.frame > 0 && pass.frame + 1 >= self.frame) {
+            total += own;
+            passes += 1;
+        }
+        if total > 0.0 { left * (own / total).min(1.0) } else { left / passes.max(1) as f32 }
+    }
+
+    /// Adds a pass that took `seconds`, and would have taken about `full` seconds at full quality.
+    pub fn drew(&mut self, pass: &mut PassShare, seconds: f32, full: f32) {
+        if pass.frame != self.frame {
+            (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
+        }
+        // The frame's sum counts each of its passes with the mean that the next frame goes by.
+        self.full[1] -= pass.passes as f32 * pass.mean;
+        if full.is_finite() && full > 0.0 {
+            pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST * (full - pass.mean) } else { full };
+        }
+        pass.passes += 1;
+        self.full[1] += pass.passes as f32 * pass.mean;
+        self.passes[1] += 1;
+        self.drawn += seconds;
+    }
+
+    /// Ends a frame that took `seconds` in all; `usual` is false if it included work that most frames do not.
+    /// The first frame is never taken as usual.
+    pub fn end(&mut self, seconds: f32, usual: bool) {
+        let rest = seconds - self.drawn;
+        if usual && self.passes[1] > 0 && self.passes[0] > 0 && rest.is_finite() {
+            self.rests[self.count as usize % REST_FRAMES] = rest.max(0.0);
+            self.count = self.count.checked_add(1).unwrap_or(REST_FRAMES as u32);
+        }
+    }
+
+    /// Seconds of a frame outside of the passes: the median of the last five; 0 before the second frame.
+    pub fn rest(&self) -> f32 {
+        let n = (self.count as usize).min(REST_FRAMES);
+        if n == 0 {
+            return 0.0;
+        }
+        let mut sorted = self.rests;
+        sorted[..n].sort_unstable_by(f32::total_cmp);
+        sorted[n / 2]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(a: f32, b: f32) -> bool {
+        (a - b).abs() <= 1e-5 * b.abs()
+    }
+
+    /// A frame of passes with times at full quality, drawn `coarse` times faster, and 5 ms besides; returns the
+    /// shares of a target of 50 ms.
+    fn frame(budget: &mut FrameBudget, passes: &mut [(PassShare, f32)], coarse: f32) -> Vec<f32> {
+        budget.begin();
+        let mut total = 0.005;
+        let mut shares = Vec::new();
+        for (pass, full) in passes {
+            shares.push(budget.share(pass, 0.050));
+            budget.drew(pass, *full / coarse, *full);
+            total += *full / coarse;
+        }
+        budget.end(total, true);
+        shares
+    }
+
+    #[test]
+    fn one_pass_gets_all_but_the_rest() {
+        let mut budget = FrameBudget::default();
+        let mut passes = [(PassShare::default(), 0.1)];
+        assert_eq!(frame(&mut budget, &mut passes, 1.0), [0.050]);
+        frame(&mut budget, &mut passes, 2.0);
+        assert!(near(frame(&mut budget, &mut passes, 3.0)[0], 0.045));
+    }
+
+    #[test]
+    fn passes_share_by_their_time_at_full_quality_however_coarse() {
+        let mut budget = FrameBudget::default();
+        let mut passes =
+            [(PassShare::default(), 0.1), (PassShare::default(), 0.02), (PassShare::default(), 0.06)];
+        for coarse in [1.0, 4.0, 2.0] {
+            frame(&mut budget, &mut passes, coarse);
+        }
+        let shares = frame(&mut budget, &mut passes, 3.0);
+        assert!(near(shares.iter().sum(), 0.045), "{shares:?}");
+        assert!(near(shares[0] / shares[1], 5.0) && near(shares[0] / shares[2], 5.0 / 3.0), "{shares:?}");
+    }
+
+    #[test]
+    fn two_eyes_of_one_volume_get_half_each() {
+        let mut budget = FrameBudget::default();
+        let mut volume = PassShare::default();
+        for _ in 0..4 {
+            budget.begin();
+            for _eye in 0..2 {
+                budget.drew(&mut volume, 0.03, 0.09);
+            }
+            budget.end(0.06, true);
+        }
+        budget.begin();
+        for _eye in 0..2 {
+            assert!(near(budget.share(&volume, 0.05), 0.025));
+            budget.drew(&mut volume, 0.03, 0.09);
+        }
+    }
+
+    #[test]
+    fn shares_of_a_frame_add_up_however_times_scatter() {
+        let (mut budget, mut left, mut right) =
+            (FrameBudget::default(), PassShare::default(), PassShare::default());
+        for n in 0..20 {
+            budget.begin();
+            let mut sum = 0.0;
+            for eye in 0..2 {
+                for pass in [&mut left, &mut right] {
+                    sum += budget.share(pass, 0.05);
+                    let full = 0.01 * (1.0 + (7 * n + 3 * eye) as f32 % 5.0);
+                    budget.drew(pass, full, full);
+                }
+            }
+            budget.end(budget.drawn, true);
+            assert!(n == 0 || near(sum, 0.05), "{n}: {sum}");
+        }
+    }
+
+    #[test]
+    fn hidden_volumes_have_no_share_and_shown_ones_get_one_at_once() {
+        let mut budget = FrameBudget::default();
+        let mut passes = [(PassShare::default(), 0.1), (PassShare::default(), 0.1)];
+        for _ in 0..3 {
+            frame(&mut budget, &mut passes, 2.0);
+        }
+        for _ in 0..2 {
+            frame(&mut budget, &mut passes[..1], 2.0);
+        }
+        assert!(near(frame(&mut budget, &mut passes[..1], 2.0)[0], 0.045));
+        budget.begin();
+        assert!(near(budget.share(&passes[1].0, 0.050), 0.0225));
+        // A third one, of which nothing is known, counts as the mean of the others.
+        assert!(near(budget.share(&PassShare::default(), 0.050), 0.0225));
+    }
+
+    #[test]
+    fn two_slow_frames_of_five_do_not_change_the_rest_and_three_do() {
+        let mut budget = FrameBudget::default();
+        let mut pass = PassShare::default();
+        let mut draw = |rest: f32| {
+            budget.begin();
+            budget.drew(&mut pass, 0.01, 0.01);
+            budget.end(0.01 + rest, true);
+            budget.rest()
+        };
+        for _ in 0..6 {
+            draw(0.004);
+        }
+        for (rest, seen) in
+            [(0.02, 0.004), (0.03, 0.004), (0.02, 0.02), (0.004, 0.02), (0.004, 0.02), (0.004, 0.004)]
+        {
+            let found = draw(rest);
+            assert!(near(found, seen), "{rest}: {found}, not {seen}");
+        }
+    }
+
+    #[test]
+    fn a_rest_over_the_target_leaves_a_fifth() {
+        let mut budget = FrameBudget::default();
+        let mut pass = PassShare::default();
+        for _ in 0..6 {
+            budget.begin();
+            budget.drew(&mut pass, 0.01, 0.01);
+            budget.end(1.0, true);
+        }
+        assert!(near(budget.share(&pass, 0.05), 0.01));
+    }
+
+    #[test]
+    fn no_time_makes_a_share_that_is_not_finite() {
+        let mut budget = FrameBudget::default();
+        let mut pass = PassShare::default();
+        for odd in [f32::NAN, f32::INFINITY, -1.0, 0.0, 1e-30, 1e30] {
+            budget.begin();
+            budget.drew(&mut pass, odd, odd);
+            budget.end(odd, true);
+            let share = budget.share(&pass, 0.05);
+            assert!((0.0..=0.05).contains(&share), "{odd}: {share}");
+        }
+    }
+}
