@@ -83,13 +83,18 @@ def test_screenshots_in_the_midst_of_a_drag_are_at_full_quality(shown):
     assert np.array_equal(plotter.screenshot(), moving)
 
 
-def test_a_loop_off_screen(image):
+def test_a_loop_off_screen(image, caplog):
     plotter = pv.Plotter(off_screen=True, window_size=(240, 240))
     plotter.add_volume(image, mapper="gpu", show_scalar_bar=False)
     plotter.show(auto_close=False)
     steering = plotter.entire.hold(fps=1000)
     plotter.render()
     assert "still" in steering.why
+    # Once, it says what steers such a loop.
+    for _ in range(30):
+        plotter.render()
+    assert len([r for r in caplog.records if "always=True" in r.getMessage()]) == 1
+    assert "always=True" in repr(steering)
     steering = plotter.entire.hold(fps=1000, always=True)
     for azimuth in range(0, 40, 5):
         plotter.camera.azimuth = azimuth

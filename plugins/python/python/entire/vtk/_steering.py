@@ -35,6 +35,8 @@ _PROBE_SIDE = 6
 _LEAST_SHARE = 0.2
 # Number of frames from which the time outside of the window's drawing is taken.
 _OUTSIDE_TIMES = 5
+# Number of still frames off screen, without any steered one, after which a warning names `always`.
+_STILL_FRAMES = 10
 _NAN = math.nan
 # Functions that read each clock.
 _TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
@@ -420,7 +422,7 @@ class Steering:
             frame.budget.begin()
             frame.start = self._now()
 
-    def _on_window_end(self, _window: Any, _event: str) -> None:
+    def _on_window_end(self, window: Any, _event: str) -> None:
         self._frame_window = None
         if not self._in_frame:
             return
@@ -434,10 +436,21 @@ class Steering:
         if self._drawn == 0:
             return
         self.frames += 1
+        if self.frames == _STILL_FRAMES and self._still_frame and not self._still and self.steered_frames == 0:
+            self._warn_of_still_frames(window)
         self.frame_time = seconds
         self.overhead = self._overhead + perf_counter() - before
         if self.on_frame is not None:
             self.on_frame(self)
+
+    def _warn_of_still_frames(self, window: Any) -> None:
+        if self.always is None and window.GetOffScreenRendering():
+            text = (
+                f"none of {_STILL_FRAMES} frames was steered: nobody interacts with the off-screen window, so all are "
+                f"still frames; hold(..., always=True) steers every frame"
+            )
+            self.notes.append(text)
+            log.warning("%s", text)
 
     def _on_renderer_start(self, renderer: Any, _event: str) -> None:
         if renderer.GetSelector() is not None:
