@@ -15,7 +15,7 @@ use entire_steer::control::{FrameBudget, PassShare};
 #[derive(Clone, Copy)]
 pub struct entire_budget {
     /// The state.
-    pub words: [u32; 12],
+    pub words: [u32; 14],
 }
 
 /// State of one volume in a window's frames, which may draw it several times. Zeros at first; the words are the
@@ -62,14 +62,14 @@ fn check_seconds(seconds: f32, what: &str) -> Result<(), Failure> {
     ))
 }
 
-/// Begins a frame of the window.
+/// Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget) -> entire_result {
+pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget, volumes: u32) -> entire_result {
     // SAFETY: the pointer is as the crate's documentation demands.
     guard(|| unsafe {
-        value::<_, FrameBudget>(budget, "budget")?.begin();
+        value::<_, FrameBudget>(budget, "budget")?.begin(volumes);
         Ok(())
     })
 }
@@ -118,7 +118,7 @@ pub unsafe extern "C" fn entire_budget_drew(
 }
 
 /// Ends a frame of the window that took `seconds` in all. `usual` is 0 if it included work that most frames do
-/// not: reading a volume, compiling a shader.
+/// not: reading a volume, compiling a shader. Such work counts if the frame before included it too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

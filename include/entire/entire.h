@@ -914,7 +914,7 @@ typedef struct entire_budget {
     /**
      * The state.
      */
-    uint32_t words[12];
+    uint32_t words[14];
 } entire_budget;
 
 /**
@@ -1876,11 +1876,11 @@ entire_result entire_session_load_state(struct entire_session *session,
                                         size_t byte_count);
 
 /**
- * Begins a frame of the window.
+ * Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
-entire_result entire_budget_begin(struct entire_budget *budget);
+entire_result entire_budget_begin(struct entire_budget *budget, uint32_t volumes);
 
 /**
  * Seconds for the next pass if the whole frame may take `target` seconds, as the target of
@@ -1907,7 +1907,7 @@ entire_result entire_budget_drew(struct entire_budget *budget,
 
 /**
  * Ends a frame of the window that took `seconds` in all. `usual` is 0 if it included work that most frames do
- * not: reading a volume, compiling a shader.
+ * not: reading a volume, compiling a shader. Such work counts if the frame before included it too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */

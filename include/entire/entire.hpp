@@ -541,7 +541,7 @@ struct pass : entire_pass {
 
 class frame_budget {
 public:
-    status begin() { return detail::done(entire_budget_begin(&budget_)); }
+    status begin(std::uint32_t volumes = 0) { return detail::done(entire_budget_begin(&budget_, volumes)); }
     plain_result<float> share(const pass &of, float target) const {
         float seconds = 0;
         if (auto code = entire_budget_share(&budget_, &of, target, &seconds)) return failure::last(code);

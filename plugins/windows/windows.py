@@ -21,6 +21,7 @@ from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPiecewiseFunction
 from vtkmodules.vtkRenderingCore import (
     vtkColorTransferFunction,
+    vtkHardwareSelector,
     vtkRenderer,
     vtkRenderWindow,
     vtkVolume,
@@ -136,6 +137,9 @@ class Held:
 
     share: Callable[[], float]
     steps: Callable[[], tuple[float, float]]
+    enable: Callable[[bool], None]
+    # Number of frames in which it was drawn, steered or not.
+    frames: Callable[[], int]
     keep: Any
 
 
@@ -148,8 +152,18 @@ def hold_by_class(renderer: Any, volume: Any, target: float, clock: str) -> Held
     held.SetStillUpdateRate(0)
     held.SetClock(vtkEntireSteering.PROCESS_CPU if clock == "cpu" else vtkEntireSteering.WALL)
     assert held.Attach(renderer, volume)
+    frames = [0]
+
+    def drawn(*_: Any) -> None:
+        frames[0] += 1
+
+    held.AddObserver(vtkEntireSteering.FrameEvent, drawn)
     return Held(
-        held.GetShareTime, lambda: (held.GetSampleDistance(), held.GetImageSampleDistance()), held
+        held.GetShareTime,
+        lambda: (held.GetSampleDistance(), held.GetImageSampleDistance()),
+        held.SetEnabled,
+        lambda: frames[0],
+        held,
     )
 
 
@@ -159,7 +173,13 @@ def hold_by_package(renderer: Any, volume: Any, target: float, clock: str) -> He
 
     held = entire.vtk.hold(renderer, volume, seconds=target, always=True, clock=clock)
     leaf = held.leaves[0]
-    return Held(lambda: leaf.share_time, lambda: (leaf.sample_distance, leaf.image_sample_distance), held)
+    return Held(
+        lambda: leaf.share_time,
+        lambda: (leaf.sample_distance, leaf.image_sample_distance),
+        lambda on: setattr(held, "enabled", on),
+        lambda: held.frames,
+        held,
+    )
 
 
 ADAPTERS = {"class": hold_by_class, "python": hold_by_package}
@@ -189,6 +209,32 @@ def check(adapter: str, mapper: str, kind: Kind) -> None:
     assert abs(kind.eyes * sum(shares) - target) < 0.02 * target, (adapter, mapper, kind.name, shares)
 
 
+def check_others(adapter: str, mapper: str) -> None:
+    """Volumes that are not steered, picking and data that change every frame: what shares the time, and what does not."""
+    target = 1000.0
+    window = Window(Kind("two renderers", renderers=2), mapper, size=48, voxels=24)
+    held = [ADAPTERS[adapter](r, v, target, "cpu") for r, v in window.drawn]
+    # Nothing is known of either yet.
+    window.draw(1)
+    assert abs(sum(h.share() for h in held) - target) < 0.02 * target, [h.share() for h in held]
+    window.draw(4)
+    # One that is switched off leaves the other the whole time.
+    held[1].enable(False)
+    window.draw(3)
+    assert abs(held[0].share() - target) < 0.02 * target, (adapter, mapper, held[0].share())
+    held[1].enable(True)
+    window.draw(2)
+    # Picking in one renderer is no frame of the other.
+    selector = vtkHardwareSelector()
+    selector.SetRenderer(window.drawn[0][0])
+    selector.SetArea(0, 0, 47, 47)
+    before = held[1].frames()
+    selector.Select()
+    assert held[1].frames() == before
+    window.draw(1)
+    assert abs(sum(h.share() for h in held) - target) < 0.02 * target, [h.share() for h in held]
+
+
 def bars(adapter: str) -> bool:
     """Measures 80 frames of every window by wall time, after 30 to learn; true if all bars are met."""
     met = True
@@ -215,3 +261,5 @@ if __name__ == "__main__":
         sys.exit(not bars(sys.argv[1]))
     for mapper, kind in CASES:
         check(sys.argv[1], mapper, kind)
+    for mapper in MAPPERS:
+        check_others(sys.argv[1], mapper)

@@ -160,7 +160,7 @@ int main(int argc, char **argv) {
 
     entire_budget budget = {{0}};
     entire_pass pass = {{0}};
-    NONE(entire_budget_begin(NULL));
+    NONE(entire_budget_begin(NULL, 1));
     NONE(entire_budget_share(NULL, &pass, 1, &q));
     NONE(entire_budget_share(&budget, NULL, 1, &q));
     NONE(entire_budget_share(&budget, &pass, 1, NULL));

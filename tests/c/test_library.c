@@ -141,12 +141,12 @@ static void budget(void) {
     entire_pass small = {{0}}, large = {{0}};
     float share = 0;
     for (int frame = 0; frame < 6; ++frame) {
-        OK(entire_budget_begin(&budget));
+        OK(entire_budget_begin(&budget, 2));
         OK(entire_budget_drew(&budget, &small, 0.005f, 0.010f));
         OK(entire_budget_drew(&budget, &large, 0.015f, 0.030f));
         OK(entire_budget_end(&budget, 0.025f, 1));
     }
-    OK(entire_budget_begin(&budget));
+    OK(entire_budget_begin(&budget, 2));
     OK(entire_budget_share(&budget, &small, 0.025f, &share));
     CHECK(share > 0.00499f && share < 0.00501f);
     OK(entire_budget_share(&budget, &large, 0.025f, &share));

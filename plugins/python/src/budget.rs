@@ -18,9 +18,10 @@ impl FrameBudget {
         Self(core::FrameBudget::default())
     }
 
-    /// Begins a frame of the window.
-    fn begin(&mut self) {
-        self.0.begin();
+    /// Begins a frame of the window, which will draw about `volumes` volumes.
+    #[pyo3(signature = (volumes, /))]
+    fn begin(&mut self, volumes: u32) {
+        self.0.begin(volumes);
     }
 
     /// Seconds for the next pass if the whole frame may take `target`.

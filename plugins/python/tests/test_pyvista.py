@@ -83,6 +83,22 @@ def test_screenshots_in_the_midst_of_a_drag_are_at_full_quality(shown):
     assert np.array_equal(plotter.screenshot(), moving)
 
 
+def test_removed_volumes_leave_nothing(image):
+    plotter = pv.Plotter(window_size=(240, 240))
+    plotter.add_volume(image, name="v", scalars="values")
+    plotter.show(auto_close=False, interactive=False)
+    plotter.entire.hold(fps=30)
+    plotter.render()
+    assert len(plotter.scalar_bars) == 1
+    steering = plotter.entire.steering
+    with pytest.raises(ValueError, match="coarsest"):
+        plotter.entire.hold(20, coarsest=-1)
+    assert plotter.entire.steering is steering
+    plotter.remove_actor("v")
+    assert len(plotter.scalar_bars) == 0
+    plotter.close()
+
+
 def test_a_loop_off_screen(image, caplog):
     plotter = pv.Plotter(off_screen=True, window_size=(240, 240))
     plotter.add_volume(image, mapper="gpu", show_scalar_bar=False)

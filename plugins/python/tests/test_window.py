@@ -23,6 +23,11 @@ def test_passes_share_the_time_of_a_frame(mapper, kind):
     windows.check("python", mapper, kind)
 
 
+@pytest.mark.parametrize("mapper", windows.MAPPERS)
+def test_what_shares_the_time_and_what_does_not(mapper):
+    windows.check_others("python", mapper)
+
+
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])
 def test_no_viewport_is_empty_however_coarse(voxels, kind):
     view = View((200, 100))

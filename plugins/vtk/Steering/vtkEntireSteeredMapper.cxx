@@ -650,6 +650,7 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
   }
   this->DrainQueue();
   const double seconds = this->Internals->Now() - this->StartTime;
+  const bool steered = this->Steered;
   this->Drawing = false;
   if (!this->SetEarly())
   {
@@ -669,7 +670,8 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
       this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));
     this->Planned = {};
   }
-  if (this->Internals->Shared)
+  // What is not steered is part of the rest, for which the others make room.
+  if (steered && this->Internals->InFrame && this->Internals->Shared)
   {
     static_cast<void>(this->Internals->Shared->Budget.drew(
       this->Pass, static_cast<float>(seconds), static_cast<float>(seconds * this->Coarsening)));

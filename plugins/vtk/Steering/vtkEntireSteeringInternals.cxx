@@ -3,6 +3,7 @@
 #include "vtkEntireSteeringInternals.h"
 
 #include "vtkCommand.h"
+#include "vtkRendererCollection.h"
 #include "vtkSmartPointer.h"
 
 #include <algorithm>
@@ -52,7 +53,8 @@ const char* NameOf(entire_clock clock)
 }
 
 //------------------------------------------------------------------------------
-std::shared_ptr<vtkEntire::WindowFrame> vtkEntire::WindowFrame::Of(vtkRenderWindow* window, int clock)
+std::shared_ptr<vtkEntireSteering::vtkInternals::WindowFrame> vtkEntireSteering::vtkInternals::WindowFrame::Of(
+  vtkRenderWindow* window, int clock)
 {
   if (!window)
   {
@@ -68,9 +70,10 @@ std::shared_ptr<vtkEntire::WindowFrame> vtkEntire::WindowFrame::Of(vtkRenderWind
   }
   std::weak_ptr<WindowFrame>& known = frames[{ window, clock }];
   std::shared_ptr<WindowFrame> frame = known.lock();
-  if (!frame)
+  if (!frame || frame->Window != window)
   {
     frame = std::make_shared<WindowFrame>();
+    frame->Window = window;
     known = frame;
   }
   return frame;
@@ -225,6 +228,41 @@ void vtkEntireSteering::vtkInternals::Observe(vtkRenderer* renderer)
 }
 
 //------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Share(vtkRenderWindow* window)
+{
+  if (this->Shared)
+  {
+    std::vector<vtkInternals*>& all = this->Shared->Steerings;
+    all.erase(std::remove(all.begin(), all.end(), this), all.end());
+  }
+  this->Shared = WindowFrame::Of(window, this->Owner->Clock);
+  if (this->Shared)
+  {
+    this->Shared->Steerings.push_back(this);
+  }
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireSteering::vtkInternals::IsPicking(vtkRenderWindow* window)
+{
+  vtkRendererCollection* const renderers = window ? window->GetRenderers() : nullptr;
+  if (!renderers)
+  {
+    return false;
+  }
+  vtkCollectionSimpleIterator at;
+  renderers->InitTraversal(at);
+  while (vtkRenderer* const renderer = renderers->GetNextRenderer(at))
+  {
+    if (renderer->GetSelector())
+    {
+      return true;
+    }
+  }
+  return false;
+}
+
+//------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::ObserveWindow(vtkRenderWindow* window)
 {
   if (this->Window == window && window)
@@ -236,9 +274,14 @@ void vtkEntireSteering::vtkInternals::ObserveWindow(vtkRenderWindow* window)
     this->Window->RemoveObserver(this->WindowTags[0]);
     this->Window->RemoveObserver(this->WindowTags[1]);
   }
+  if (this->InFrame && this->Shared)
+  {
+    // The others' next frame begins anew.
+    this->Shared->Drawing = false;
+  }
   this->InFrame = false;
   this->Window = window;
-  this->Shared = vtkEntire::WindowFrame::Of(window, this->Owner->Clock);
+  this->Share(window);
   if (window)
   {
     this->WindowTags[0] =
@@ -307,9 +350,8 @@ void vtkEntireSteering::vtkInternals::RendererStart()
   const vtkSmartPointer<vtkRenderer> renderer(this->Renderer);
   const vtkEntire::Busy::Handling handling(this->Busy);
   const std::size_t attachment = this->Attachment;
-  if (!renderer || renderer->GetSelector())
+  if (!renderer || IsPicking(renderer->GetRenderWindow()))
   {
-    // A drawing for a hardware selector is no frame: it is invisible, and takes another time.
     return;
   }
   this->Rendering = true;
@@ -361,7 +403,7 @@ void vtkEntireSteering::vtkInternals::RendererEnd()
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::WindowStart()
 {
-  this->InFrame = !(this->Renderer && this->Renderer->GetSelector());
+  this->InFrame = this->Shared && !IsPicking(this->Window);
   if (!this->InFrame)
   {
     return;
@@ -373,18 +415,23 @@ void vtkEntireSteering::vtkInternals::WindowStart()
   if (this->LastClock != this->Owner->Clock)
   {
     this->LastClock = this->Owner->Clock;
-    this->Shared = vtkEntire::WindowFrame::Of(this->Window, this->Owner->Clock);
+    this->Share(this->Window);
     for (const auto& leaf : this->Drawing)
     {
       leaf->Forget();
     }
   }
   // The first of those that steer in this window begins the frame.
-  vtkEntire::WindowFrame& frame = *this->Shared;
+  WindowFrame& frame = *this->Shared;
   if (!frame.Drawing)
   {
     frame.Drawing = frame.Usual = true;
-    static_cast<void>(frame.Budget.begin());
+    std::size_t volumes = 0;
+    for (const vtkInternals* each : frame.Steerings)
+    {
+      volumes += each->Drawing.size();
+    }
+    static_cast<void>(frame.Budget.begin(static_cast<std::uint32_t>(volumes)));
     frame.Start = this->Now();
   }
 }
@@ -399,7 +446,7 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
   {
     return;
   }
-  const std::shared_ptr<vtkEntire::WindowFrame> frame = this->Shared;
+  const std::shared_ptr<WindowFrame> frame = this->Shared;
   const double seconds = this->Now() - frame->Start;
   this->InFrame = false;
   if (frame->Drawing)

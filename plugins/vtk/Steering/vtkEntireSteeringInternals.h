@@ -159,25 +159,29 @@ private:
   int Depth = 0;
   Time::time_point Since;
 };
-
-// A window's frame, shared by all that steer in the window by the same clock.
-struct WindowFrame
-{
-  // The one of a window and a clock; null without a window.
-  static std::shared_ptr<WindowFrame> Of(vtkRenderWindow* window, int clock);
-
-  entire::frame_budget Budget;
-  // True while the window draws.
-  bool Drawing = false;
-  double Start = 0;
-  // False if the frame includes the reading of voxels.
-  bool Usual = true;
-};
 }
 
 class vtkEntireSteering::vtkInternals
 {
 public:
+  // A window's frame, shared by all that steer in the window by the same clock.
+  struct WindowFrame
+  {
+    // The one of a window and a clock; null without a window.
+    static std::shared_ptr<WindowFrame> Of(vtkRenderWindow* window, int clock);
+
+    // Another window may get the address of one that is gone.
+    vtkWeakPointer<vtkRenderWindow> Window;
+    entire::frame_budget Budget;
+    // True while the window draws.
+    bool Drawing = false;
+    double Start = 0;
+    // False if the frame includes the reading of voxels.
+    bool Usual = true;
+    // Those that steer in the window.
+    std::vector<vtkInternals*> Steerings;
+  };
+
   // One mapper that draws, with its session.
   class Leaf : public std::enable_shared_from_this<Leaf>
   {
@@ -291,6 +295,11 @@ public:
   Leaves TakeApart();
   static void ReleaseAll(const Leaves& leaves);
 
+  // Shares a window's frame; null for none.
+  void Share(vtkRenderWindow* window);
+  // True while a renderer of the window draws for a selector: no frame, it is invisible and takes another time.
+  static bool IsPicking(vtkRenderWindow* window);
+
   void Observe(vtkRenderer* renderer);
   void ObserveWindow(vtkRenderWindow* window);
   void FindMappers();
@@ -347,7 +356,7 @@ public:
   bool Present = false;
   // State of the window's current frame.
   bool InFrame = false;
-  std::shared_ptr<vtkEntire::WindowFrame> Shared;
+  std::shared_ptr<WindowFrame> Shared;
   double MapperSeconds = 0;
   int Drawn = 0;
   int LastClock = -1;

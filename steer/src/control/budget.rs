@@ -19,13 +19,13 @@ const NEWEST: f32 = 0.3;
 ///
 /// let (mut budget, mut left, mut right) = (FrameBudget::default(), PassShare::default(), PassShare::default());
 /// for _ in 0..3 {
-///     budget.begin();
+///     budget.begin(2);
 ///     budget.drew(&mut left, 0.010, 0.010);
 ///     budget.drew(&mut right, 0.030, 0.030);
 ///     // Besides its passes, the window takes 5 ms.
 ///     budget.end(0.045, true);
 /// }
-/// budget.begin();
+/// budget.begin(2);
 /// assert!((budget.share(&left, 0.025) - 0.005).abs() < 1e-6);
 /// assert!((budget.share(&right, 0.025) - 0.015).abs() < 1e-6);
 /// ```
@@ -44,6 +44,10 @@ pub struct FrameBudget {
     passes: [u32; 2],
     /// Seconds of the passes of the current frame.
     drawn: f32,
+    /// Number of volumes that the current frame is expected to draw.
+    expected: u32,
+    /// Number of unusual frames in a row.
+    unusual: u32,
 }
 
 /// State of what is drawn once or several times in a window's frame: of one volume, say. See [`FrameBudget`].
@@ -60,14 +64,15 @@ pub struct PassShare {
 }
 
 impl FrameBudget {
-    /// Begins a frame of the window.
-    pub fn begin(&mut self) {
-        if self.passes[1] > 0 {
-            self.full[0] = self.full[1];
-            self.passes[0] = self.passes[1];
+    /// Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
+    pub fn begin(&mut self, volumes: u32) {
+        // Frames without passes change nothing.
+        if self.passes[1] > 0 || self.frame == 0 {
+            (self.full[0], self.passes[0]) = (self.full[1], self.passes[1]);
+            self.frame = self.frame.checked_add(1).unwrap_or(1);
         }
         (self.full[1], self.passes[1], self.drawn) = (0.0, 0, 0.0);
-        self.frame = self.frame.checked_add(1).unwrap_or(1);
+        self.expected = volumes;
     }
 
     /// Seconds for the next pass if the whole frame may take `target` seconds.
@@ -81,7 +86,11 @@ impl FrameBudget {
             total += own;
             passes += 1;
         }
-        if total > 0.0 { left * (own / total).min(1.0) } else { left / passes.max(1) as f32 }
+        if total > 0.0 {
+            left * (own / total).min(1.0)
+        } else {
+            left / passes.max(self.expected).max(1) as f32
+        }
     }
 
     /// Adds a pass that took `seconds`, and would have taken about `full` seconds at full quality.
@@ -100,11 +109,13 @@ impl FrameBudget {
         self.drawn += seconds;
     }
 
-    /// Ends a frame that took `seconds` in all; `usual` is false if it included work that most frames do not.
-    /// The first frame is never taken as usual.
+    /// Ends a frame that took `seconds` in all; `usual` is false if it included work that most frames do not,
+    /// which counts if the frame before did so too. The first frame is never taken as usual.
     pub fn end(&mut self, seconds: f32, usual: bool) {
         let rest = seconds - self.drawn;
-        if usual && self.passes[1] > 0 && self.passes[0] > 0 && rest.is_finite() {
+        let counts = usual || self.unusual > 0;
+        self.unusual = if usual { 0 } else { self.unusual.saturating_add(1) };
+        if counts && self.passes[1] > 0 && self.passes[0] > 0 && rest.is_finite() {
             self.rests[self.count as usize % REST_FRAMES] = rest.max(0.0);
             self.count = self.count.checked_add(1).unwrap_or(REST_FRAMES as u32);
         }
@@ -133,7 +144,7 @@ mod tests {
     /// A frame of passes with times at full quality, drawn `coarse` times faster, and 5 ms besides; returns the
     /// shares of a target of 50 ms.
     fn frame(budget: &mut FrameBudget, passes: &mut [(PassShare, f32)], coarse: f32) -> Vec<f32> {
-        budget.begin();
+        budget.begin(0);
         let mut total = 0.005;
         let mut shares = Vec::new();
         for (pass, full) in passes {
@@ -172,13 +183,13 @@ mod tests {
         let mut budget = FrameBudget::default();
         let mut volume = PassShare::default();
         for _ in 0..4 {
-            budget.begin();
+            budget.begin(0);
             for _eye in 0..2 {
                 budget.drew(&mut volume, 0.03, 0.09);
             }
             budget.end(0.06, true);
         }
-        budget.begin();
+        budget.begin(0);
         for _eye in 0..2 {
             assert!(near(budget.share(&volume, 0.05), 0.025));
             budget.drew(&mut volume, 0.03, 0.09);
@@ -190,7 +201,7 @@ mod tests {
         let (mut budget, mut left, mut right) =
             (FrameBudget::default(), PassShare::default(), PassShare::default());
         for n in 0..20 {
-            budget.begin();
+            budget.begin(0);
             let mut sum = 0.0;
             for eye in 0..2 {
                 for pass in [&mut left, &mut right] {
@@ -215,7 +226,7 @@ mod tests {
             frame(&mut budget, &mut passes[..1], 2.0);
         }
         assert!(near(frame(&mut budget, &mut passes[..1], 2.0)[0], 0.045));
-        budget.begin();
+        budget.begin(0);
         assert!(near(budget.share(&passes[1].0, 0.050), 0.0225));
         // A third one, of which nothing is known, counts as the mean of the others.
         assert!(near(budget.share(&PassShare::default(), 0.050), 0.0225));
@@ -226,7 +237,7 @@ mod tests {
         let mut budget = FrameBudget::default();
         let mut pass = PassShare::default();
         let mut draw = |rest: f32| {
-            budget.begin();
+            budget.begin(0);
             budget.drew(&mut pass, 0.01, 0.01);
             budget.end(0.01 + rest, true);
             budget.rest()
@@ -243,11 +254,52 @@ mod tests {
     }
 
     #[test]
+    fn unusual_frames_count_if_they_are_the_rule() {
+        let mut budget = FrameBudget::default();
+        let mut pass = PassShare::default();
+        let mut draw = |rest: f32, usual: bool| {
+            budget.begin(1);
+            budget.drew(&mut pass, 0.01, 0.01);
+            budget.end(0.01 + rest, usual);
+            budget.rest()
+        };
+        draw(0.5, true);
+        for _ in 0..5 {
+            draw(0.004, true);
+        }
+        // One frame that reads a volume changes nothing; frames that all read one do.
+        assert!(near(draw(0.02, false), 0.004) && near(draw(0.004, true), 0.004));
+        let last = [0; 4].map(|_| draw(0.02, false))[3];
+        assert!(near(last, 0.02), "{last}");
+    }
+
+    #[test]
+    fn frames_without_passes_change_no_share() {
+        let mut budget = FrameBudget::default();
+        let mut passes = [(PassShare::default(), 0.1), (PassShare::default(), 0.1)];
+        for _ in 0..3 {
+            frame(&mut budget, &mut passes, 2.0);
+        }
+        for _ in 0..4 {
+            budget.begin(2);
+            budget.end(0.001, true);
+        }
+        assert!(near(frame(&mut budget, &mut passes, 2.0).iter().sum(), 0.045));
+    }
+
+    #[test]
+    fn first_frames_are_shared_by_the_number_of_volumes() {
+        let mut budget = FrameBudget::default();
+        budget.begin(3);
+        assert!(near(budget.share(&PassShare::default(), 0.3), 0.1));
+    }
+
+    #[test]
     fn a_rest_over_the_target_leaves_a_fifth() {
         let mut budget = FrameBudget::default();
         let mut pass = PassShare::default();
         for _ in 0..6 {
-            budget.begin();
+            budget.begin(0);
             budget.drew(&mut pass, 0.01, 0.01);
             budget.end(1.0, true);
         }
@@ -259,7 +311,7 @@ mod tests {
         let mut budget = FrameBudget::default();
         let mut pass = PassShare::default();
         for odd in [f32::NAN, f32::INFINITY, -1.0, 0.0, 1e-30, 1e30] {
-            budget.begin();
+            budget.begin(0);
             budget.drew(&mut pass, odd, odd);
             budget.end(odd, true);
             let share = budget.share(&pass, 0.05);

@@ -18,11 +18,8 @@ from .vtk import Steering, calibrate, hold
 from .vtk._mappers import gpu_in_place_of
 
 
-def _gpu_wrapper(smart: Any, keep: list[Any]) -> Any:
-    """PyVista's own GPU mapper instead of its smart one, with the attributes that PyVista sets on a mapper.
-
-    PyVista's mappers lose that when Python lets go of them: they are kept in the list.
-    """
+def _gpu_wrapper(smart: Any) -> Any:
+    """PyVista's own GPU mapper instead of its smart one, with the attributes that PyVista sets on a mapper."""
     kind = getattr(pv.plotting.mapper, "OpenGLGPUVolumeRayCastMapper", None)
     if kind is None or not hasattr(smart, "_scalar_range"):
         return gpu_in_place_of(smart)
@@ -30,7 +27,6 @@ def _gpu_wrapper(smart: Any, keep: list[Any]) -> Any:
     for name, value in smart.__dict__.items():
         if name in ("_lut", "_scalar_range", "_theme"):
             wrapped.__dict__[name] = value
-    keep.append(wrapped)
     return wrapped
 
 
@@ -50,10 +46,16 @@ class EntireComponent:
         #: Steering of each renderer that is held, by its index among the plotter's.
         self._held: dict[int, Steering] = {}
         self._screenshots: dict[str, Any] = {}
-        self._mappers: list[Any] = []
 
     def _make_gpu(self, smart: Any) -> Any:
-        return _gpu_wrapper(smart, self._mappers)
+        gpu = _gpu_wrapper(smart)
+        self._replace(smart, gpu)
+        return gpu
+
+    def _replace(self, before: Any, after: Any) -> None:
+        """Scalar bars follow a mapper that takes another's place; PyVista removes them with their mappers."""
+        for mappers in getattr(self._plotter.scalar_bars, "_scalar_bar_mappers", {}).values():
+            mappers[:] = [after if mapper is before else mapper for mapper in mappers]
 
     def hold(
         self, fps: float | None = None, *, seconds: float | None = None, volume: Any = None, **options: Any
@@ -93,8 +95,12 @@ class EntireComponent:
                 raise ValueError(f"fps is {rate}; it must be positive")
             seconds = 1.0 / rate
         index = self._plotter.renderers.active_index
-        self._end(index)
+        # A steering that is refused leaves the one before.
         steering = hold(self._plotter.renderer, volume, seconds, make_gpu=self._make_gpu, **options)
+        steering._given_back = self._replace
+        earlier = self._held.get(index)
+        if earlier is not None:
+            earlier.detach()
         self._held[index] = steering
         if "trame_vtk" in sys.modules:
             from .trame import watch
@@ -122,11 +128,11 @@ class EntireComponent:
         if self.steering is None:
             # A smart mapper is exchanged during the measurement.
             passing = hold(self._plotter.renderer, None, 1.0, make_gpu=self._make_gpu)
+            passing._given_back = self._replace
             try:
                 return calibrate(self._plotter.renderer, frames=frames, **options)
             finally:
                 passing.detach()
-                self._mappers = []
         return calibrate(self._plotter.renderer, frames=frames, **options)
 
     @property
@@ -156,7 +162,6 @@ class EntireComponent:
         if steering is not None:
             steering.detach()
         if not self._held:
-            self._mappers = []
             for name in self._screenshots:
                 self._plotter.__dict__.pop(name, None)
             self._screenshots = {}

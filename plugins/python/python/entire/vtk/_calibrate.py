@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import math
 import random
 from typing import Any, Callable
@@ -16,6 +18,8 @@ from . import _mappers, _scene
 from ._mappers import CannotSteer
 from ._leaf import first_volume
 from ._steering import _volumes, timer
+
+log = logging.getLogger("entire.vtk")
 
 # Sample distances, in finest ones, and image sample distances of the pictures that are compared with full quality.
 _STEPS = (1.0, 1.5, 2.2, 3.3)
@@ -81,10 +85,16 @@ def calibrate(
         raise ValueError(f"pictures is {pictures}; at least 3 scenes tell steps and images apart, 0 compares none")
     if frames < 10:
         raise ValueError(f"frames is {frames}; at least 10 are needed to tell costs apart, 60 are plenty")
+    if renderer is None or not renderer.IsA("vtkRenderer"):
+        raise ValueError("renderer must be a vtkRenderer; windows hold theirs in GetRenderers()")
+    if renderer.GetRenderWindow() is None:
+        raise ValueError("the renderer has no window; add it to one with AddRenderer()")
     if volume is None:
         volume = next(iter(_volumes(renderer)), None)
         if volume is None:
             raise ValueError("the renderer has no volume; add one with AddVolume() first")
+    elif volume not in _volumes(renderer):
+        raise ValueError("the volume is not the renderer's; add it with AddVolume(), or pass its own renderer")
     mapper = volume.GetMapper()
     if mapper is None or not (_mappers.is_gpu(mapper) or _mappers.is_fixed_point(mapper)):
         why = (
@@ -127,7 +137,6 @@ class _Calibrator:
         renderer, mapper, window = self.renderer, self.mapper, self.window
         prop = first_volume(self.volume).GetProperty()
         steering = _held.get(self.volume.__this__)
-        enabled = None if steering is None else steering.enabled
         camera, own = renderer.GetActiveCamera(), _mappers.Settings(mapper)
         unit = prop.GetScalarOpacityUnitDistance(0)
         kept = {
@@ -138,9 +147,17 @@ class _Calibrator:
             mapper.AddObserver("VolumeMapperRenderStartEvent", self.start, -1.0),
             mapper.AddObserver("VolumeMapperRenderEndEvent", self.end, 1.0),
         ]
+        quiet = contextlib.ExitStack()
         try:
             if steering is not None:
-                steering.enabled = False
+                # Without its overlay.
+                quiet.enter_context(steering.still())
+            if pictures and self.gpu and renderer.GetOrigin() != (0, 0):
+                log.warning(
+                    "pictures are not compared: the GPU mapper draws smaller images only in renderers at the window's "
+                    "lower left corner"
+                )
+                pictures = 0
             window.Render()
             image = _scene.input_of(mapper)
             grid = _scene.Grid(mapper, image, 0 if prop.GetIndependentComponents() else -1)
@@ -187,8 +204,7 @@ class _Calibrator:
             mapper.SetImageSampleDistance(own.image)
             for name, value in kept.items():
                 getattr(camera, "Set" + name)(*value)
-            if steering is not None and enabled is not None:
-                steering.enabled = enabled
+            quiet.close()
             window.Render()
 
     def compare(

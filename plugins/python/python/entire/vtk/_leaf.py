@@ -138,6 +138,7 @@ class Leaf:
 
     def _restart(self, session: Session) -> None:
         """Continues with a new session."""
+        self._after_frame(self._restore_whole())
         self._forget()
         self._session = session
 
@@ -211,9 +212,8 @@ class Leaf:
 
     def _release(self, give_back: bool = True) -> None:
         mapper = self._mapper()
+        later = self._restore_whole()
         if mapper is not None:
-            if self._steered:
-                self._restore()
             for tag in self._tags:
                 mapper.RemoveObserver(tag)
         self._tags = []
@@ -223,11 +223,19 @@ class Leaf:
             drawn.__dict__.pop(_KEPT, None)
         if self._exchanged is not None:
             smart, self._exchanged = self._exchanged, None
-            volume = self._volume()
-            if give_back and mapper is not None and volume is not None and volume.GetMapper() is mapper:
-                # Settings made meanwhile stay.
-                _mappers.copy_changed(mapper, smart)
-                volume.SetMapper(smart)
+            volume, told = self._volume(), self._steering._given_back
+
+            def put_back() -> None:
+                if volume.GetMapper() is mapper:
+                    # Settings made meanwhile stay.
+                    _mappers.copy_changed(mapper, smart)
+                    volume.SetMapper(smart)
+                    if told is not None:
+                        told(mapper, smart)
+
+            if give_back and mapper is not None and volume is not None:
+                later.append(put_back)
+        self._after_frame(later)
         self._grid = self._tf = self._nodes = self._image = None
 
     def _follow(self) -> None:
@@ -255,7 +263,10 @@ class Leaf:
             return
         source = mapper.GetInputAlgorithm()
         if source is not None:
+            # The time of the application's pipeline is not ours.
+            before = perf_counter()
             source.Update()
+            self._steering._overhead -= perf_counter() - before
         self._prepare(mapper)
         self._ready = True
 
@@ -294,7 +305,8 @@ class Leaf:
 
     def _finish(self) -> None:
         """Restores the mapper's settings, and counts its time."""
-        if self._steered:
+        steered = self._steered
+        if steered:
             self._restore()
         self._frame_mapper = self._frame_volume = None
         plan, self._plan = self._plan, None
@@ -306,7 +318,11 @@ class Leaf:
         if plan is not None:
             # Observed with the next frame's plan, or when a read-out is requested.
             self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
-        steering._shared.budget.drew(self._pass, seconds, seconds * self._coarsening)
+        if steered and steering._shared.drawing:
+            # What is not steered is part of the rest, for which the others make room.
+            steering._shared.budget.drew(self._pass, seconds, seconds * self._coarsening)
+        steering._measured_now += seconds
+        steering._predicted_now += self.predicted
         steering._drawn += 1
         steering._last = self
 
@@ -326,6 +342,26 @@ class Leaf:
         else:
             own.write(mapper, self._wrote[1])
         self._mapper_time = mapper.GetMTime()
+
+    def _restore_whole(self) -> list[Callable[[], None]]:
+        """Restores the mapper's settings, whether it draws or not; returns what is to be repeated afterwards."""
+        mapper = self._mapper()
+        if mapper is None or not self._steered:
+            return []
+        own, wrote = self._own, self._wrote
+        self._restore()
+        # The fixed-point mapper ends its drawing by writing the sample distance with which it began.
+        return [] if self._gpu else [lambda: own.restore(mapper, *wrote)]
+
+    def _after_frame(self, calls: list[Callable[[], None]]) -> None:
+        """Calls when the renderer's frame ends; at once outside of frames. A mapper that draws would undo its settings,
+        and might not survive to be exchanged."""
+        renderer = self._steering._renderer()
+        if calls and self._steering._rendering and renderer is not None:
+            at_end(renderer, calls)
+        else:
+            for call in calls:
+                call()
 
     def _several(self, together: Any) -> int:
         """A number that grows with every change of several volumes in one mapper."""
@@ -504,6 +540,18 @@ class Leaf:
         if self._explained is None:
             return self.status
         return explain(self._explained)
+
+
+def at_end(renderer: Any, calls: list[Callable[[], None]]) -> None:
+    """Calls once when the renderer's frame ends."""
+    tags: list[int] = []
+
+    def ended(_renderer: Any, _event: str) -> None:
+        renderer.RemoveObserver(tags[0])
+        for call in calls:
+            call()
+
+    tags.append(renderer.AddObserver("EndEvent", ended))
 
 
 def _side(pixels: float) -> int:

@@ -25,7 +25,7 @@ from . import _mappers
 from ._leaf import Leaf, weak
 from ._mappers import CannotSteer
 from ._overlay import Overlay
-from ._window import frame_of
+from ._window import frame_of, is_picking
 
 log = logging.getLogger("entire.vtk")
 
@@ -108,6 +108,12 @@ class Steering:
         now = timer(clock)
         if not 1 / 64 <= coarsest <= 4096:
             raise ValueError(f"coarsest is {coarsest} voxel spacings; it must lie in 1/64 to 4096")
+        if finest is not None and not 1 / 64 <= finest <= 4096:
+            raise ValueError(
+                f"finest is {finest} voxel spacings; it must lie in 1/64 to 4096, or be None for the mapper's own"
+            )
+        if not still_rate >= 0:
+            raise ValueError(f"still_rate is {still_rate}; it must not be negative (frames per second)")
         if not 1 <= coarsest_image <= 100:
             raise ValueError(f"coarsest_image is {coarsest_image} pixels; it must lie in 1 to 100")
         self.seconds = seconds
@@ -142,6 +148,11 @@ class Steering:
         self._still_frame = self._steers = False
         self._overhead = 0.0
         self._drawn = 0
+        # Seconds of the mappers in the current frame and in the last one.
+        self._measured_now = self._predicted_now = 0.0
+        self._measured = self._predicted = _NAN
+        # Called with a GPU mapper and the smart one that takes its place again.
+        self._given_back: Callable[[Any, Any], None] | None = None
         self._last: Leaf | None = None
         self._props_time = 0
         self._all = volumes is None
@@ -339,12 +350,12 @@ class Steering:
     @property
     def predicted(self) -> float:
         """float : Expected seconds of the mappers in the last frame."""
-        return math.fsum(leaf.predicted for leaf in self.leaves) if self.leaves else _NAN
+        return self._predicted
 
     @property
     def measured(self) -> float:
         """float : Measured seconds of the mappers in the last frame."""
-        return math.fsum(leaf.measured for leaf in self.leaves) if self.leaves else _NAN
+        return self._measured
 
     @property
     def sample_distance(self) -> float:
@@ -397,9 +408,14 @@ class Steering:
             for tag in self._window_tags:
                 before.RemoveObserver(tag)
         self._window_tags = []
+        if self._in_frame:
+            # The others' next frame begins anew.
+            self._shared.drawing = False
         self._in_frame = False
         self._window = weak(window)
+        self._shared.steerings.discard(self)
         self._shared = frame_of(window, self._clock)
+        self._shared.steerings.add(self)
         if window is not None:
             self._window_tags = [
                 window.AddObserver("StartEvent", self._on_window_start, 1.0),
@@ -407,34 +423,26 @@ class Steering:
             ]
 
     def _on_window_start(self, window: Any, _event: str) -> None:
-        renderer = self._renderer()
-        self._in_frame = renderer is None or renderer.GetSelector() is None
+        self._in_frame = not is_picking(window)
         if not self._in_frame:
-            # A picking pass, not a frame.
             return
         self._frame_window = window
         self._overhead = 0.0
         self._drawn = 0
-        frame = self._shared
-        # The first of those that steer in this window begins the frame.
-        if not frame.drawing:
-            frame.drawing = frame.usual = True
-            frame.budget.begin()
-            frame.start = self._now()
+        self._measured_now = self._predicted_now = 0.0
+        self._shared.begin(self._now())
 
     def _on_window_end(self, window: Any, _event: str) -> None:
         self._frame_window = None
         if not self._in_frame:
             return
-        frame = self._shared
-        seconds = self._now() - frame.start
+        seconds = self._now() - self._shared.start
         before = perf_counter()
         self._in_frame = False
-        if frame.drawing:
-            frame.drawing = False
-            frame.budget.end(seconds, frame.usual)
+        self._shared.end(seconds)
         if self._drawn == 0:
             return
+        self._measured, self._predicted = self._measured_now, self._predicted_now
         self.frames += 1
         if self.frames == _STILL_FRAMES and self._still_frame and not self._still and self.steered_frames == 0:
             self._warn_of_still_frames(window)
@@ -453,11 +461,10 @@ class Steering:
             log.warning("%s", text)
 
     def _on_renderer_start(self, renderer: Any, _event: str) -> None:
-        if renderer.GetSelector() is not None:
-            # A picking pass, not a visible one.
-            return
         before = perf_counter()
         window = renderer.GetRenderWindow()
+        if window is not None and not self._in_frame and is_picking(window):
+            return
         if window is not self._frame_window:
             self._follow_window(window)
             self._frame_window = window
@@ -489,6 +496,9 @@ class Steering:
         for leaf in self.leaves:
             leaf._finish()
         self._frame_renderer = None
+        if not self._in_frame:
+            # The renderer was drawn without its window.
+            self._frame_window = None
         self._overhead += perf_counter() - before
 
     def _follow_volumes(self, renderer: Any) -> None:
@@ -603,18 +613,25 @@ def hold(
     """
     if renderer is None or not renderer.IsA("vtkRenderer"):
         raise ValueError("renderer must be a vtkRenderer; windows hold theirs in GetRenderers()")
+    there = _volumes(renderer)
     volumes: Sequence[Any] | None
     if volume is None:
         volumes = None
-        if not _volumes(renderer):
+        if not there:
             raise ValueError("the renderer has no volume; add one with AddVolume() before hold(), or pass it")
-    elif hasattr(volume, "IsA"):
-        volumes = [volume]
+    elif isinstance(volume, (int, float)):
+        raise ValueError(f"volume is {volume}; pass a frame time as seconds={volume}")
     else:
-        volumes = list(volume)
+        # Each once.
+        volumes = [volume] if hasattr(volume, "IsA") else list(dict.fromkeys(volume))
+        if not volumes:
+            raise ValueError("volume is an empty list; pass volumes, or None for all of the renderer")
     for each in volumes or ():
-        if not each.IsA("vtkVolume"):
-            raise ValueError(f"{each.GetClassName()} is no volume; pass a vtkVolume, not its mapper or data")
+        if not hasattr(each, "IsA") or not each.IsA("vtkVolume"):
+            kind = each.GetClassName() if hasattr(each, "GetClassName") else repr(each)
+            raise ValueError(f"{kind} is no volume; pass a vtkVolume, not its mapper or data")
+        if each not in there:
+            raise ValueError("a volume is not the renderer's; add it with AddVolume(), or pass its own renderer")
     return Steering(
         renderer,
         volumes,
