@@ -21,6 +21,7 @@
 //! The second form measures the accuracy of storages on a trained model and real inputs (one row per frame,
 //! in the model's order, no header): their difference from f32 and, with measured seconds (one number per
 //! line), their error beside that of f32.
+#![allow(clippy::incompatible_msrv, reason = "needs the newest compiler, unlike the library")]
 
 use entire_core::kernels::{Executor, Storage};
 use entire_core::kernels::{Isa, Level};

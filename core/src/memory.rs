@@ -29,6 +29,20 @@ pub fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
     Ok(out)
 }
 
+/// The slice as arrays of `N`, and its rest: `slice::as_chunks` for compilers before 1.88.
+#[inline(always)]
+pub fn chunks<const N: usize, T: bytemuck::Pod>(all: &[T]) -> (&[[T; N]], &[T]) {
+    let (whole, rest) = all.split_at(all.len() - all.len() % N);
+    (bytemuck::cast_slice(whole), rest)
+}
+
+/// As [`chunks`], for writing.
+#[inline(always)]
+pub fn chunks_mut<const N: usize, T: bytemuck::Pod>(all: &mut [T]) -> (&mut [[T; N]], &mut [T]) {
+    let (whole, rest) = all.split_at_mut(all.len() - all.len() % N);
+    (bytemuck::cast_slice_mut(whole), rest)
+}
+
 /// A vector of `len` zeros from zeroed pages: untouched pages take no memory.
 pub fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
     bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())

@@ -256,7 +256,8 @@ pub(crate) unsafe fn write_text(
         unsafe { write(length, text.len(), "length")? };
     }
     if capacity > 0 {
-        let cut = text.floor_char_boundary(text.len().min(capacity - 1));
+        let longest = text.len().min(capacity - 1);
+        let cut = (0..=longest).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
         // SAFETY: `cut` is below the capacity that the caller promises, so the closing NUL fits too.
         unsafe {
             std::ptr::copy_nonoverlapping(text.as_ptr(), buffer.cast::<u8>(), cut);

@@ -217,7 +217,10 @@ fn keep_panics_quiet() {
             if DEPTH.try_with(Cell::get).unwrap_or(0) == 0 {
                 return before(info);
             }
-            let text = info.payload_as_str().unwrap_or("panic");
+            let payload = info.payload();
+            let text = payload.downcast_ref::<&str>().copied();
+            let text =
+                text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("panic");
             let place = info.location().map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
             let _ = PANIC.try_with(|slot| *slot.borrow_mut() = format!("{text}{place}"));
         }));

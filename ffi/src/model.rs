@@ -310,6 +310,10 @@ pub unsafe extern "C" fn entire_model_open_machine(
 }
 
 /// The user's data folder, as `entire calibrate` finds it.
+#[allow(
+    deprecated,
+    reason = "compilers before 1.87 warn of home_dir() for an error on Windows that is mended"
+)]
 fn data_folder() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     absolute("XDG_DATA_HOME").or_else(|| {

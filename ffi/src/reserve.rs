@@ -200,7 +200,7 @@ mod tests {
         let mut pieces: Vec<(*mut u8, usize)> = Vec::new();
         for size in sizes {
             let piece = reserve.take(layout(size, 64));
-            assert!(!piece.is_null() && reserve.owns(piece) && (piece as usize).is_multiple_of(BLOCK));
+            assert!(!piece.is_null() && reserve.owns(piece) && piece as usize % BLOCK == 0);
             // SAFETY: the piece has this size.
             unsafe { piece.write_bytes(size as u8, size) };
             pieces.push((piece, size));

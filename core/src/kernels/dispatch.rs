@@ -10,7 +10,7 @@ impl Level {
     #[inline]
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 => {
                 // SAFETY: the level proves AVX-512 F, BW, DQ and VL.
                 unsafe { super::x86_64::avx512::enter(kernel) }
@@ -29,7 +29,7 @@ impl Level {
     #[inline]
     pub fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 if self.has_vnni() => {
                 // SAFETY: the level proves AVX-512 F, BW, DQ, VL and VNNI.
                 unsafe { super::x86_64::avx512::enter_vnni(kernel) }

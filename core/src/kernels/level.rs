@@ -107,7 +107,8 @@ impl Level {
         match isa {
             Isa::Scalar => Some(Self::SCALAR),
             Isa::Avx2 => (found & HAS_AVX2 != 0).then_some(Level { isa, extras: 0 }),
-            Isa::Avx512 => (found & HAS_AVX512 != 0)
+            // Compilers before 1.89 have no such instructions.
+            Isa::Avx512 => (cfg!(entire_avx512) && found & HAS_AVX512 != 0)
                 .then_some(Level { isa, extras: found & (HAS_VNNI | HAS_BF16 | HAS_FP16) }),
         }
     }
@@ -126,9 +127,7 @@ impl Level {
     /// [`Unsupported`](crate::ErrorKind::Unsupported) for a level that this CPU does not have.
     pub fn check_override() -> Result<()> {
         #[cfg(feature = "std")]
-        if let Some(isa) = Self::override_isa().clone()?
-            && Self::exactly(isa).is_none()
-        {
+        if let Some(isa) = Self::override_isa().clone()?.filter(|&isa| Self::exactly(isa).is_none()) {
             bail!(
                 Unsupported,
                 "{LEVEL_VARIABLE}={isa}, but this CPU has no more than {}: unset it or lower it",
@@ -212,19 +211,28 @@ fn probe() -> u32 {
 /// and without `std` the same code runs, so that both choose the same level.
 #[cfg(all(target_arch = "x86_64", not(miri)))]
 fn probe() -> u32 {
-    use core::arch::x86_64::{__cpuid, __cpuid_count, _xgetbv};
+    use core::arch::x86_64::{__cpuid_count, _xgetbv, CpuidResult};
 
+    /// # Safety
+    /// The CPU has XGETBV, and the operating system enabled it.
     #[target_feature(enable = "xsave")]
-    fn enabled_state() -> u64 {
-        // SAFETY: OSXSAVE was checked by the only caller, and register 0 exists wherever that is set.
+    unsafe fn enabled_state() -> u64 {
+        // SAFETY: register 0 exists wherever XGETBV does.
         unsafe { _xgetbv(0) }
     }
 
+    /// `cpuid` of a leaf.
+    #[allow(unused_unsafe, reason = "compilers before 1.94 call it unsafe")]
+    fn cpuid(leaf: u32, part: u32) -> CpuidResult {
+        // SAFETY: every CPU of this architecture has the instruction.
+        unsafe { __cpuid_count(leaf, part) }
+    }
+
     let bit = |word: u32, n: u32| word >> n & 1 != 0;
-    if __cpuid(0).eax < 7 {
+    if cpuid(0, 0).eax < 7 {
         return 0;
     }
-    let leaf1 = __cpuid(1);
+    let leaf1 = cpuid(1, 0);
     let (fma, osxsave, avx, f16c) =
         (bit(leaf1.ecx, 12), bit(leaf1.ecx, 27), bit(leaf1.ecx, 28), bit(leaf1.ecx, 29));
     let popcnt = bit(leaf1.ecx, 23);
@@ -235,7 +243,7 @@ fn probe() -> u32 {
     let state = unsafe { enabled_state() };
     let ymm = state & 0b110 == 0b110;
     let zmm = state & 0b1110_0110 == 0b1110_0110;
-    let leaf7 = __cpuid_count(7, 0);
+    let leaf7 = cpuid(7, 0);
     let mut found = 0;
     if ymm && avx && fma && f16c && popcnt && bit(leaf7.ebx, 5) {
         found |= HAS_AVX2;
@@ -247,7 +255,7 @@ fn probe() -> u32 {
             if bit(leaf7.edx, 23) {
                 found |= HAS_FP16;
             }
-            if leaf7.eax >= 1 && bit(__cpuid_count(7, 1).eax, 5) {
+            if leaf7.eax >= 1 && bit(cpuid(7, 1).eax, 5) {
                 found |= HAS_BF16;
             }
         }
@@ -294,6 +302,7 @@ mod tests {
             && std::is_x86_feature_detected!("f16c")
             && std::is_x86_feature_detected!("popcnt");
         let avx512 = avx2
+            && cfg!(entire_avx512)
             && std::is_x86_feature_detected!("avx512f")
             && std::is_x86_feature_detected!("avx512bw")
             && std::is_x86_feature_detected!("avx512dq")

@@ -1,6 +1,7 @@
 //! The portable level: four lanes of plain Rust, in a form that compilers vectorize.
 
 use super::simd::Simd;
+use crate::memory::chunks;
 
 /// Token of the portable level.
 #[derive(Clone, Copy)]
@@ -225,7 +226,7 @@ impl Simd for Scalar {
     #[inline(always)]
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {
         let mut bits = 0;
-        for (i, (low, high)) in low.as_chunks::<8>().0.iter().zip(high.as_chunks::<8>().0).enumerate() {
+        for (i, (low, high)) in chunks::<8, _>(low).0.iter().zip(chunks::<8, _>(high).0).enumerate() {
             let flags: [u8; 8] =
                 core::array::from_fn(|k| u8::from(low[k] <= last) & u8::from(high[k] >= first));
             // Bit 8k of the flags moves to bit 56 + k of the product; no other term reaches those bits.

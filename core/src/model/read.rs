@@ -139,12 +139,9 @@ impl Source<'_> {
     fn prednet_layers(&self) -> Result<Option<usize>> {
         let last =
             self.tensors.keys().filter_map(|name| numbered(name, "prednet.", &["weight", "bias"])).max();
-        if last.is_none()
-            && let Some(name) = self
-                .tensors
-                .keys()
-                .find(|n| n.starts_with("prednet.input.") || n.starts_with("prednet.output."))
-        {
+        let ends = ["prednet.input.", "prednet.output."];
+        let end = self.tensors.keys().find(|name| ends.iter().any(|end| name.starts_with(end)));
+        if let (None, Some(name)) = (last, end) {
             bail!(InvalidTensor, "prednet.0.weight is missing, although the file holds {name}");
         }
         Ok(last.map(|n| n + 1))
@@ -210,9 +207,8 @@ impl Source<'_> {
             if !fits {
                 bail!(InvalidModel, "{key}: the group {name:?} has size {}, expected {expected}", group.size);
             }
-            if let (Some(GroupKind::VolumeFeatures), Some(net)) = (GroupKind::find(name), volumenet)
-                && group.size != net.features()
-            {
+            let encoder = volumenet.filter(|_| GroupKind::find(name) == Some(GroupKind::VolumeFeatures));
+            if let Some(net) = encoder.filter(|net| group.size != net.features()) {
                 bail!(
                     InvalidModel,
                     "{key}: the group {name:?} has size {}, but volumenet.fc.weight gives {} features",

@@ -1,6 +1,7 @@
 //! Default range of a volume's scalars.
 
 use super::{Scalars, VolumeView};
+use crate::memory::chunks;
 use alloc::vec::Vec;
 
 /// Largest number of voxels sampled in search of fill values.
@@ -128,7 +129,12 @@ impl VolumeView<'_> {
         }
     }
 
-    fn extremes<T: Copy>(&self, values: &[T], number: impl Fn(T) -> f32, fill: &[f32]) -> (f32, f32) {
+    fn extremes<T: bytemuck::Pod>(
+        &self,
+        values: &[T],
+        number: impl Fn(T) -> f32,
+        fill: &[f32],
+    ) -> (f32, f32) {
         /// Number of independent minima and maxima, so that compilers vectorize.
         const LANES: usize = 32;
         let mut lanes = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
@@ -147,7 +153,7 @@ impl VolumeView<'_> {
         for (z, y) in (0..nz).flat_map(|z| (0..ny).map(move |y| (z, y))) {
             let at = self.index(0, y, z);
             if stride == 1 {
-                let (chunks, rest) = values[at..at + nx].as_chunks::<LANES>();
+                let (chunks, rest) = chunks::<LANES, _>(&values[at..at + nx]);
                 chunks.iter().for_each(|chunk| take(chunk));
                 take(rest);
             } else {

@@ -54,7 +54,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
-        .unwrap_or_else(|e| panic!("{}: {e}", program.display()));
+        .unwrap_or_else(|e| panic!("{program:?}: {e}"));
     let mut stdin = child.stdin.take().unwrap();
     let bytes: Vec<u8> = inputs.iter().flat_map(|v| v.to_ne_bytes()).collect();
     let writer = std::thread::spawn(move || stdin.write_all(&bytes).unwrap());

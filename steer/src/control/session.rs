@@ -399,10 +399,7 @@ impl Session {
         check_seconds(seconds)?;
         pending.observed = true;
         let over = seconds > pending.expected;
-        if let Some(recording) = &mut self.recording
-            && !flags.cancelled
-            && !flags.unusual
-        {
+        if let Some(recording) = self.recording.as_mut().filter(|_| !flags.cancelled && !flags.unusual) {
             recording.observe(id, seconds);
         }
         if flags.cancelled && !over {
@@ -599,9 +596,7 @@ struct Cost<'a> {
 
 impl Cost<'_> {
     fn at(&mut self, step: f32) -> CostTerms {
-        if let Some((known, terms)) = self.last
-            && known == step
-        {
+        if let Some((_, terms)) = self.last.filter(|&(known, _)| known == step) {
             return terms;
         }
         let terms = self.evaluate(step);

@@ -2,6 +2,7 @@
 //! time.
 
 use entire_core::kernels::{Kernel, Level, Simd};
+use entire_core::memory::chunks;
 use entire_core::scene::TABLE_LEN;
 
 /// Largest number of runs of visible table entries for which bounds are compared with every run; with more
@@ -51,7 +52,7 @@ impl<'a> Visible<'a> {
     /// As `bits`, for the pairs after the last group of 64; bits beyond them are zero.
     #[inline(always)]
     fn rest<S: Simd>(&self, simd: S, low: &[u8], high: &[u8]) -> u64 {
-        let (low, high) = (low.as_chunks::<64>().1, high.as_chunks::<64>().1);
+        let (low, high) = (chunks::<64, _>(low).1, chunks::<64, _>(high).1);
         let (mut last_low, mut last_high) = ([0; 64], [0; 64]);
         last_low[..low.len()].copy_from_slice(low);
         last_high[..high.len()].copy_from_slice(high);
@@ -78,7 +79,7 @@ impl Kernel for Classify<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> u64 {
-        let ((lows, low), (highs, _)) = (self.low.as_chunks::<64>(), self.high.as_chunks::<64>());
+        let ((lows, low), (highs, _)) = (chunks::<64, _>(self.low), chunks::<64, _>(self.high));
         let mut sum = 0;
         for ((word, low), high) in self.bits.iter_mut().zip(lows).zip(highs) {
             *word = self.visible.bits(simd, low, high);
@@ -110,7 +111,7 @@ impl Blocks<'_> {
     /// True where a word of block bits covers eight whole cells, or a part of one cell; cells are then
     /// classified first.
     fn fill_words(&self) -> bool {
-        self.uniform && (self.most == 8 || self.most.is_multiple_of(64))
+        self.uniform && (self.most == 8 || self.most % 64 == 0)
     }
 
     /// Share of a cell's blocks whose bit is set. `bits` must have a word beyond that of the last block.
@@ -164,7 +165,7 @@ impl Kernel for ClassifyWords<'_> {
         let Self { visible, low, high, blocks, bits, full } = self;
         Classify { visible, low, high, bits: &mut *full }.run(simd);
         let each = blocks.most;
-        let (lows, highs) = (blocks.low.as_chunks::<64>().0, blocks.high.as_chunks::<64>().0);
+        let (lows, highs) = (chunks::<64, _>(blocks.low).0, chunks::<64, _>(blocks.high).0);
         let mut sum = 0u64;
         if each == 8 {
             for (i, (cells, bits)) in full.iter_mut().zip(bits.chunks_mut(8)).enumerate() {
@@ -235,7 +236,7 @@ impl Kernel for Gather<'_> {
         full.fill(0);
         while at + 1 < first.len() {
             let begin = first[at] as usize;
-            let aligned = most == 8 && begin.is_multiple_of(64);
+            let aligned = most == 8 && begin % 64 == 0;
             if aligned && first.get(at + 8).is_some_and(|&end| end as usize == begin + 64) {
                 // Eight cells of eight blocks.
                 let word = bits[begin / 64];
@@ -285,7 +286,7 @@ mod tests {
         for period in [3usize, 7, 20, 100, 300] {
             let mut below = [0u16; TABLE_LEN + 1];
             for i in 0..TABLE_LEN {
-                below[i + 1] = below[i] + u16::from((i / (period / 3)).is_multiple_of(3) && i > 40);
+                below[i + 1] = below[i] + u16::from((i / (period / 3)) % 3 == 0 && i > 40);
             }
             let visible = Visible::new(&below);
             assert_eq!(visible.count.is_none(), period < 50, "{period}");

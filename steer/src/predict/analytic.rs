@@ -309,9 +309,8 @@ impl AnalyticModel {
         out.quality = KnownQuality::of(model)?;
         if let Some(stored) = Stored::of(model)? {
             out.calibration = UpperBound { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
-            if let (Some(low), Some(high)) = (stored.low, stored.high)
-                && let (Ok(low), Ok(high)) = (low.try_into(), high.try_into())
-            {
+            let ends = |end: Option<Vec<f32>>| end.and_then(|end| end.try_into().ok());
+            if let (Some(low), Some(high)) = (ends(stored.low), ends(stored.high)) {
                 out.range = FeatureRange::from_ends(low, high);
             }
         }

@@ -11,6 +11,7 @@ use alloc::sync::Arc;
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
+use entire_core::memory::chunks_mut;
 use entire_core::memory::filled;
 use entire_core::model::{Key, Model};
 use entire_core::nn::{PredNet, PredScratch};
@@ -184,7 +185,7 @@ fn identity_of(model: &Model) -> u32 {
         let mut bytes = [0; 256];
         for chunk in values.chunks(64) {
             let bytes = &mut bytes[..4 * chunk.len()];
-            bytes.as_chunks_mut().0.iter_mut().zip(chunk).for_each(|(b, v)| *b = v.to_le_bytes());
+            chunks_mut::<4, _>(bytes).0.iter_mut().zip(chunk).for_each(|(b, v)| *b = v.to_le_bytes());
             hash.update(bytes);
         }
     };

@@ -184,7 +184,7 @@ impl Kernel for Tiles<'_> {
         };
         let Shape { output: edge, stride, .. } = layer.shape;
         // Sixteen positions of one row are equally spaced.
-        let rows_of_16 = edge.is_multiple_of(16) && positions.start.is_multiple_of(16);
+        let rows_of_16 = edge % 16 == 0 && positions.start % 16 == 0;
         let step = if layer.cut.wide && vectors == 1 && rows_of_16 { 16 } else { layer.cut.positions };
         let (mut z, mut y, mut x) =
             (positions.start / (edge * edge), positions.start / edge % edge, positions.start % edge);

@@ -2,6 +2,7 @@
 
 use super::layout::LINE;
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::chunks;
 
 /// The dense layer after the convolutions: 16 partial sums per output.
 pub(super) struct Dense<'a> {
@@ -16,9 +17,9 @@ impl Kernel for Dense<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let (x, _) = self.x.as_chunks::<LINE>();
+        let (x, _) = chunks::<LINE, _>(self.x);
         for ((feature, row), bias) in self.features.iter_mut().zip(self.dense).zip(self.bias) {
-            let (row, _) = row.as_chunks::<LINE>();
+            let (row, _) = chunks::<LINE, _>(row);
             let mut sums = [0.0f32; LINE];
             for (w, x) in row.iter().zip(x) {
                 for ((sum, w), x) in sums.iter_mut().zip(w).zip(x) {

@@ -6,6 +6,7 @@ use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::resample::{Map, Scalar};
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::chunks;
 
 #[derive(Clone, Debug)]
 pub(super) struct Planar {
@@ -58,7 +59,7 @@ impl PreparedPlane<'_> {
                     let out = &mut plane.data[(y + padding) * plane.row..(y + padding + 1) * plane.row];
                     if phases == 2 {
                         let (even, odd) = out.split_at_mut(plane.phase);
-                        let (pairs, rest) = row.as_chunks::<2>();
+                        let (pairs, rest) = chunks::<2, _>(row);
                         // The first voxel has padded coordinate `padding`.
                         let (a, b) = if padding % 2 == 0 {
                             (&mut even[padding / 2..], &mut odd[padding / 2..])

@@ -168,7 +168,7 @@ macro_rules! wide {
             // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
             unsafe {
                 $(let $x = tile.input[$p];)*
-                let distance = tile.input[8].offset_from_unsigned(tile.input[0]);
+                let distance = tile.input[8].offset_from(tile.input[0]) as usize;
                 let b0 = s.load(tile.bias);
                 $(let (mut $a, mut $b) = (b0, b0);)*
                 let mut w = tile.weights;
@@ -264,7 +264,7 @@ pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vect
     const { assert!(MAX_POSITIONS >= 16) };
     // SAFETY: passed on to the caller.
     unsafe {
-        let contiguous_channels = tile.channel_stride == 1 && tile.channels.is_multiple_of(4);
+        let contiguous_channels = tile.channel_stride == 1 && tile.channels % 4 == 0;
         match (vectors, S::LANES == 16) {
             (2, true) if tile.two_apart => two_by_eight::<S, true, false>(s, tile),
             (2, true) if contiguous_channels => two_by_eight::<S, false, true>(s, tile),

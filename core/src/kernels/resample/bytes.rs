@@ -3,6 +3,7 @@
 use super::{After, Geometry};
 use crate::kernels::Isa;
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::chunks;
 
 /// Largest number of rows of bytes whose sum fits 16 bits.
 const BYTE_ROWS: usize = 65535 / 255;
@@ -261,7 +262,7 @@ fn add_bytes_strided(sums: &mut [u16], src: &[u8], stride: usize, first: bool) {
 
 #[inline(always)]
 fn fold_sums<const R: usize>(sums: &[u16], out: &mut [f32], after: After) {
-    let (sums, _) = sums.as_chunks::<R>();
+    let (sums, _) = chunks::<R, _>(sums);
     for (o, s) in out.iter_mut().zip(sums) {
         let mut t = 0u32;
         for &v in s {

@@ -3,6 +3,7 @@
 use super::{After, Geometry, Map, ROWS, Scalar, Span, reduced_span, spread};
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::chunks;
 
 /// Largest number of rows summed directly into one row of floats; longer sums use a second row, which bounds
 /// the accumulated rounding error.
@@ -185,7 +186,7 @@ fn fold(sum: &[f32], columns: &[Span], after: After, out: &mut [f32]) {
                     s[0]
                 } else {
                     let inner = &s[1..c.count - 1];
-                    let (quads, rest) = inner.as_chunks::<4>();
+                    let (quads, rest) = chunks::<4, _>(inner);
                     let mut lanes = [0.0f32; 4];
                     for quad in quads {
                         for (lane, v) in lanes.iter_mut().zip(quad) {
@@ -207,7 +208,7 @@ fn fold(sum: &[f32], columns: &[Span], after: After, out: &mut [f32]) {
 #[inline(always)]
 fn fold_exact<const R: usize>(sum: &[f32], columns: &[Span], after: After, out: &mut [f32]) {
     let weight = columns[0].head;
-    let (sum, _) = sum.as_chunks::<R>();
+    let (sum, _) = chunks::<R, _>(sum);
     for (o, s) in out.iter_mut().zip(sum) {
         let mut t = s[0];
         for &v in &s[1..] {

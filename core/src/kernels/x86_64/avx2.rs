@@ -1,6 +1,7 @@
 //! AVX2, FMA, F16C and POPCNT: the only file with these `#[target_feature]`s.
 
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::chunks;
 use core::arch::x86_64::*;
 
 /// Token of AVX2, FMA, F16C and POPCNT; made only inside [`enter`].
@@ -8,8 +9,11 @@ use core::arch::x86_64::*;
 pub(crate) struct Avx2(());
 
 /// Runs a kernel with AVX2, FMA, F16C and POPCNT.
+///
+/// # Safety
+/// The CPU has them.
 #[target_feature(enable = "avx2,fma,f16c,popcnt")]
-pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
+pub(crate) unsafe fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx2(()))
 }
 
@@ -307,7 +311,7 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8] {
         let mut counts = [0; 8];
-        let (blocks, rest) = bytes.as_chunks::<256>();
+        let (blocks, rest) = chunks::<256, _>(bytes);
         // SAFETY: token; each block has eight vectors.
         unsafe {
             let zero = _mm256_setzero_si256();

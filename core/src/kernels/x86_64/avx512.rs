@@ -1,6 +1,7 @@
 //! AVX-512 F, BW, DQ and VL, with and without VNNI: the only file with these `#[target_feature]`s.
 
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::chunks;
 use core::arch::x86_64::*;
 
 /// Token of AVX-512; made only inside [`enter`] and [`enter_vnni`].
@@ -8,14 +9,20 @@ use core::arch::x86_64::*;
 pub(crate) struct Avx512<const VNNI: bool>(());
 
 /// Runs a kernel with AVX-512 F, BW, DQ and VL.
+///
+/// # Safety
+/// The CPU has them.
 #[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
+pub(crate) unsafe fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<false>(()))
 }
 
 /// Runs a kernel with AVX-512 F, BW, DQ, VL and VNNI.
+///
+/// # Safety
+/// The CPU has them.
 #[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
-pub(crate) fn enter_vnni<K: Kernel>(kernel: K) -> K::Output {
+pub(crate) unsafe fn enter_vnni<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<true>(()))
 }
 
@@ -306,8 +313,8 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     #[inline(always)]
     fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8] {
         let mut counts = [0; 8];
-        let (blocks, rest) = bytes.as_chunks::<1024>();
-        let (halves, rest) = rest.as_chunks::<512>();
+        let (blocks, rest) = chunks::<1024, _>(bytes);
+        let (halves, rest) = chunks::<512, _>(rest);
         // SAFETY: token; each block has sixteen vectors, and half of one eight.
         unsafe {
             let zero = _mm512_setzero_si512();

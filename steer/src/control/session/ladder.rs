@@ -93,9 +93,7 @@ impl Session {
                 "the probe is to have {side} rays along each side; accepted are 1 to {MAX_PROBE_SIDE}"
             );
         }
-        if let Some(share) = tolerance
-            && !(0.0..=1.0).contains(&share)
-        {
+        if let Some(share) = tolerance.filter(|share| !(0.0..=1.0).contains(share)) {
             bail!(
                 InvalidArgument,
                 "the probe's tolerance is {share}; a share of the frame's time from 0 to 1 is accepted"
@@ -125,11 +123,14 @@ impl Session {
     pub(super) fn measure_for(&mut self, frame: &Frame, target: f32) -> Result<()> {
         let Some(ladder) = self.ladder else { return self.cast(frame) };
         let view = Cast::of(frame);
-        if self.cast_for.is_some_and(|cast| cast.serves(&view, ladder.tolerance))
-            && !self.changes_for(frame).any()
-            && let Some(volume) = &self.volume
-            && self.features.turn(volume, frame)?
-            // The finest probe needs no check.
+        let serves = self.cast_for.is_some_and(|cast| cast.serves(&view, ladder.tolerance));
+        let serves = serves && !self.changes_for(frame).any();
+        let turned = match &self.volume {
+            Some(volume) if serves => self.features.turn(volume, frame)?,
+            _ => false,
+        };
+        // The finest probe needs no check.
+        if turned
             && (self.features.probe_side() >= ladder.finest
                 || self.suffices(frame, target, ladder.tolerance)?)
         {

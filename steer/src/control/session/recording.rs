@@ -160,14 +160,12 @@ impl Session {
             0 => FrameFeatures::default().probe_side(),
             side => side,
         };
-        if let Some(recording) = &self.recording
-            && ![0, side].contains(&recording.calibration.prior().probe_side())
-        {
+        let recorded = self.recording.as_ref().map(|recording| recording.calibration.prior().probe_side());
+        if let Some(recorded) = recorded.filter(|recorded| ![0, side].contains(recorded)) {
             bail!(
                 InvalidArgument,
-                "frames are being recorded with a probe of {} rays along each side, the new model's has {side}; take one \
-                 with the same probe",
-                recording.calibration.prior().probe_side()
+                "frames are being recorded with a probe of {recorded} rays along each side, the new model's has {side}; take \
+                 one with the same probe"
             );
         }
         if side != self.features.probe_side() {

@@ -3,6 +3,7 @@
 use super::{BINS, Chords, SHADOW_DIRECTION, SHADOW_OPACITY};
 use crate::features::{TransferSummary, VolumeSummary};
 use entire_core::kernels::Level;
+use entire_core::memory::chunks;
 use entire_core::scene::Shape;
 use entire_core::scene::{Frame, Shading};
 use glam::Vec3;
@@ -99,8 +100,8 @@ impl ChordCounts {
         let one = |sums: &mut [u64; 32], bin: u32, units: u32| {
             sums[bin as usize % 32] += ONE + u64::from(units);
         };
-        let (fours, rest) = bins[..count].as_chunks::<4>();
-        for (&[i, j, k, l], &[s, t, u, v]) in fours.iter().zip(units.as_chunks::<4>().0) {
+        let (fours, rest) = chunks::<4, _>(&bins[..count]);
+        for (&[i, j, k, l], &[s, t, u, v]) in fours.iter().zip(chunks::<4, _>(units).0) {
             one(a, i, s);
             one(b, j, t);
             one(c, k, u);

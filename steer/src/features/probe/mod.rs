@@ -12,6 +12,7 @@ use self::march::{
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use entire_core::kernels::Level;
+use entire_core::memory::chunks;
 use entire_core::scene::{Frame, Shape, Skipping};
 
 /// Default number of rays along each side of the footprint's bounding rectangle.
@@ -305,7 +306,7 @@ impl Chords {
 /// Sum in an order that suits vectors of any width and is the same for all of them.
 fn sum(values: &[f32]) -> f32 {
     let mut lanes = [0.0f32; 16];
-    let (chunks, rest) = values.as_chunks::<16>();
+    let (chunks, rest) = chunks::<16, _>(values);
     for chunk in chunks {
         lanes.iter_mut().zip(chunk).for_each(|(a, b)| *a += b);
     }

@@ -9,6 +9,7 @@ use super::march::{
 use super::{MAX_RAYS, SHADOW_DIRECTION};
 use crate::features::transfer::packed;
 use entire_core::kernels::{Kernel, Level, Simd};
+use entire_core::memory::chunks_mut;
 
 /// Marches the first `count` rays. `rays` must have room for a multiple of 16.
 pub(super) fn march(level: Level, march: &mut March<'_>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
@@ -348,7 +349,7 @@ impl<S: Simd> Packet<'_, '_, S> {
     fn add_kept(&mut self) {
         let simd = self.simd;
         let mut units = [0u32; KEPT];
-        for (lengths, units) in self.kept.chunks_exact(16).zip(units.as_chunks_mut::<16>().0) {
+        for (lengths, units) in self.kept.chunks_exact(16).zip(chunks_mut::<16, _>(&mut units).0) {
             let mut at = 0;
             while at < 16 {
                 let length = simd.min(simd.read(&lengths[at..]), simd.splat(ChordCounts::LONGEST));

@@ -103,7 +103,7 @@ impl SummaryBuilder {
     pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
         let ([x, y, planes], [width, height, all]) = (slab.dims(), self.grid.dims);
         let (edge, left) = (self.grid.edge[2], all - self.planes);
-        let whole = planes.is_multiple_of(edge) || planes == left;
+        let whole = planes % edge == 0 || planes == left;
         if [x, y] != [width, height] || planes > left || !whole {
             bail!(
                 SizeMismatch,

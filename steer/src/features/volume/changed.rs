@@ -7,6 +7,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
+use entire_core::memory::chunks;
 use entire_core::memory::{copied, filled, mixed, reserve, room};
 
 /// One bit per cell of a row along x, of which there are at most 128.
@@ -374,7 +375,7 @@ impl<T: Voxel> Part<'_, T> {
 /// the position matters.
 #[inline(always)]
 fn absorb(bytes: &[u8], keys: Sums, first: &mut [u64], second: &mut [u64]) {
-    let (whole, rest) = bytes.as_chunks::<8>();
+    let (whole, rest) = chunks::<8, _>(bytes);
     let product = |word: u64, key: u64| ((word ^ key) & 0xffff_ffff) * ((word ^ key) >> 32);
     for ((a, b), word) in first.iter_mut().zip(second.iter_mut()).zip(whole) {
         let word = u64::from_le_bytes(*word);

@@ -6,6 +6,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
+use entire_core::memory::chunks;
 use entire_core::memory::{filled, room};
 use entire_core::scene::VolumeView;
 
@@ -393,7 +394,7 @@ impl<S: Simd> Tally<'_, S> {
             }
             return;
         }
-        let (eights, rest) = bytes.as_chunks::<8>();
+        let (eights, rest) = chunks::<8, _>(bytes);
         for &eight in eights {
             let word = u64::from_le_bytes(eight);
             let byte = |i: u32| (word >> (8 * i)) as u8 as usize;
@@ -510,7 +511,7 @@ fn slide<T: Voxel>(values: &mut [T], other: &mut [T], reach: usize, join: impl F
 pub(super) fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, cells: &mut [u8]) {
     #[inline(always)]
     fn fixed<const N: usize>(entries: &[u8], place: usize, per_cell: usize, cells: &mut [u8]) {
-        let (parts, rest) = entries.as_chunks::<N>();
+        let (parts, rest) = chunks::<N, _>(entries);
         for (part, cell) in parts.iter().zip(cells.chunks_exact_mut(per_cell)) {
             cell[N * place..N * place + N].copy_from_slice(part);
         }

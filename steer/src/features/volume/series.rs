@@ -157,7 +157,7 @@ impl SummarySeries {
         };
         let ([x, y, planes], [width, height, all]) = (slab.dims(), self.grid.dims);
         let (edge, left) = (self.grid.edge[2], all - next.start);
-        if [x, y] != [width, height] || planes > left || !(planes.is_multiple_of(edge) || planes == left) {
+        if [x, y] != [width, height] || planes > left || !(planes % edge == 0 || planes == left) {
             bail!(
                 SizeMismatch,
                 "a slab of {x} x {y} x {planes} voxels was added where planes from {} on of {all} planes of \

@@ -31,7 +31,7 @@ impl Volume {
     fn new() -> Self {
         let mut random = Random(5);
         // Constant cells among others.
-        let voxel = |i: usize| if (i / 7000).is_multiple_of(2) { 9 } else { random.below(256) as u8 };
+        let voxel = |i: usize| if (i / 7000) % 2 == 0 { 9 } else { random.below(256) as u8 };
         Self::of((0..DIMS.iter().product()).map(voxel).collect())
     }
 
