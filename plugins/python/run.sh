@@ -160,10 +160,10 @@ case $what in
                     tests test tests/test_integrations.py
                     tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py --ignore tests/test_integrations.py
                     ;;
-                oldest) tests oldest tests/test_volume.py tests/test_session.py tests/test_vtk.py tests/test_modes.py tests/test_window.py tests/test_pyvista.py "$@" ;;
+                oldest) tests oldest tests/test_volume.py tests/test_session.py tests/test_vtk.py tests/test_modes.py tests/test_endings.py tests/test_window.py tests/test_pyvista.py "$@" ;;
                 qt) qt_tests "$@" ;;
                 slicer) tests slicer tests/test_slicer.py tests/test_modes.py "$@" ;;
-                host) host_tests tests/test_vtk.py tests/test_modes.py tests/test_window.py "$@" ;;
+                host) host_tests tests/test_vtk.py tests/test_modes.py tests/test_endings.py tests/test_window.py "$@" ;;
                 *) echo "run.sh: PYTHON_ENVIRONMENTS names \"$name\"; use test, oldest, qt, host and slicer" >&2; exit 2 ;;
             esac
         done

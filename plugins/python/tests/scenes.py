@@ -66,3 +66,13 @@ class View:
     def pixels(self):
         """Pixels of the window, as [y, x, rgb] bytes, without drawing it again."""
         return pixels(self.window)
+
+
+def settings(mapper):
+    names = (
+        "SampleDistance",
+        "ImageSampleDistance",
+        "AutoAdjustSampleDistances",
+        "LockSampleDistanceToInputSpacing",
+    )
+    return [getattr(mapper, "Get" + n)() for n in names if hasattr(mapper, "Get" + n)]

@@ -30,19 +30,10 @@ from scenes import (
     color_function,
     image_data,
     opacity_function,
+    settings,
 )
 
 KINDS = ["gpu", "fixed", "smart"]
-
-
-def settings(mapper):
-    names = (
-        "SampleDistance",
-        "ImageSampleDistance",
-        "AutoAdjustSampleDistances",
-        "LockSampleDistanceToInputSpacing",
-    )
-    return [getattr(mapper, "Get" + n)() for n in names if hasattr(mapper, "Get" + n)]
 
 
 def mean_time(view, frames=6):
@@ -458,72 +449,6 @@ def test_misuse_is_said(voxels):
     view.renderer.AddVolume(bare)
     with pytest.raises(ValueError, match="no mapper"):
         entire.vtk.hold(view.renderer, bare, 0.1)
-
-
-@pytest.mark.parametrize("kind", ["gpu", "fixed", "smart"])
-@pytest.mark.parametrize("event", ["VolumeMapperRenderStartEvent", "VolumeMapperRenderEndEvent"])
-@pytest.mark.parametrize("what", ["reset", "detach"])
-def test_settings_are_restored_whenever_steering_ends(voxels, kind, event, what):
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
-    view.draw(1)
-    own, before = volume.GetMapper(), settings(volume.GetMapper())
-    steering = entire.vtk.hold(view.renderer, volume, seconds=1e-5, clock="cpu")
-    view.draw(4)
-    drawing = volume.GetMapper()
-    tag = drawing.AddObserver(event, lambda *_: getattr(steering, what)())
-    view.draw(1)
-    drawing.RemoveObserver(tag)
-    view.draw(1)
-    steering.detach()
-    assert volume.GetMapper() is own
-    assert settings(own) == before
-
-
-def test_read_outs_are_of_the_last_frame(voxels):
-    view = View()
-    left, right = add_volume(view.renderer, voxels), add_volume(view.renderer, voxels[:24])
-    right.VisibilityOff()
-    steering = entire.vtk.hold(view.renderer, seconds=1.0, clock="cpu")
-    view.draw(3)
-    assert 0 < steering.measured <= steering.frame_time
-    assert steering.predicted > 0
-    right.VisibilityOn()
-    view.draw(3)
-    both = math.fsum(leaf.measured for leaf in steering.leaves)
-    assert steering.measured == pytest.approx(both)
-    left.VisibilityOff()
-    view.draw(1)
-    assert steering.measured == next(leaf for leaf in steering.leaves if leaf.volume is right).measured
-
-
-def test_calibration_hides_the_overlay_from_its_pictures(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
-    entire.vtk.hold(view.renderer, volume, seconds=1.0, clock="cpu", overlay=True)
-    seen = []
-
-    def error(picture, full):
-        seen.append(np.abs(picture.astype(int) - full).max())
-        return float(seen[-1])
-
-    entire.vtk.calibrate(view.renderer, frames=10, pictures=3, clock="cpu", picture_error=error)
-    # The text would differ by 255.
-    assert max(seen) < 200
-
-
-def test_a_volume_changes_hands(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels, "smart")
-    smart = volume.GetMapper()
-    first = entire.vtk.hold(view.renderer, volume, 0.1)
-    second = entire.vtk.hold(view.renderer, volume, 0.001)
-    assert first.leaves == []
-    view.draw(2)
-    assert second.steered_frames == 2
-    second.detach()
-    assert volume.GetMapper() is smart
-    assert "nothing" in repr(first)
 
 
 def test_the_scene_keeps_a_steering_alive_and_not_the_other_way_round(voxels):

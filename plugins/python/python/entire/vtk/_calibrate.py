@@ -132,11 +132,11 @@ class _Calibrator:
         pictures: int,
         error: Callable[[np.ndarray, np.ndarray], float],
     ) -> Model:
-        from ._steering import _held
+        from ._steering import _holder
 
         renderer, mapper, window = self.renderer, self.mapper, self.window
         prop = first_volume(self.volume).GetProperty()
-        steering = _held.get(self.volume.__this__)
+        steering = _holder(self.volume)
         camera, own = renderer.GetActiveCamera(), _mappers.Settings(mapper)
         unit = prop.GetScalarOpacityUnitDistance(0)
         kept = {

@@ -45,6 +45,12 @@ _TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": tim
 _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
 
 
+def _holder(volume: Any) -> Steering | None:
+    """The steering that holds a volume. Another volume may get the address of one that is gone."""
+    held = _held.get(volume.__this__)
+    return held if held is not None and any(leaf.volume is volume for leaf in held.leaves) else None
+
+
 def timer(clock: str) -> Callable[[], float]:
     """Function that reads a clock, seconds."""
     if clock not in _TIMERS:
@@ -180,12 +186,11 @@ class Steering:
         self._follow_window(renderer.GetRenderWindow())
 
     def _add(self, volume: Any) -> None:
-        address = volume.__this__
-        earlier = _held.get(address)
+        earlier = _holder(volume)
         if earlier is not None:
             earlier._drop(volume)
         self.leaves.append(Leaf(self, volume, self._make_gpu))
-        _held[address] = self
+        _held[volume.__this__] = self
 
     def _drop(self, volume: Any) -> None:
         for leaf in [leaf for leaf in self.leaves if leaf.volume is volume]:
@@ -516,7 +521,7 @@ class Steering:
                 del _held[leaf.address]
         known = {leaf.volume.__this__ for leaf in self.leaves}
         for address, volume in there.items():
-            if address not in known and address not in _held:
+            if address not in known and _holder(volume) is None:
                 try:
                     self._add(volume)
                 except CannotSteer as refused:
