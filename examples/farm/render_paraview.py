@@ -13,6 +13,7 @@ import time
 from paraview import simple
 
 EXP_POINTS = 64
+VTK_UNSIGNED_CHAR = 3
 
 
 def opacity(transfer):
@@ -49,13 +50,19 @@ class Scene:
         simple.ColorBy(self.display, ("POINTS", self.array.GetName()))
         self.path = path
 
+    def scalar_range(self, text):
+        """Scalars that map to 0 and 1: `auto`, `data`, or two numbers."""
+        if text == "auto" and self.array.GetDataType() == VTK_UNSIGNED_CHAR:
+            return 0.0, 255.0
+        return self.array.GetRange() if text in ("auto", "data") else map(float, text.split(","))
+
     def draw(self, task):
         begin = time.perf_counter()
         load_s = 0.0
         if task["volume"] != self.path:
             self.load(task["volume"])
             load_s = time.perf_counter() - begin
-        low, high = task["range"] or self.array.GetRange()
+        low, high = self.scalar_range(task["reading"]["range"])
         points = opacity(task["transfer"])
         colors = simple.GetColorTransferFunction(self.array.GetName())
         opacities = simple.GetOpacityTransferFunction(self.array.GetName())
