@@ -90,6 +90,18 @@ workspace_tests() {
     fi
 }
 
+# The crates that are built with it, with the compiler of their `rust-version`.
+oldest_rust() {
+    local version
+    version=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' core/Cargo.toml)
+    if "$cargo" "+$version" --version >/dev/null 2>&1; then
+        CARGO_TARGET_DIR=$target/oldest-rust "$cargo" "+$version" test --quiet --package entire-core \
+            --package entire-steer --package entire-ffi
+    else
+        skip "oldest Rust" "Rust $version is not installed (rustup toolchain install $version --profile minimal)"
+    fi
+}
+
 # The C library from the same build, for every suite that needs it.
 install_library() {
     export ENTIRE_SDK=$target/sdk
@@ -150,6 +162,7 @@ if [[ $gate == nightly ]]; then
         skip "licenses and sources of crates" "cargo-deny is not installed (cargo install --locked cargo-deny)"
     fi
     step "core and steer with alloc only" "$cargo" test --quiet --package entire-core --package entire-steer --no-default-features
+    step "oldest Rust" oldest_rust
     step "SELU on every float" "$cargo" test --quiet "${everything[@]}" --lib -- --ignored selu_keeps_its_bound_on_every_float
     step "C library as it is released" env -u ENTIRE_SDK tests/c/run.sh
     step "C library under sanitizers" tests/c/sanitizers.sh
