@@ -60,7 +60,11 @@ enum Command {
 /// usage.
 pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
-    program::run("entire", move || Cli::parse_from(args).run())
+    program::run("entire", move || {
+        let cli = Cli::parse_from(args);
+        entire_core::kernels::Level::check_override()?;
+        cli.run()
+    })
 }
 
 /// The commands with their options, as in `--help`.

@@ -19,22 +19,31 @@ pub enum Device {
 
 /// True where a processor renders: frame times are then those of the host.
 pub fn is_software(renderer: &dyn Renderer) -> bool {
-    let device = renderer.device().to_ascii_lowercase();
-    renderer.backend() == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
+    renderer.backend() == "cpu" || is_software_device(&renderer.device())
+}
+
+/// True for the name of a Vulkan device that is the processor.
+pub fn is_software_device(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| name.contains(s))
 }
 
 /// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). A note
 /// on standard error says when the CPU version is used instead.
 ///
 /// # Errors
-/// When Vulkan was requested and there is none; names the way to get a driver.
+/// When Vulkan or one of its devices was requested and there is none; names the way to get a driver. For a
+/// variable of the environment that cannot be read.
 pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     if device == Device::Cpu {
         return Ok(Box::new(CpuRaycaster::new()));
     }
-    match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
+    // What the environment asks for is not replaced by something else.
+    let options = VulkanOptions::from_env()?;
+    let named = options.device.is_some();
+    match VulkanRaycaster::new(options) {
         Ok(renderer) => Ok(Box::new(renderer)),
-        Err(error) if device == Device::Auto => {
+        Err(error) if device == Device::Auto && !named => {
             note(&format!("{error}; the CPU version renders instead"));
             Ok(Box::new(CpuRaycaster::new()))
         }

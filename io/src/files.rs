@@ -85,6 +85,22 @@ pub fn make_folder_of(file: &Path) -> Result<()> {
     }
 }
 
+/// Checks that an output would not replace one of the inputs.
+///
+/// # Errors
+/// When it would; names the file.
+pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
+    let Ok(place) = out.canonicalize() else { return Ok(()) };
+    for input in inputs {
+        ensure!(
+            !place.is_file() || input.canonicalize().ok().as_ref() != Some(&place),
+            "--out {} is an input of this command and would be replaced; choose another name",
+            out.display()
+        );
+    }
+    Ok(())
+}
+
 /// Makes a folder and its parents if they do not exist.
 ///
 /// # Errors

@@ -156,9 +156,11 @@ pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
 /// A pool of this many threads; default: all logical processors.
 ///
 /// # Errors
-/// For 0 threads, or when the system starts none.
+/// For none or more than 1024 threads, or when the system starts none.
 pub fn thread_pool(threads: Option<usize>) -> Result<ThreadPool> {
-    ensure!(threads != Some(0), "0 threads; at least 1 is needed");
+    if let Some(n) = threads {
+        ensure!((1..=1024).contains(&n), "--threads is {n}; it must lie in 1 to 1024");
+    }
     ThreadPoolBuilder::new()
         .num_threads(threads.unwrap_or_else(machine::cores))
         .build()

@@ -129,8 +129,13 @@ pub fn calibrate(
     bar.set_message("fitting");
     ensure!(
         frames.len() >= FEWEST_FRAMES,
-        "stopped after {} frames; at least {FEWEST_FRAMES} are needed, and nothing was written",
-        frames.len()
+        "{} frames were drawn {}; at least {FEWEST_FRAMES} are needed, and nothing was written",
+        frames.len(),
+        if stop() {
+            "before the interruption".to_owned()
+        } else {
+            format!("within {} s; allow more seconds, or name fewer or smaller volumes", settings.seconds)
+        }
     );
     let mut groups = Groups::default();
     let observed: Vec<Observed> = frames

@@ -192,16 +192,18 @@ impl Report {
         let interval = self
             .median_error_interval
             .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));
+        let (place, how) = match self.folds {
+            0 => ("on the training frames alone, less than elsewhere", String::new()),
+            folds => ("on held-out volumes", format!(", cross-validated by volume in {folds} parts")),
+        };
         line(
             &mut out,
             "to expect",
             format!(
-                "on held-out volumes: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, \
-                 cross-validated by volume in {} parts)",
+                "{place}: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames{how})",
                 100.0 * self.median_error,
                 self.rmse_over_sd,
-                self.judged,
-                self.folds
+                self.judged
             ),
         );
         if let Some(p) = &self.pictures {

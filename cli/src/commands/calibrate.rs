@@ -284,7 +284,15 @@ fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let threads = thread_pool(options.threads)?;
-    let clock = entire_io::clock::concrete(options.clock, tables.iter().flat_map(|t| &t.frames))?;
+    // As without tables: time stamps of a processor's renderer are no better than wall time.
+    let software = |table: &entire_io::dataset::Table| {
+        table.manifest.as_ref().is_some_and(|m| m.renderer == "cpu" || device::is_software_device(&m.device))
+    };
+    let asked = match options.clock {
+        Clock::Auto if tables.iter().all(software) => Clock::Wall,
+        clock => clock,
+    };
+    let clock = entire_io::clock::concrete(asked, tables.iter().flat_map(|t| &t.frames))?;
     say_prior_clock(options, clock)?;
     for &shading in options.shade.modes() {
         let out = out_of(options, shading)?;

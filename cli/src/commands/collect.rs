@@ -2,6 +2,7 @@
 
 use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
 use anyhow::{Context, Result, bail, ensure};
+use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
 use entire_io::device;
 use entire_io::files::{open_volume, read_model_file};
@@ -310,6 +311,14 @@ pub fn run(options: &Options) -> Result<()> {
     );
     bar.finish_and_clear();
     let go_on = format!("go on with the same command and --resume ({})", options.out.display());
+    if result.is_err() && Writer::is_fresh(&options.out)? {
+        // Nothing to go on with: a corrected command may begin anew.
+        drop(table);
+        std::fs::remove_file(&options.out)?;
+        std::fs::remove_file(Manifest::path_for(&options.out))?;
+        result?;
+        return Ok(());
+    }
     let outcome = result.with_context(|| format!("finished frames are kept; {go_on}"))?;
     manifest.other.insert("runs".into(), note(Some(outcome)));
     if outcome.interrupted {
@@ -321,7 +330,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut said = Vec::new();
     for clock in [Clock::Auto, Clock::Cpu] {
         if let Some(floor) = noise_floor(&frames, clock, |_| protocol.passes as usize) {
-            said.push(format!("clock {}: {}", clock.name(), floor.describe()));
+            said.push(format!("{} time: {}", concrete(clock, &frames)?.name(), floor.describe()));
             noise.insert(clock.name().into(), json!(floor));
         }
     }

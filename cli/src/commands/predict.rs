@@ -17,10 +17,11 @@ use std::path::{Path, PathBuf};
 /// when any row is wrong. The clock of the seconds, if the model states it, goes to standard error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire predict --model model.safetensors --inputs frames.csv
-  printf '20,35,2.5,512,512,0.4,0.01,0.6\\n' | entire predict --model model.safetensors --inputs -
+  entire predict --model model.safetensors --inputs inputs.csv
+  my-renderer --log-inputs | entire predict --model model.safetensors --inputs -
 
-A model lists its inputs in its metadata key entire.inputs; a wrong number of columns prints them.")]
+The inputs are those of the model's metadata key entire.inputs, as entire_model_predict() takes them; a
+wrong number of columns prints their groups. `entire evaluate` predicts the frames of timing tables.")]
 pub struct Options {
     /// Model file with a PredNet; default: the machine's model of --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]

@@ -5,7 +5,9 @@ use entire_core::scene::{
     Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
 use entire_io::device;
-use entire_io::files::{open_volume, parse_list, parse_numbers, write_whole};
+use entire_io::files::{
+    ensure_not_input, make_folder_of, note, open_volume, parse_list, parse_numbers, write_whole,
+};
 use entire_io::metrics::median;
 use entire_io::options::{RenderArgs, VolumeArgs, parse_size};
 use entire_io::path::camera;
@@ -95,6 +97,8 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
 /// Runs the command.
 pub fn run(options: &Options) -> Result<()> {
     // All options are checked before the volume is loaded.
+    ensure_not_input(&options.out, [options.volume.as_path()])?;
+    make_folder_of(&options.out)?;
     let camera = camera(options.camera, options.fov, options.parallel_scale)?;
     let frame = Frame {
         step: options.step,
@@ -111,6 +115,8 @@ pub fn run(options: &Options) -> Result<()> {
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
     let table_time = renderer.set_transfer(&table)?;
+    // The first rendering makes what later ones reuse.
+    renderer.render(&frame)?;
     let mut repeats = Vec::new();
     let mut last: Option<Rendered> = None;
     for _ in 0..options.repeats {
@@ -125,8 +131,15 @@ pub fn run(options: &Options) -> Result<()> {
         counts = renderer.render(&frame)?.counts;
     }
     // Blends over black; premultiplied colors already are.
-    write_whole(&options.out, &encode_png(&image)?).context("check --out")?;
+    write_whole(&options.out, &encode_png(&image)?)?;
 
+    if counts.is_some_and(|c| c.samples == 0) {
+        let (low, high) = view.range();
+        note(&format!(
+            "nothing is visible: the transfer function has no opacity at the volume's scalars, of which 0 stands for \
+             {low} and 1 for {high}, or the camera sees none of them"
+        ));
+    }
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
     let clock = repeats.first().map_or("wall", |time| time.source());
     let median = median(&mut seconds.clone()).unwrap_or(f64::NAN);

@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 use entire_farm::list::lower_bound;
 use entire_farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
-use entire_io::files::{write_json, write_whole};
+use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -64,6 +64,8 @@ pub fn run(options: &Options) -> Result<()> {
 
 fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     let (speeds, out) = (&farm.speeds, &options.out);
+    ensure_not_input(out, [options.tasks.as_path()])?;
+    make_folder_of(out)?;
     let deciding = times(tasks, options.by)?;
     let plan = plan(options.method, &deciding, speeds)?;
     // Expected seconds: predictions where there are any.

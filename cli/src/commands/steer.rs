@@ -223,6 +223,17 @@ pub fn run(options: &Options) -> Result<()> {
         prior,
     };
     const INTERRUPTED: &str = "interrupted; nothing was written";
+    let frames = path.frames.len();
+    for &(frame, _) in &retargets {
+        ensure!(
+            (frame as usize) < frames,
+            "--retarget names frame {frame}; the path has frames 0 to {}",
+            frames - 1
+        );
+    }
+    for &frame in &options.pictures {
+        ensure!(frame < frames, "--pictures names frame {frame}; the path has frames 0 to {}", frames - 1);
+    }
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let mut keep = path.switches();
     keep.extend(&options.pictures);
@@ -259,7 +270,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     println!("{}", table(&playback, &metrics).to_text());
     println!("steered by {}", prepared.predictor.sentence());
-    println!("frame times by the clock {}", draw.clock.name());
+    println!("frame times are {} time", entire_io::clock::waited_for(draw.clock, renderer.as_ref()).name());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
     Ok(())
 }

@@ -232,8 +232,8 @@ fn frames_that_cannot_be() {
         (render("ball.nrrd", "0,0,2", "0.5,0.1,-1", "8x8", &[]), vec!["lobe 0", "height is -1"]),
         (render("ball.nrrd", "0,0,2", TF, "8x8", &["--range", "1,0"]), vec!["range is 1…0"]),
         (
-            render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "no/such/folder.png"]),
-            vec!["no/such/folder.png", "--out"],
+            render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "ball.nrrd"]),
+            vec!["--out ball.nrrd is an input"],
         ),
     ] {
         // The last --out counts.
@@ -360,4 +360,49 @@ fn commands_of_other_programs_never_see_a_panic() {
             "byte {i}: {told}"
         );
     }
+}
+
+#[test]
+fn settings_of_the_environment_are_not_replaced() {
+    let folder = workshop();
+    let arguments =
+        ["render", "ball.nrrd", "--camera", "0,0,2", "--tf", TF, "--size", "8x8", "--out", "o.png"];
+    for (name, value) in [("ENTIRE_TILE", "3"), ("ENTIRE_DEVICE", "no such device"), ("ENTIRE_LEVEL", "fast")]
+    {
+        refuses_in(folder.path(), &[(name, value)], &arguments, &[value]);
+        assert!(!folder.path().join("o.png").exists(), "{name}");
+    }
+}
+
+#[test]
+fn a_refused_collection_leaves_no_table() {
+    let folder = workshop();
+    let at = folder.path();
+    let collect = |enlarge| {
+        vec![
+            "collect",
+            "ball.nrrd",
+            "--frames",
+            "1",
+            "--max-size",
+            "32",
+            "--device",
+            "cpu",
+            "--enlarge",
+            enlarge,
+            "--out",
+            "t.csv",
+        ]
+    };
+    refuses(at, &collect("0"), &["factors of 1 to 8"]);
+    assert!(!at.join("t.csv").exists() && !at.join("t.manifest.json").exists());
+    succeeds(at, &collect("1"));
+}
+
+#[test]
+fn a_picture_of_nothing_is_no_silence() {
+    let folder = workshop();
+    let arguments = render("ball.nrrd", "0,0,2", "4,0.01,0.5", "8x8", &[]);
+    let output = entire(folder.path(), &arguments);
+    assert!(output.status.success() && stderr(&output).contains("nothing is visible"), "{output:?}");
 }

@@ -408,7 +408,7 @@ fn what_cannot_be_done_is_said() {
     train(&["--loss", "relative"], 1, "needs the target seconds");
     train(&["--epochs", "0"], 1, "epochs is 0");
     train(&["--limit", "0"], 1, "--limit is 0");
-    train(&["--threads", "0"], 1, "0 threads");
+    train(&["--threads", "0"], 1, "--threads is 0");
     train(&["--learning-rate=-1"], 1, "learning rate");
     train(&["--fine-tune", data.csv()], 1, "t.csv");
     train(

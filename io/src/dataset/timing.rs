@@ -230,10 +230,10 @@ impl NoiseFloor {
         let drift =
             self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
         format!(
-            "log-SD of a repeat {:.4} (of the median of repeats {:.4}), the first repeat takes {:.1} % \
-             longer than the last{drift}; {} repeated frames",
-            self.log_sd,
-            self.log_sd_of_median,
+            "repeats of a frame differ by {:.1} % (standard deviation; {:.1} % for their median), the first repeat \
+             takes {:.1} % longer than the last{drift}; {} repeated frames",
+            100.0 * self.log_sd.exp_m1(),
+            100.0 * self.log_sd_of_median.exp_m1(),
             100.0 * self.warm_up.exp_m1(),
             self.frames
         )
