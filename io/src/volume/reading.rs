@@ -205,7 +205,8 @@ pub(super) fn non_finite(view: &VolumeView<'_>) -> Option<String> {
     let (broken, all) = (view.non_finite(), view.shape().voxels);
     (broken > 0).then(|| {
         format!(
-            "{broken} of {all} voxels are NaN or infinite; they count as the ends of the range (NaN as the low end)"
+            "{broken} of {all} voxels are NaN or infinite as 32-bit floats; they count as the ends of the range (NaN as the \
+             low end)"
         )
     })
 }
