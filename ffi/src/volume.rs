@@ -15,10 +15,10 @@ use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied};
 use crate::sink;
-use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
+use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
 use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
 use std::ffi::{c_char, c_void};
-use std::mem::size_of;
+use std::mem::{MaybeUninit, size_of};
 use std::sync::OnceLock;
 
 /// Type of a voxel: one of the `ENTIRE_SCALAR_*` numbers.
@@ -228,8 +228,24 @@ pub(crate) struct Volume {
 
 /// A view and, if the library copied, its memory.
 struct Voxels {
-    view: VolumeView<'static>,
+    /// The owner of borrowed voxels may write to them before it hands over the next time step, so that no
+    /// reference to them exists between calls.
+    view: MaybeUninit<VolumeView<'static>>,
+    shape: Shape,
+    range: (f32, f32),
     _copy: Option<Copied>,
+}
+
+impl Voxels {
+    fn new(view: VolumeView<'static>, copy: Option<Copied>) -> Self {
+        let (shape, range) = (view.shape(), view.range());
+        Self { view: MaybeUninit::new(view), shape, range, _copy: copy }
+    }
+
+    fn view(&self) -> &VolumeView<'static> {
+        // SAFETY: always made with a view; the voxels are as they were handed over whenever they are read.
+        unsafe { self.view.assume_init_ref() }
+    }
 }
 
 #[allow(dead_code, reason = "holds the memory that the view beside it looks at")]
@@ -245,13 +261,20 @@ handle!(entire_volume, Volume, Boxed);
 impl Volume {
     /// The voxels.
     pub(crate) fn view(&self) -> Result<&VolumeView<'static>, Failure> {
-        self.voxels.as_ref().map(|v| &v.view).ok_or_else(|| {
-            Failure::new(
-                ENTIRE_NOT_READY,
-                "the volume was made from bricks and has no voxels; make it with entire_volume_new, \
+        self.voxels.as_ref().map(Voxels::view).ok_or_else(Volume::no_voxels)
+    }
+
+    fn no_voxels() -> Failure {
+        Failure::new(
+            ENTIRE_NOT_READY,
+            "the volume was made from bricks and has no voxels; make it with entire_volume_new, \
                  or hand over ready features with entire_volume_set_features",
-            )
-        })
+        )
+    }
+
+    /// Shape and range of the voxels, without a look at them.
+    fn layout(&self) -> Result<(Shape, (f32, f32)), Failure> {
+        self.voxels.as_ref().map(|v| (v.shape, v.range)).ok_or_else(Volume::no_voxels)
     }
 
     /// The summary, made at the first call.
@@ -316,7 +339,7 @@ pub unsafe extern "C" fn entire_volume_new(
         reserve::check()?;
         let desc = read_struct(desc)?;
         let voxels = take_voxels(&desc)?;
-        log_volume(&voxels.view);
+        log_volume(voxels.view());
         let made = Volume {
             voxels: Some(voxels),
             summary: OnceLock::new(),
@@ -426,7 +449,7 @@ unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
         range: desc.range.iter().any(|end| !end.is_nan()).then_some((low, high)),
     };
     let view = VolumeView::with(scalars, desc.dims, options)?;
-    Ok(Voxels { view, _copy: copy })
+    Ok(Voxels::new(view, copy))
 }
 
 /// Copies `count` elements, aligned or not.
@@ -566,12 +589,12 @@ unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
     let feature_count = volume.features.as_ref().map_or(0, |f| f.len() as u32);
     let mut out =
         entire_volume_info { scalar_type: volume.scalar_type, feature_count, ..ByValue::defaults() };
-    if let Some(Voxels { view, .. }) = &volume.voxels {
-        out.dims = view.shape().dims;
-        out.spacing = view.shape().spacing.to_array();
-        out.range = view.range().into();
-        out.bounding_radius = view.shape().bounding_radius;
-        out.reference_step = view.shape().spacing.min_element();
+    if let Some(Voxels { shape, range, .. }) = &volume.voxels {
+        out.dims = shape.dims;
+        out.spacing = shape.spacing.to_array();
+        out.range = (*range).into();
+        out.bounding_radius = shape.bounding_radius;
+        out.reference_step = shape.spacing.min_element();
         out.has_voxels = 1;
     } else if let Some(summary) = volume.summary.get() {
         out.dims = summary.shape().dims;

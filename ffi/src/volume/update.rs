@@ -67,7 +67,7 @@ unsafe fn update(
     reserve::check()?;
     // SAFETY: as the caller promises.
     let mut desc = unsafe { read_struct(desc)? };
-    let before = *volume.view()?;
+    let (shape, range) = volume.layout()?;
     if desc.scalar_type != volume.scalar_type {
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
@@ -78,21 +78,30 @@ unsafe fn update(
         ));
     }
     if desc.range.iter().all(|end| end.is_nan()) {
-        desc.range = before.range().into();
+        desc.range = range.into();
     }
     // SAFETY: as the caller promises.
     let voxels = unsafe { take_voxels(&desc)? };
-    let next = voxels.view;
-    if next.shape().spacing != before.shape().spacing {
-        let [a, b] = [next, before].map(|view| view.shape().spacing.to_array());
+    let next = *voxels.view();
+    if next.shape().spacing != shape.spacing {
+        let [a, b] = [next.shape(), shape].map(|shape| shape.spacing.to_array());
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
             format!("a time step has the spacing {a:?}, its volume {b:?}; set that of the volume"),
         ));
     }
+    if next.shape().dims != shape.dims {
+        let ([x, y, z], [nx, ny, nz]) = (next.shape().dims, shape.dims);
+        return Err(Failure::new(
+            ENTIRE_SIZE_MISMATCH,
+            format!(
+                "a time step has {x} x {y} x {z} voxels, its volume {nx} x {ny} x {nz}; make a volume of its own for it"
+            ),
+        ));
+    }
     let mut series = match volume.series.take() {
         Some(series) => series,
-        None => Box::new(SummarySeries::new(&before, before.shape().dims[2], SummaryOptions::default())?),
+        None => Box::new(SummarySeries::new(&next, shape.dims[2], SummaryOptions::default())?),
     };
     let first = series.summary().is_err();
     // A series that failed within a time step is dropped: the volume stays at the step before.
