@@ -94,7 +94,7 @@ pub fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>
 
 /// Checks that `bytes` bytes can be allocated; for work in many small allocations that cannot fail one by
 /// one.
-pub fn check_bytes(bytes: usize) -> Result<()> {
+pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
 }
 

@@ -27,7 +27,7 @@ impl Level {
     /// Runs a kernel dominated by [`Simd::dot4`](super::Simd::dot4). AVX-512 is used only with VNNI: without
     /// it, wider vectors gain nothing here.
     #[inline]
-    pub fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
+    pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {
             #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 if self.has_vnni() => {

@@ -10,7 +10,7 @@ mod posterior;
 pub(crate) mod tests;
 
 pub use pictures::{FEWEST_SCENES, FittedQuality, Picture, fit_quality};
-pub use posterior::{Chosen, Observed, PriorModel, hidden_activations};
+pub use posterior::{Chosen, Observed, PriorModel};
 
 use crate::features::{UnitCosts, VolumeSummary};
 use crate::numeric::{median, rmse_over_sd};

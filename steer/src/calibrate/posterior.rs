@@ -315,7 +315,7 @@ fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
 }
 
 /// Activations before a network's last layer, from standardized inputs.
-pub fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
+fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
     let hidden = parts.layers.split_last().map_or(&[][..], |(_, hidden)| hidden);
     for layer in hidden {
         values = layer
