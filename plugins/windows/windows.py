@@ -12,27 +12,27 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import vtkmodules.vtkRenderingOpenGL2
-import vtkmodules.vtkRenderingVolumeOpenGL2  # noqa: F401
-from vtkmodules.util.numpy_support import numpy_to_vtk
-from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPiecewiseFunction
 from vtkmodules.vtkRenderingCore import (
-    vtkColorTransferFunction,
     vtkHardwareSelector,
     vtkRenderer,
     vtkRenderWindow,
     vtkVolume,
     vtkVolumeProperty,
 )
-from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper
-from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper
+
+# With the scenes of the other tests of both adapters.
+sys.path.append(str(Path(__file__).resolve().parents[1] / "vtk" / "python"))
+
+from vtk_scene import MAPPERS as ALL_MAPPERS
+from vtk_scene import color_function, image_data, opacity_function
 
 # Most frames over 1.25 times the target, percent.
 MOST_LATE = 2
-MAPPERS = {"gpu": vtkOpenGLGPUVolumeRayCastMapper, "fixed": vtkFixedPointVolumeRayCastMapper}
+MAPPERS = {name: ALL_MAPPERS[name] for name in ("gpu", "fixed")}
 
 
 @dataclass(frozen=True)
@@ -106,24 +106,16 @@ def volume_image(n: int) -> Any:
     """A smooth volume of n x n x n voxels with structure."""
     x, y, z = np.mgrid[-1 : 1 : n * 1j, -1 : 1 : n * 1j, -1 : 1 : n * 1j]
     values = 255 * np.exp(-4 * (x * x + y * y + z * z)) * (0.6 + 0.4 * np.sin(20 * x) * np.sin(17 * y))
-    image = vtkImageData()
-    image.SetDimensions(n, n, n)
-    image.GetPointData().SetScalars(numpy_to_vtk(values.astype(np.uint8).ravel(), deep=1))
-    return image
+    return image_data(values.astype(np.uint8))
 
 
 def volume_of(image: Any, mapper: Any) -> Any:
     """A volume that is drawn with linear interpolation and little opacity."""
     mapper.SetInputData(image)
     mapper.SetAutoAdjustSampleDistances(0)
-    opacity, color = vtkPiecewiseFunction(), vtkColorTransferFunction()
-    opacity.AddPoint(20, 0)
-    opacity.AddPoint(200, 0.05)
-    color.AddRGBPoint(0, 0, 0, 1)
-    color.AddRGBPoint(255, 1, 0.8, 0.6)
     look = vtkVolumeProperty()
-    look.SetScalarOpacity(opacity)
-    look.SetColor(color)
+    look.SetScalarOpacity(opacity_function(((20, 0), (200, 0.05))))
+    look.SetColor(color_function(((0, 0, 0, 1), (255, 1, 0.8, 0.6))))
     look.SetInterpolationTypeToLinear()
     volume = vtkVolume()
     volume.SetMapper(mapper)
@@ -210,7 +202,7 @@ def check(adapter: str, mapper: str, kind: Kind) -> None:
 
 
 def check_others(adapter: str, mapper: str) -> None:
-    """Volumes that are not steered, picking and data that change every frame: what shares the time, and what does not."""
+    """Volumes that are not steered, and picking, take no share of the time; the first frame is shared already."""
     target = 1000.0
     window = Window(Kind("two renderers", renderers=2), mapper, size=48, voxels=24)
     held = [ADAPTERS[adapter](r, v, target, "cpu") for r, v in window.drawn]
