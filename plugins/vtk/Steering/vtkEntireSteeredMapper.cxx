@@ -670,7 +670,7 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
       this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));
     this->Planned = {};
   }
-  // What is not steered is part of the rest, for which the others make room.
+  // A mapper that is not steered is part of the rest, for which the others make room.
   if (steered && this->Internals->InFrame && this->Internals->Shared)
   {
     static_cast<void>(this->Internals->Shared->Budget.drew(

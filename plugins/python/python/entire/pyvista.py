@@ -57,6 +57,11 @@ class EntireComponent:
         for mappers in getattr(self._plotter.scalar_bars, "_scalar_bar_mappers", {}).values():
             mappers[:] = [after if mapper is before else mapper for mapper in mappers]
 
+    def _new_steering(self, volume: Any, seconds: float, **options: Any) -> Steering:
+        steering = hold(self._plotter.renderer, volume, seconds, make_gpu=self._make_gpu, **options)
+        steering._given_back = self._replace
+        return steering
+
     def hold(
         self, fps: float | None = None, *, seconds: float | None = None, volume: Any = None, **options: Any
     ) -> Steering:
@@ -96,8 +101,7 @@ class EntireComponent:
             seconds = 1.0 / rate
         index = self._plotter.renderers.active_index
         # A steering that is refused leaves the one before.
-        steering = hold(self._plotter.renderer, volume, seconds, make_gpu=self._make_gpu, **options)
-        steering._given_back = self._replace
+        steering = self._new_steering(volume, seconds, **options)
         earlier = self._held.get(index)
         if earlier is not None:
             earlier.detach()
@@ -127,8 +131,7 @@ class EntireComponent:
         self._plotter.render()
         if self.steering is None:
             # A smart mapper is exchanged during the measurement.
-            passing = hold(self._plotter.renderer, None, 1.0, make_gpu=self._make_gpu)
-            passing._given_back = self._replace
+            passing = self._new_steering(None, 1.0)
             try:
                 return calibrate(self._plotter.renderer, frames=frames, **options)
             finally:

@@ -17,7 +17,7 @@ from .._core import Calibration, Model
 from . import _mappers, _scene
 from ._mappers import CannotSteer
 from ._leaf import first_volume
-from ._steering import _volumes, timer
+from ._steering import _check_renderer, _volumes, timer
 
 log = logging.getLogger("entire.vtk")
 
@@ -85,8 +85,7 @@ def calibrate(
         raise ValueError(f"pictures is {pictures}; at least 3 scenes tell steps and images apart, 0 compares none")
     if frames < 10:
         raise ValueError(f"frames is {frames}; at least 10 are needed to tell costs apart, 60 are plenty")
-    if renderer is None or not renderer.IsA("vtkRenderer"):
-        raise ValueError("renderer must be a vtkRenderer; windows hold theirs in GetRenderers()")
+    _check_renderer(renderer)
     if renderer.GetRenderWindow() is None:
         raise ValueError("the renderer has no window; add it to one with AddRenderer()")
     if volume is None:

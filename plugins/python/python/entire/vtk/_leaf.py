@@ -319,7 +319,7 @@ class Leaf:
             # Observed with the next frame's plan, or when a read-out is requested.
             self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
         if steered and steering._shared.drawing:
-            # What is not steered is part of the rest, for which the others make room.
+            # A volume that is not steered is part of the rest, for which the others make room.
             steering._shared.budget.drew(self._pass, seconds, seconds * self._coarsening)
         steering._measured_now += seconds
         steering._predicted_now += self.predicted

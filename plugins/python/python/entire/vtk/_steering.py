@@ -536,6 +536,11 @@ class Steering:
         return not always and window.GetDesiredUpdateRate() < self.still_rate
 
 
+def _check_renderer(renderer: Any) -> None:
+    if renderer is None or not renderer.IsA("vtkRenderer"):
+        raise ValueError("renderer must be a vtkRenderer; windows hold theirs in GetRenderers()")
+
+
 def _volumes(renderer: Any) -> list[Any]:
     """The volumes of a renderer, those inside assemblies included."""
     found = renderer.GetVolumes()
@@ -616,8 +621,7 @@ def hold(
     --------
     >>> steering = entire.vtk.hold(renderer, volume, seconds=1 / 30)           # doctest: +SKIP
     """
-    if renderer is None or not renderer.IsA("vtkRenderer"):
-        raise ValueError("renderer must be a vtkRenderer; windows hold theirs in GetRenderers()")
+    _check_renderer(renderer)
     there = _volumes(renderer)
     volumes: Sequence[Any] | None
     if volume is None:
