@@ -139,10 +139,12 @@ impl Source<'_> {
     fn prednet_layers(&self) -> Result<Option<usize>> {
         let last =
             self.tensors.keys().filter_map(|name| numbered(name, "prednet.", &["weight", "bias"])).max();
-        let ends = ["prednet.input.", "prednet.output."];
-        let end = self.tensors.keys().find(|name| ends.iter().any(|end| name.starts_with(end)));
-        if let (None, Some(name)) = (last, end) {
-            bail!(InvalidTensor, "prednet.0.weight is missing, although the file holds {name}");
+        if last.is_none() {
+            let end =
+                |name: &&String| name.starts_with("prednet.input.") || name.starts_with("prednet.output.");
+            if let Some(name) = self.tensors.keys().find(end) {
+                bail!(InvalidTensor, "prednet.0.weight is missing, although the file holds {name}");
+            }
         }
         Ok(last.map(|n| n + 1))
     }

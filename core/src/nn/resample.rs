@@ -13,9 +13,8 @@
 
 use crate::Result;
 use crate::error::bail;
-use crate::kernels::Executor;
-use crate::kernels::Level;
 use crate::kernels::resample::{self as kernel, Affine, Map, Span};
+use crate::kernels::{Executor, Level};
 use crate::memory::{reserve, resize};
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;

@@ -46,7 +46,7 @@ pub struct FrameBudget {
     drawn: f32,
     /// Number of volumes that the current frame is expected to draw.
     expected: u32,
-    /// Number of unusual frames in a row.
+    /// 1 after an unusual frame, else 0.
     unusual: u32,
 }
 
@@ -114,7 +114,7 @@ impl FrameBudget {
     pub fn end(&mut self, seconds: f32, usual: bool) {
         let rest = seconds - self.drawn;
         let counts = usual || self.unusual > 0;
-        self.unusual = if usual { 0 } else { self.unusual.saturating_add(1) };
+        self.unusual = u32::from(!usual);
         if counts && self.passes[1] > 0 && self.passes[0] > 0 && rest.is_finite() {
             self.rests[self.count as usize % REST_FRAMES] = rest.max(0.0);
             self.count = self.count.checked_add(1).unwrap_or(REST_FRAMES as u32);

@@ -7,8 +7,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
-use entire_core::memory::chunks;
-use entire_core::memory::{copied, filled, mixed, reserve, room};
+use entire_core::memory::{chunks, copied, filled, mixed, reserve, room};
 
 /// One bit per cell of a row along x, of which there are at most 128.
 pub(super) type Mask = u128;

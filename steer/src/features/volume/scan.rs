@@ -6,8 +6,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
-use entire_core::memory::chunks;
-use entire_core::memory::{filled, room};
+use entire_core::memory::{chunks, filled, room};
 use entire_core::scene::VolumeView;
 
 /// Sizes of a volume, its cells and its blocks, each along x, y, z.
