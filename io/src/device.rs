@@ -19,13 +19,13 @@ pub enum Device {
 
 /// True where a processor renders: frame times are then those of the host.
 pub fn is_software(renderer: &dyn Renderer) -> bool {
-    renderer.backend() == "cpu" || is_software_device(&renderer.device())
+    names_software(renderer.backend(), &renderer.device())
 }
 
-/// True for the name of a Vulkan device that is the processor.
-pub fn is_software_device(name: &str) -> bool {
-    let name = name.to_ascii_lowercase();
-    ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| name.contains(s))
+/// As [`is_software`], by the names of a renderer and its device.
+pub fn names_software(backend: &str, device: &str) -> bool {
+    let device = device.to_ascii_lowercase();
+    backend == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
 }
 
 /// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). A note
@@ -38,7 +38,7 @@ pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     if device == Device::Cpu {
         return Ok(Box::new(CpuRaycaster::new()));
     }
-    // What the environment asks for is not replaced by something else.
+    // Nothing replaces a setting of the environment.
     let options = VulkanOptions::from_env()?;
     let named = options.device.is_some();
     match VulkanRaycaster::new(options) {

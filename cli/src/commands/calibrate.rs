@@ -284,9 +284,9 @@ fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let threads = thread_pool(options.threads)?;
-    // As without tables: time stamps of a processor's renderer are no better than wall time.
+    // Time stamps of a processor's renderer are no better than wall time, with tables and without.
     let software = |table: &entire_io::dataset::Table| {
-        table.manifest.as_ref().is_some_and(|m| m.renderer == "cpu" || device::is_software_device(&m.device))
+        table.manifest.as_ref().is_some_and(|m| device::names_software(&m.renderer, &m.device))
     };
     let asked = match options.clock {
         Clock::Auto if tables.iter().all(software) => Clock::Wall,

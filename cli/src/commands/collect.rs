@@ -311,15 +311,16 @@ pub fn run(options: &Options) -> Result<()> {
     );
     bar.finish_and_clear();
     let go_on = format!("go on with the same command and --resume ({})", options.out.display());
-    if result.is_err() && Writer::is_fresh(&options.out)? {
-        // Nothing to go on with: a corrected command may begin anew.
-        drop(table);
-        std::fs::remove_file(&options.out)?;
-        std::fs::remove_file(Manifest::path_for(&options.out))?;
-        result?;
-        return Ok(());
-    }
-    let outcome = result.with_context(|| format!("finished frames are kept; {go_on}"))?;
+    let outcome = match result {
+        Err(error) if Writer::is_fresh(&options.out)? => {
+            // Nothing to go on with: a corrected command may begin anew.
+            drop(table);
+            std::fs::remove_file(&options.out)?;
+            std::fs::remove_file(Manifest::path_for(&options.out))?;
+            return Err(error);
+        }
+        result => result.with_context(|| format!("finished frames are kept; {go_on}"))?,
+    };
     manifest.other.insert("runs".into(), note(Some(outcome)));
     if outcome.interrupted {
         manifest.write(&options.out)?;
