@@ -1,10 +1,13 @@
 # Promises of README, book and source to a reader. scripts/test.sh runs the quick part of them.
 # HOUSE_BEFORE: the revision whose release build the build of HEAD is compared with (many minutes).
-.PHONY: bars-house
+.PHONY: bars-house bars-readme
 bars-house: ## Check README, links, commands, file lengths, public items, dependencies, build time; fails when one is short
 	$(CARGO) build --release --quiet --package entire-cli --bin entire
 	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
 	python3 lab/scripts/house.py $(if $(HOUSE_BEFORE),--measure-build $(HOUSE_BEFORE) HEAD)
+
+bars-readme: ## Paste README's commands into a fresh clone on a fresh Debian, half an hour; fails when one fails
+	@scripts/readme.sh
 
 # GATES: those that are run first, in a clone with nothing built: demo test change nightly. None: what was last run here counts.
 .PHONY: bars-gate

@@ -27,3 +27,21 @@ sdk() {
     ffi/package/install.sh --prefix "$folder" >&2 || return 1
     echo "$folder"
 }
+
+# mirror: prints the address of Debian's packages, from apt's sources.
+# shellcheck disable=SC2016
+mirror() {
+    apt-get indextargets --format '$(REPO_URI)' 'Origin: Debian' 'Created-By: Packages' 2>/dev/null |
+        awk '!/-security/ { print; exit }' || true
+}
+
+# folder_lacking MIRROR: prints why no Debian can be installed into a folder and entered here, with the remedy; nothing where it can.
+folder_lacking() {
+    local need
+    [[ $(id -u) == 0 ]] || { echo "needs root for chroot (run it with sudo)"; return; }
+    for need in mmdebstrap chroot unshare python3; do
+        have $need || { echo "$need is not installed (apt-get install mmdebstrap coreutils util-linux python3)"; return; }
+    done
+    unshare --mount true 2>/dev/null || { echo "this machine gives no mount namespace (unshare --mount fails)"; return; }
+    [[ $1 ]] || echo "apt knows no mirror of Debian (set MATRIX_MIRROR)"
+}

@@ -41,20 +41,7 @@ finish='export DEBIAN_FRONTEND=noninteractive
         ln -sf "$(basename "$file")" "${file%.cpython-3*}.so"
     done'
 
-# shellcheck disable=SC2016
-mirror=${MATRIX_MIRROR:-$(apt-get indextargets --format '$(REPO_URI)' 'Origin: Debian' 'Created-By: Packages' 2>/dev/null |
-    awk '!/-security/ { print; exit }')}
-
-# Why no folder can be made or entered here, with the remedy; nothing where it can.
-lacking() {
-    local need
-    [[ $(id -u) == 0 ]] || { echo "needs root for chroot (sudo make test-matrix)"; return; }
-    for need in mmdebstrap chroot unshare python3; do
-        have $need || { echo "$need is not installed (apt-get install mmdebstrap coreutils util-linux python3)"; return; }
-    done
-    unshare --mount true 2>/dev/null || { echo "this machine gives no mount namespace (unshare --mount fails)"; return; }
-    [[ $mirror ]] || echo "apt knows no mirror of Debian (set MATRIX_MIRROR)"
-}
+mirror=${MATRIX_MIRROR:-$(mirror)}
 
 # inside FOLDER COMMAND...: a command in a folder, this checkout read-only at /entire and the C library at /sdk. What is
 # mounted for it is so for its processes alone: nothing stays mounted in the folder, however they end.
@@ -118,7 +105,7 @@ tests() {
 mkdir -p "$out"
 status=0 suites=() places=()
 why=
-if [[ " ${names[*]} " == *" stable "* || " ${names[*]} " == *" testing "* ]]; then why=$(lacking); fi
+if [[ " ${names[*]} " == *" stable "* || " ${names[*]} " == *" testing "* ]]; then why=$(folder_lacking "$mirror"); fi
 library=$SECONDS
 sdk=$(sdk)
 library=$((SECONDS - library))

@@ -63,6 +63,17 @@ else
     fi
 fi
 
+# Room for what is built. Linkers that run out of it end with a bus error.
+case ${ENTIRE_SETUP_FOR:-} in change) room=8 ;; nightly) room=30 ;; test) room=5 ;; *) room=2 ;; esac
+target=${CARGO_TARGET_DIR:-target}
+mkdir -p "$target"
+free=$(df --output=avail --block-size=1G "$target" 2>/dev/null | tail -n 1 | tr -d ' ') || free=$room
+used=$(du --summarize --block-size=1G "$target" 2>/dev/null | cut -f 1) || used=0
+if ((free + used < room)); then
+    say "$target takes up to $room GB and its disk has $free GB free: free some, or name a folder elsewhere in CARGO_TARGET_DIR"
+    missing=1
+fi
+
 # A C compiler: Rust links with it, and the C examples and tests are built with it.
 if ! command -v cc >/dev/null && may_install; then
     install_packages "no C compiler" gcc g++ libc6-dev || true
@@ -138,7 +149,7 @@ if ((${#packages[@]})) && command -v dpkg-query >/dev/null; then
 fi
 
 # The gate's own tools, in target/tools.
-tools=${CARGO_TARGET_DIR:-target}/tools
+tools=$target/tools
 pip_tool() { # pip_tool NAME VERSION
     command -v "$1" >/dev/null || [[ -x $tools/bin/$1 ]] && return
     [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]] && command -v python3 >/dev/null || return 0

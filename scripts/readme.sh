@@ -1,0 +1,83 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# Pastes README's shell commands, in their order, into a fresh clone on a fresh Debian: a minimal installation with git,
+# make and this machine's Rust, in a folder of its own. Prints the seconds of each command and `bar readme-commands-that-fail`.
+# Needs root, for chroot, and the network.
+#
+#   scripts/readme.sh
+#
+# README_FOLDER   where the installation is kept (default target/readme); only the clone is made anew
+# README_RELEASE  Debian's release (default bookworm)
+# MATRIX_MIRROR   Debian's package mirror (default: the one of apt's sources)
+# README_OUT      logs of the commands (default out/readme)
+set -euo pipefail
+cd "$(dirname "$0")/.."
+. scripts/lib.sh
+root=$PWD
+folder=$(realpath -m "${README_FOLDER:-${CARGO_TARGET_DIR:-target}/readme}")
+release=${README_RELEASE:-bookworm}
+out=$(realpath -m "${README_OUT:-out/readme}")
+mkdir -p "$out"
+
+mirror=${MATRIX_MIRROR:-$(mirror)}
+why=$(folder_lacking "$mirror")
+if [[ $why ]]; then
+    skip "README's commands" "$why"
+    echo "bar readme-commands-that-fail - 0 short"
+    exit 1
+fi
+if [[ ! -e $folder/made ]]; then
+    echo "readme: installing a minimal Debian $release into $folder"
+    rm -rf "$folder"
+    mkdir -p "$folder"
+    unshare --mount mmdebstrap --mode=root --variant=minbase --include=ca-certificates,git,make --dpkgopt=force-unsafe-io \
+        "$release" "$folder" "deb $mirror $release main" >"$out/folder.log" 2>&1 || {
+        echo "readme: mmdebstrap failed:" >&2
+        tail -n 5 "$out/folder.log" >&2
+        rm -rf "$folder"
+        exit 1
+    }
+    touch "$folder/made"
+fi
+rm -rf "$folder/root/entire"
+git clone --quiet . "$folder/root/entire"
+# How this machine reaches its mirrors.
+mkdir -p "$folder"/root/{.rustup,.cargo/bin}
+for file in /etc/resolv.conf /etc/pip.conf "${PIP_CERT:-}" "${SSL_CERT_FILE:-}" "${CARGO_HOME:-$HOME/.cargo}/config.toml"; do
+    [[ -f $file ]] || continue
+    to=$file
+    [[ $file != */config.toml ]] || to=/root/.cargo/config.toml
+    mkdir -p "$folder/$(dirname "$to")"
+    cp "$file" "$folder/$to"
+done
+[[ ! -d ${PIP_FIND_LINKS:-} ]] || { mkdir -p "$folder/$PIP_FIND_LINKS" && cp -r "$PIP_FIND_LINKS/." "$folder/$PIP_FIND_LINKS"; }
+
+# Commands of README's blocks of shell, without their comments.
+mapfile -t commands < <(awk '/^```sh$/ { on = 1; next } /^```/ { on = 0 } on && NF' README.md | sed 's/ *#.*//')
+failed=0
+for ((i = 0; i < ${#commands[@]}; i++)); do
+    began=$SECONDS ended=passed
+    # shellcheck disable=SC2016
+    unshare --mount bash -euc '
+        folder=$1
+        mount -t proc proc "$folder/proc"
+        mount --rbind /dev "$folder/dev"
+        mount --bind "$2" "$folder/root/.rustup"
+        mount -o remount,bind,ro "$folder/root/.rustup"
+        mount --bind "$3" "$folder/root/.cargo/bin"
+        mount -o remount,bind,ro "$folder/root/.cargo/bin"
+        exec chroot "$folder" env -u CARGO_HOME -u RUSTUP_HOME -u CARGO_TARGET_DIR HOME=/root LANG=C.UTF-8 \
+            PATH=/root/.cargo/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
+            bash -c "cd /root/entire && $4"
+    ' readme "$folder" "${RUSTUP_HOME:-$HOME/.rustup}" "${CARGO_HOME:-$HOME/.cargo}/bin" "${commands[i]}" \
+        >"$out/$((i + 1)).log" 2>&1 </dev/null || ended=failed
+    echo "readme: ${commands[i]}: $ended in $((SECONDS - began)) s ($out/$((i + 1)).log)"
+    if [[ $ended != passed ]]; then
+        failed=$((failed + 1))
+        tail -n 15 "$out/$((i + 1)).log"
+    fi
+done
+rm -rf "$folder/root/entire"
+if ((failed)); then word=short; else word=ok; fi
+echo "bar readme-commands-that-fail $failed 0 $word"
+((failed == 0))
