@@ -3,22 +3,23 @@
 # Builds the Python package, tests the built wheel, measures it, or draws the book's pictures with it.
 #
 #   plugins/python/run.sh wheel|bars|pictures
-#   plugins/python/run.sh slicer [ARGUMENT…]               Slicer's own rule beside ours; arguments go to bars/slicer_rule.py
+#   plugins/python/run.sh slicer [ARGUMENT…]               compares with Slicer's rule; arguments go to bars/slicer_rule.py
 #   plugins/python/run.sh test [--full] [ARGUMENT…]        arguments go to pytest
-#   plugins/python/run.sh exec ENVIRONMENT COMMAND...      a command in an environment of the tests, on a display
+#   plugins/python/run.sh exec ENVIRONMENT COMMAND...      runs a command in an environment of the tests, on a display
 #
 # Environments, each made once from its locked list requirements-NAME.txt:
 #   test     the newest VTK and PyVista, trame, yt, notebooks, mypy
 #   oldest   the oldest PyVista that finds plotter.entire by itself, and the oldest VTK that it accepts
 #   qt       vispy and napari, on Qt
-#   slicer   slicer-core, the libraries of 3D Slicer with a VTK of their own; for Python 3.11 alone
-#   host     that of VTK_PYTHON, a Python with a VTK of its own: a distribution's, ParaView's pvbatch
+#   slicer   slicer-core, the libraries of 3D Slicer with a VTK of their own; only for Python 3.11
+#   trame-slicer  trame-slicer, with the older slicer-core that it requires; only for Python 3.11
+#   host     no list: the Python VTK_PYTHON with its own VTK, of a distribution or of ParaView (pvbatch)
 #
-# PYTHON               the Python to make environments with (default python3)
+# PYTHON               the Python that makes the environments (default python3)
 # PYTHON_OUT           where environments go (default target/python)
-# PYTHON_ENVIRONMENTS  those to test in (default "test", with --full "test oldest qt host slicer")
+# PYTHON_ENVIRONMENTS  environments to test in (default "test", with --full "test oldest qt host slicer trame-slicer")
 # ENTIRE_PROFILE       the cargo profile of the wheel (default release)
-# VTK_PYTHON           default /usr/bin/python3
+# VTK_PYTHON           the Python of the environment host (default /usr/bin/python3)
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 . scripts/lib.sh
@@ -40,8 +41,8 @@ command -v "$python" >/dev/null || lacks "$python is not installed (apt-get inst
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))' || lacks "$python is older than 3.9"
 "$python" -c 'import ensurepip, venv' 2>/dev/null || lacks "Python's venv is not installed (apt-get install python3-venv)"
 
-# environment NAME: a virtual environment with exactly the packages of requirements-NAME.txt, made once per list. Fails,
-# with the reason in `why`, if they cannot be installed.
+# environment NAME: makes a virtual environment with exactly the packages of requirements-NAME.txt, once per list.
+# Fails, with the reason in `why`, if they cannot be installed.
 environment() {
     local folder=$out/$1 list=$here/requirements-$1.txt
     cmp -s "$list" "$folder/made-from" && return
@@ -55,7 +56,7 @@ environment() {
     cp "$list" "$folder/made-from"
 }
 
-# maturin WORD OPTION...
+# maturin WORD OPTION...: runs a command of maturin; prints the end of its log if it fails.
 maturin() {
     "$out/build/bin/maturin" "$1" --manifest-path $here/Cargo.toml "${@:2}" >"$out/maturin-$1.log" 2>&1 || {
         tail -n 40 "$out/maturin-$1.log" >&2
@@ -67,25 +68,25 @@ wheel() {
     environment build || lacks "$why"
     rm -f out/wheels/entire-*
     mkdir -p out/wheels
-    # Not `build --sdist`: that builds the wheel from the sdist, whose lock file lacks the rest of the workspace.
+    # Not `build --sdist`: it builds the wheel from the sdist, whose lock file lacks the other crates of the workspace.
     maturin build --profile "${ENTIRE_PROFILE:-release}" --strip --locked --out out/wheels
     ls -l out/wheels/entire-*
 }
 
-# installed NAME: the wheel in an environment.
+# installed NAME: makes an environment and installs the wheel in it.
 installed() {
     environment "$1" || return
     "$out/$1/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall \
         out/wheels/entire-*.whl
 }
 
-# A display that outlives its clients.
+# Runs a command on a display of its own, which does not reset when its last client ends.
 display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
 needs_display() {
     command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
 }
 
-# tests NAME ARGUMENT...: pytest in an environment; its skips are added to the list of skipped tests.
+# tests NAME ARGUMENT...: runs pytest in an environment; skipped tests are added to the list ENTIRE_SKIPPED.
 tests() {
     local name=$1
     shift
@@ -95,11 +96,11 @@ tests() {
         return
     fi
     printf '\n%s: %s\n' "$name" "$("$out/$name/bin/python" -m pip list --format freeze 2>/dev/null |
-        grep -iE '^(numpy|vtk|pyvista|trame-vtk|yt|vispy|napari|slicer-core)=' | tr '\n' ' ')"
+        grep -iE '^(numpy|vtk|pyvista|trame-vtk|yt|vispy|napari|slicer-core|trame-slicer)=' | tr '\n' ' ')"
     run_pytest "$name" "$out/$name/bin/python" -m pytest "$@"
 }
 
-# The tests in windows of Qt, which ends a process if it cannot open a window.
+# Runs the tests in windows of Qt. Qt ends a process that cannot open a window, so this is tried first.
 qt_tests() {
     local libraries="libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-xinerama0
         libxkbcommon-x11-0 libegl1 libdbus-1-3"
@@ -111,7 +112,7 @@ qt_tests() {
     fi
 }
 
-# The tests of VTK with another Python's VTK.
+# Runs the tests of entire.vtk with the VTK of VTK_PYTHON.
 host_tests() {
     printf '\nhost: %s\n' "$vtk_python"
     if ! "$vtk_python" -c 'import sys, numpy, vtkmodules; sys.exit(sys.version_info < (3, 10))' 2>/dev/null; then
@@ -123,7 +124,7 @@ host_tests() {
     fi
 }
 
-# run_pytest NAME COMMAND...
+# run_pytest NAME COMMAND...: runs pytest by a command and keeps its log.
 run_pytest() {
     local name=$1 status=0
     shift
@@ -146,32 +147,33 @@ case $what in
         wheel
         environments=test
         if [[ ${1:-} == --full ]]; then
-            environments="test oldest qt host slicer"
+            environments="test oldest qt host slicer trame-slicer"
             shift
         fi
         for name in ${PYTHON_ENVIRONMENTS:-$environments}; do
             case $name in
                 test)
                     if (($#)); then
-                        tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py "$@"
+                        tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py --ignore tests/test_trame_slicer.py "$@"
                         continue
                     fi
-                    # In a separate process: after them, making a window has crashed inside Mesa's GLX (22.3).
+                    # In a separate process: after these tests, opening a window has crashed inside Mesa's GLX (22.3).
                     tests test tests/test_integrations.py
-                    tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py --ignore tests/test_integrations.py
+                    tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py --ignore tests/test_trame_slicer.py --ignore tests/test_integrations.py
                     ;;
                 oldest) tests oldest tests/test_volume.py tests/test_session.py tests/test_vtk.py tests/test_modes.py tests/test_endings.py tests/test_window.py tests/test_pyvista.py "$@" ;;
                 qt) qt_tests "$@" ;;
+                trame-slicer) tests trame-slicer tests/test_trame_slicer.py "$@" ;;
                 slicer) tests slicer tests/test_slicer.py tests/test_modes.py "$@" ;;
                 host) host_tests tests/test_vtk.py tests/test_modes.py tests/test_endings.py tests/test_window.py "$@" ;;
-                *) echo "run.sh: PYTHON_ENVIRONMENTS names \"$name\"; use test, oldest, qt, host and slicer" >&2; exit 2 ;;
+                *) echo "run.sh: PYTHON_ENVIRONMENTS names \"$name\"; use test, oldest, qt, host, slicer and trame-slicer" >&2; exit 2 ;;
             esac
         done
         ;;
     bars)
         needs_display
         wheel
-        # The C call for the comparison with arrays.
+        # Builds the C library: the bars compare reading an array with its entire_volume_new().
         "${CARGO:-cargo}" build --release --quiet --package entire-ffi
         installed test || lacks "$why"
         display "$out/test/bin/python" $here/bars/bars.py --wheels out/wheels --out out/python \
@@ -192,7 +194,7 @@ case $what in
         done
         ;;
     exec)
-        # With the wheel, if one was built.
+        # Installs the wheel, if one was built.
         if compgen -G "out/wheels/entire-*.whl" >/dev/null; then
             installed "$1" || lacks "$why"
         else

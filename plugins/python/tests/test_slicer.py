@@ -38,7 +38,7 @@ def test_moved_frames_are_held_to_the_expected_rate(view):
     view.move()
     view.draw(2)
     assert steering.reason == "finest allowed"
-    # A time of one's own stays.
+    # A frame time given to hold() is kept when the view's rate changes.
     other = entire.slicer.hold(view.group, seconds=0.5)
     view.node.SetExpectedFPS(20)
     assert other.seconds == 0.5
@@ -56,7 +56,7 @@ def test_still_frames_are_slicers_byte_for_byte(view, rate):
     assert plain.std() > 5
     steering = entire.slicer.hold(view.manager, seconds=1e-4)
     view.move()
-    # Slicer asks VTK for less than one frame per second where it expects two.
+    # Slicer requests less than one frame per second from VTK if it expects two.
     assert (view.window.GetDesiredUpdateRate() < 1) == (rate == 2)
     view.draw(3)
     assert steering.reason not in ("still", "fallback")
@@ -123,11 +123,11 @@ def test_a_view_may_be_empty_at_first(voxels):
     assert len(steering.leaves) == 1
 
 
-def test_views_of_slicer_and_trame_slicer_lead_to_their_manager(view):
-    # The names by which qMRMLThreeDWidget, qMRMLThreeDView and trame-slicer's view give it out.
+def test_views_of_slicer_lead_to_their_manager(view):
+    # The methods by which qMRMLThreeDWidget and qMRMLThreeDView return the manager.
     three_d_view = SimpleNamespace(displayableManagerByClassName=view.group.GetDisplayableManagerByClassName)
     widget = SimpleNamespace(threeDView=lambda: three_d_view)
-    for each in (widget, three_d_view, SimpleNamespace(displayable_manager_group=view.group), view.group, view.manager):
+    for each in (widget, three_d_view, view.group, view.manager):
         steering = entire.slicer.hold(each)
         assert len(steering.leaves) == 1
         before = steering.seconds

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""3D Slicer's views: their volume rendering held to the frame rate that the view is told to expect.
+"""Holds the volume rendering of 3D Slicer's views to the expected frame rate of the view node.
 
 In Slicer::
 
     steering = entire.slicer.hold(slicer.app.layoutManager().threeDWidget(0).threeDView())
 
-with ``slicer-core`` or trame-slicer, where there is no such widget: ``entire.slicer.hold(manager)``.
+With trame-slicer, use ``entire.slicer.hold(view)``; with ``slicer-core`` alone, which has no views,
+``entire.slicer.hold(manager)``.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from .vtk import Steering
 from .vtk._leaf import weak
 
 _MANAGER = "vtkMRMLVolumeRenderingDisplayableManager"
-# vtkMRMLViewNode's VolumeRenderingQuality that promises full quality whatever it takes.
+# VolumeRenderingQuality "Maximum" of vtkMRMLViewNode: full quality, however long a frame takes.
 _MAXIMUM = 2
 
 
@@ -35,7 +36,7 @@ class SlicerSteering(Steering):
         self._on_node(node, "")
 
     def detach(self) -> None:
-        """Lets go of the view: mappers are as Slicer left them."""
+        """Releases the view and restores Slicer's settings of the mappers."""
         node = self._node()
         if node is not None and self._node_tag:
             node.RemoveObserver(self._node_tag)
@@ -51,7 +52,8 @@ class SlicerSteering(Steering):
         interactor = window.GetInteractor()
         if self._still or self.always is not None or interactor is None:
             return super()._is_still(window)
-        # Slicer asks VTK for a lower rate than it expects: below 5 frames per second for less than one.
+        # The rate that Slicer requests from VTK is lower than the expected one: less than 1 frame per second if it
+        # expects less than 5. So the interactor's rate for still frames decides here, not `still_rate`.
         return bool(window.GetDesiredUpdateRate() <= interactor.GetStillUpdateRate())
 
 
@@ -60,32 +62,31 @@ def _expected(node: Any) -> float:
 
 
 def _manager(view: Any) -> Any:
-    """The displayable manager of volume rendering of what is called a view."""
+    """The displayable manager of volume rendering for an argument of :func:`hold`; None if it has none."""
     if hasattr(view, "threeDView"):
         view = view.threeDView()
-    if hasattr(view, "displayableManagerByClassName"):
-        return view.displayableManagerByClassName(_MANAGER)
-    group = getattr(view, "displayable_manager_group", view)
-    if hasattr(group, "GetDisplayableManagerByClassName"):
-        return group.GetDisplayableManagerByClassName(_MANAGER)
-    return group if hasattr(group, "IsA") and group.IsA(_MANAGER) else None
+    # Of a view of Slicer, of a view of trame-slicer, of a group of managers.
+    for name in "displayableManagerByClassName", "get_displayable_manager_by_class", "GetDisplayableManagerByClassName":
+        if hasattr(view, name):
+            return getattr(view, name)(_MANAGER)
+    return view if hasattr(view, "IsA") and view.IsA(_MANAGER) else None
 
 
 def hold(view: Any, *, seconds: float | None = None, **options: Any) -> SlicerSteering:
-    """Holds a view's volume rendering to its expected frame rate while it is moved.
+    """Holds a view's volume rendering to its expected frame rate while the view is moved.
 
-    Volumes that are shown later join, those that are hidden leave; presets, regions of interest and changes of the
-    rendering method are followed. Still frames are Slicer's, pixel for pixel.
+    Volumes that are shown later are held too, and hidden ones released. Changes of presets, regions of interest and the
+    rendering method take effect in the next frame. Slicer draws still frames as usual, pixel for pixel.
 
     Parameters
     ----------
     view : qMRMLThreeDView or qMRMLThreeDWidget, a view of trame-slicer, vtkMRMLDisplayableManagerGroup or
         vtkMRMLVolumeRenderingDisplayableManager
-        With its view node and its renderer.
+        The view; it must have its view node and its renderer.
     seconds : float, optional
-        Seconds per frame, instead of 1 / the view node's ``ExpectedFPS``, which is followed.
+        Seconds per frame. Default: 1 / the view node's current ``ExpectedFPS``.
     **options
-        As :func:`entire.vtk.hold` takes them.
+        Options of :func:`entire.vtk.hold`.
 
     Returns
     -------
@@ -94,7 +95,7 @@ def hold(view: Any, *, seconds: float | None = None, **options: Any) -> SlicerSt
     Raises
     ------
     ValueError
-        Where the view has no volume rendering, no view node or no renderer.
+        If the view has no volume rendering, no view node or no renderer.
 
     Examples
     --------
