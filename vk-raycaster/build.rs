@@ -78,7 +78,8 @@ fn specialize(source: &str, constants: &[(&str, u32)]) -> String {
                 }
             }
             [first, ..] if first.starts_with('#') => fail("unknown directive"),
-            // Blank lines stay, so that the compiler's line numbers are those of the file.
+            // Lines that are left out become blank, so that the compiler's line numbers are those of the
+            // file.
             _ if open.contains(&false) => kept.push('\n'),
             _ => {
                 kept.push_str(line);

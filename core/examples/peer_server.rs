@@ -42,7 +42,7 @@ fn options() -> Result<Options, Problem> {
             "--storage" => {
                 let name = value()?;
                 storage =
-                    Storage::ALL.into_iter().find(|s| s.to_string() == name).ok_or("no such storage")?;
+                    Storage::ALL.into_iter().find(|s| s.to_string() == name).ok_or("unknown storage")?;
             }
             "--level" => {
                 let isa = value()?.parse()?;
@@ -162,7 +162,7 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
     let (mut scratch, mut features) = (net.scratch(), vec![0.0; net.feature_len()]);
     Ok(Box::new(move || {
         let view = if from_floats {
-            // The identity: this range maps to [-1, 1] unchanged, since the peers use the floats as they are.
+            // The network maps this range to [-1, 1], so the floats stay unchanged, as in the peers.
             VolumeView::with(
                 Scalars::F32(&volume),
                 [128; 3],

@@ -8,8 +8,8 @@ use alloc::vec::Vec;
 pub fn no_memory() -> Error {
     Error::new(
         ErrorKind::OutOfMemory,
-        "there is no memory for what the model or the volume needs; give the process more, or use a smaller \
-         one",
+        "the model or the volume needs more memory than there is; give the process more memory, or use a \
+         smaller model or volume",
     )
 }
 
@@ -29,7 +29,8 @@ pub fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
     Ok(out)
 }
 
-/// The slice as arrays of `N`, and its rest: `slice::as_chunks` for compilers before 1.88.
+/// Splits a slice into arrays of `N` elements and the elements that remain: `slice::as_chunks` for compilers
+/// before 1.88.
 #[inline(always)]
 pub fn chunks<const N: usize, T: bytemuck::Pod>(all: &[T]) -> (&[[T; N]], &[T]) {
     let (whole, rest) = all.split_at(all.len() - all.len() % N);
@@ -92,8 +93,8 @@ pub fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>
     Ok(out)
 }
 
-/// Checks that `bytes` bytes can be allocated; for work in many small allocations that cannot fail one by
-/// one.
+/// Checks that `bytes` bytes can be allocated, before work whose many small allocations would abort the
+/// process where they fail.
 pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
 }
@@ -112,7 +113,7 @@ mod tests {
     use alloc::vec;
 
     #[test]
-    #[cfg_attr(miri, ignore = "Miri ends where an allocator says no")]
+    #[cfg_attr(miri, ignore = "Miri aborts where an allocation fails")]
     fn what_cannot_be_had_is_an_error() {
         assert_eq!(room::<u64>(usize::MAX).unwrap_err().kind(), ErrorKind::OutOfMemory);
         assert_eq!(filled(isize::MAX as usize, 1u8).unwrap_err().kind(), ErrorKind::OutOfMemory);

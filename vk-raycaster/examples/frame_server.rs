@@ -8,7 +8,7 @@
 //! transfer NAME FILE                    sets transparent|medium|opaque|scan, writes its table (256 RGBA, f32)
 //! camera RX RY DZ WIDTH HEIGHT          eye, forward and up in world units (corner of the box at the origin)
 //! frame none|blocks|distance            renders; seconds by each clock
-//! flight none|blocks|distance N         renders N frames one by one, then with two in flight; seconds of all
+//! flight none|blocks|distance N         renders N frames one by one, then with two in flight; seconds of each
 //! counts none|blocks|distance           renders and counts
 //! image none|blocks|distance FILE       renders and writes RGB bytes, over black, rows from the top
 //! ```

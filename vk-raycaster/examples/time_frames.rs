@@ -1,8 +1,8 @@
 //! Times frames of one scene: `time_frames [key=value]…`
 //!
-//! volume=noise|vessels|FILE (raw bytes, with dims=XxYxZ)  n=256  tf=transparent|medium|opaque  size=512
-//! step=1 shade=none|local|scatter  skip=none|blocks|distance  device=vulkan|cpu  fetch=sampler|texels|packed
-//!  repeat=10 rx=20 ry=30 dz=3.8637  termination=0.99  out=IMAGE.png
+//! volume=noise|vessels|FILE (raw bytes, with dims=XxYxZ)  n=256  tf=transparent|medium|opaque|scan
+//! size=512  step=1  shade=none|local|scatter  skip=none|blocks|distance  device=vulkan|cpu
+//! fetch=sampler|texels|packed  repeat=10  rx=20 ry=30 dz=3.8637  termination=0.99  out=IMAGE.png
 
 mod common;
 
@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         v.get(v.len() / 2).map_or(f64::NAN, |t| t * 1e3)
     };
     println!(
-        "{name}: device {:.2} ms, wall {:.2} ms, cpu {:.2} ms, least {:.2} ms (medians of {})",
+        "{name}, medians: device {:.2} ms, wall {:.2} ms, cpu {:.2} ms; least cpu {:.2} ms; {} frames",
         median(times.iter().filter_map(|t| t.device).collect()),
         median(times.iter().map(|t| t.wall).collect()),
         median(times.iter().filter_map(|t| t.cpu).collect()),

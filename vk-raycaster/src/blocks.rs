@@ -129,7 +129,7 @@ fn distances(bytes: &[u8], dims: [usize; 3], kind: u8) -> Vec<u8> {
                 line.clear();
                 line.extend((0..n).map(|i| d[start + i * stride]));
                 for i in 0..n {
-                    // Searches outwards until no block farther away can be nearer.
+                    // Searches outwards until no block farther along the axis can reduce the distance.
                     let mut best = line[i];
                     let mut r = 1;
                     while r < usize::from(best) {

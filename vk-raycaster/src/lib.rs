@@ -13,9 +13,9 @@
 //! With the frame's step δ (multiples of the reference step, the smallest spacing), D is the ray's advance per
 //! step in voxel coordinates.
 //!
-//! *Samples.* The ray meets the box in \[t_in, t_out), in steps from its origin and not before it. Sample
-//! k = 0, 1, … lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by a hash of the pixel
-//! in \[0, 1).
+//! *Samples.* The ray is inside the box from t_in to t_out, measured in steps from the ray's origin, with
+//! t_in ≥ 0. Sample k = 0, 1, … lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by
+//! a hash of the pixel in \[0, 1).
 //!
 //! *Value.* Voxels are mapped to \[0, 1] over the volume's range (clamped; NaN is the low end) and
 //! interpolated trilinearly between voxel centers, clamped to the edge: the normalized scalar s. Integer
@@ -35,11 +35,10 @@
 //! c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v). Where the gradient
 //! vanishes c stays.
 //!
-//! *Single scattering.* Per sample with α′ > 0, a shadow ray towards a directional light fixed in scene space
-//! at
-//! [`LIGHT_DIRECTION`], sampled every [`SHADOW_STEP`] steps, the first sample one such distance away:
-//! T ← T·(1 − α′)^[`SHADOW_STEP`], until the box is left or T falls below [`SHADOW_TERMINATION`].
-//! c ← c·(0.25 + 0.75·T).
+//! *Single scattering.* Per sample with α′ > 0, a shadow ray towards a directional light that is fixed in
+//! scene space ([`LIGHT_DIRECTION`]). It is sampled every [`SHADOW_STEP`] steps, the first sample one such
+//! distance away: T ← T·(1 − α′)^[`SHADOW_STEP`], until the ray leaves the box or T falls below
+//! [`SHADOW_TERMINATION`]. c ← c·(0.25 + 0.75·T).
 //!
 //! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`] (a cell lies between
 //! eight voxel centers), store the smallest and largest value of their samples; a block is empty when the

@@ -51,7 +51,7 @@ pub struct Probe {
     pub rays_per_second: f64,
     /// Samples per second of parallel rays of equal length, none of which skips or stops.
     pub coherent_samples_per_second: f64,
-    /// Samples per second of rays in all directions, with random offsets and random depths at their ends.
+    /// Samples per second of rays that diverge, start with a random offset and end at random depths.
     pub divergent_samples_per_second: f64,
     /// Skips per second of empty blocks, block by block.
     pub skips_per_second: f64,
@@ -201,7 +201,7 @@ impl Prober<'_> {
         let mut edge = 64;
         loop {
             let frame = (scene.frame)(edge)?;
-            // The first frames compile and fill caches.
+            // The first frames compile shaders and fill caches.
             for _ in 0..2 {
                 self.renderer.render(&frame)?;
             }
@@ -266,8 +266,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
             return Ok(seconds);
         }
         Err(Error::new(format!(
-            "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than what it holds; \
-             probe with longer frames, on a machine at rest",
+            "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than its other \
+             parts; probe with longer frames, on a machine at rest",
             options.frame_seconds * 1e3,
             seconds * -1e3
         )))
@@ -312,7 +312,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         frame: |edge| Ok(Frame { skipping: Skipping::Blocks, ..frame((20.0, 30.0, 50.0), 2.0, edge)? }),
         grows: true,
     })?;
-    // The skip of a ray that replaces its only sample is in both.
+    // The time of a ray includes its first sample, which stands for its first skip here: one skip per ray is
+    // left out.
     let skips = counts.skips.saturating_sub(counts.rays) as f64 / rest("a frame of skips", seconds, &counts)?;
     Ok(Probe {
         device: renderer.device(),

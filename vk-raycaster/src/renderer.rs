@@ -114,7 +114,8 @@ pub trait Renderer {
     /// default [`BLOCK_EDGE`](crate::BLOCK_EDGE). It applies to volumes that are set afterwards.
     ///
     /// # Errors
-    /// For another edge, and for renderers with a fixed edge.
+    /// For an edge that is not in [`BLOCK_EDGES`](crate::BLOCK_EDGES); from a renderer with fixed blocks,
+    /// for any edge other than [`BLOCK_EDGE`](crate::BLOCK_EDGE).
     fn set_block_edge(&mut self, edge: usize) -> Result<()> {
         crate::blocks::check_edge(edge)?;
         if edge == crate::BLOCK_EDGE {

@@ -1,5 +1,5 @@
-//! Parameters that a frame hands to its rays: the shader reads them as its uniform block, the CPU version as
-//! a struct.
+//! Parameters that a frame hands to its rays: the shader reads them from a storage buffer, the CPU version
+//! from the struct.
 
 use crate::error::{Error, Result};
 use crate::voxels::Geometry;
@@ -17,10 +17,10 @@ pub const SHADOW_TERMINATION: f32 = 0.25;
 /// Smallest advance per step along an axis, in voxels; keeps its inverse finite.
 pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
 
-/// Beyond every sample.
+/// Sample number beyond the last sample of every ray.
 pub(crate) const FAR: f32 = 3.0e38;
 
-/// A frame's parameters for its rays. Laid out as a uniform block: seventeen rows of 16 bytes.
+/// A frame's parameters for its rays. Laid out as the shader's struct: seventeen rows of 16 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub(crate) struct FrameSetup {
@@ -62,7 +62,7 @@ pub(crate) struct FrameSetup {
     pub(crate) tile_height: u32,
     /// 0 starts the rays, 1 continues where the dispatch before left them.
     pub(crate) resume: u32,
-    /// The dispatch takes samples before this one; [`FAR`] ends the rays.
+    /// Number of the sample at which the dispatch stops; with [`FAR`], it takes all samples that remain.
     pub(crate) window_end: f32,
     /// Cells along a block's edge.
     pub(crate) block_edge: f32,
@@ -80,8 +80,8 @@ pub(crate) struct FrameSetup {
     pub(crate) pad_origin: f32,
     pub(crate) brick_dims: [f32; 3],
     pub(crate) pad_dims: f32,
-    /// Offset between the ray origins at the image's middle and half an image to the right and up, in voxels;
-    /// 0 except with parallel rays.
+    /// Offset in voxels from the ray origin at the image's middle to the one half an image to the right
+    /// (`origin_right`) or up (`origin_up`); 0 except with parallel rays.
     pub(crate) origin_right: [f32; 3],
     pub(crate) pad_right: f32,
     pub(crate) origin_up: [f32; 3],

@@ -8,7 +8,7 @@ pub(crate) type StepTable = [[f32; 4]; TABLE_LEN];
 /// A transfer function with its opacity floor applied.
 pub(crate) struct Classifier {
     table: TransferTable,
-    /// `visible_before[i]`: number of the entries 0…i−1 with an opacity.
+    /// `visible_before[i]`: number of visible entries among 0…i−1.
     visible_before: [u32; TABLE_LEN + 1],
 }
 

@@ -1,4 +1,5 @@
-//! A volume's voxels in the form of both renderers: contiguous, clamped to the range, of one of three types.
+//! A volume's voxels in the form that both renderers use: contiguous, clamped to the range, of one of three
+//! types.
 
 use entire_core::scene::{ScalarType, Scalars, VolumeView};
 use rayon::prelude::*;
@@ -88,7 +89,7 @@ fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     }
 }
 
-/// 16-bit integers minus their minimum, which always fit into an unsigned one.
+/// 16-bit integers minus their minimum: the differences always fit into `u16`.
 fn less_minimum<T: Copy + Send + Into<i32>>(voxels: Vec<T>, minimum: i32) -> (Voxels, i32)
 where
     Vec<T>: IntoParallelIterator<Item = T>,

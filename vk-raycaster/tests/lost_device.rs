@@ -14,7 +14,7 @@ use std::time::Duration;
 
 type Outcome = Result<(), Failed>;
 
-/// Fault of a thread's device from a call on.
+/// Fault of a thread's device, and the number of calls or waits after which it occurs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     Sound,
@@ -88,7 +88,7 @@ unsafe extern "system" fn wait_for_fences(
 }
 
 unsafe extern "system" fn device_wait_idle(_: vk::Device) -> vk::Result {
-    // The wait has no time limit.
+    // This wait has no time limit, so no renderer may use it.
     vk::Result::ERROR_UNKNOWN
 }
 
@@ -292,7 +292,7 @@ fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
         let allowed = WAITS.take();
         let long = allowed.iter().filter(|&&ns| ns > 0).count();
         assert!(allowed.iter().all(|&ns| ns == 0 || u128::from(ns) == WAIT.as_nanos()), "{allowed:?}");
-        assert_eq!(long, after + 1, "after the first wait in vain it is only looked at: {allowed:?}");
+        assert_eq!(long, after + 1, "after the first timeout the device is only polled: {allowed:?}");
         assert_eq!(DESTROYED.get(), 0, "what a hanging device may still use stays");
     }
     new_renderer_draws(&image)

@@ -131,8 +131,8 @@ fn unit_distance_scales_the_optical_depth() {
 
 #[test]
 fn linear_ramp_integrates_to_its_closed_form() {
-    // Voxel z holds z, the table's opacity rises linearly with small slope: τ = Σ −ln(1 − a·s) ≈ ∫ along the
-    // ray.
+    // Slice z holds 4·z, and the extinction rises linearly over the table: the optical depth is the sum of
+    // the samples' extinctions.
     let n = 64;
     let data: Vec<u8> = (0..n).flat_map(|z| vec![(4 * z) as u8; n * n]).collect();
     let mut rgba = [[1.0, 1.0, 1.0, 0.0]; TABLE_LEN];
@@ -297,7 +297,7 @@ fn transparent_tables_give_black_and_opaque_ones_stop_at_the_first_sample() {
 #[test]
 fn camera_inside_sees_only_what_lies_ahead() {
     let n = 32usize;
-    // Everything behind the camera (z over 16) is bright; ahead lies a dim medium.
+    // The camera stands at z = 16. Behind it, from z = 18 on, everything is bright; ahead lies a dim medium.
     let data: Vec<u8> = (0..n).flat_map(|z| vec![if z >= 18 { 255 } else { 50 }; n * n]).collect();
     let mut rgba = [[0.0, 0.0, 1.0, 0.05]; TABLE_LEN];
     for e in &mut rgba[200..] {
@@ -403,14 +403,14 @@ fn lighting_dims_edges_and_scattering_casts_shadows() {
 
 #[test]
 fn shadow_of_a_slab_has_its_closed_form() {
-    // A homogeneous medium: the sample nearest the top is lit through its own shadow ray only.
+    // A homogeneous medium: the shadow of a sample follows from the length of its shadow ray.
     let n = 16usize;
     let data = vec![9u8; n * n * n];
     let alpha = 0.02f32;
     let r = twin(&bytes(&data, [n; 3]), &constant(alpha));
     let f = Frame { shading: Shading::Scatter, ..central_ray(3.0) };
     let (p, counts) = r.render_linear(&f).unwrap();
-    // The sum over the samples, each with its own shadow length, by double precision.
+    // The sum over the samples, each with its own shadow length, in float64.
     let light = entire_vk_raycaster::LIGHT_DIRECTION.map(f64::from);
     let norm = light.iter().map(|l| l * l).sum::<f64>().sqrt();
     let (mut color, mut opacity, mut shadow_samples) = (0.0, 0.0, 0u64);

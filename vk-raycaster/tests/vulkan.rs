@@ -167,8 +167,8 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     expect_silence(&gpu)
 }
 
-/// With the device's own arithmetic, a few samples at box and block borders and some barely visible ones may
-/// differ, too.
+/// The device's own arithmetic may decide otherwise about a few samples at box and block borders and some
+/// barely visible ones.
 fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome {
     let close = |a: u64, b: u64, share: f64| a.abs_diff(b) as f64 <= 4.0 + share * b as f64;
     if close(device.rays, twin.rays, 0.01)
@@ -451,14 +451,15 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
             check(&mut gpu, &mut wanted)?;
         }
         if i == 4 {
-            // While a frame with the old one is in flight.
+            // While a frame with the old transfer function is in flight.
             gpu.set_transfer(&opaque())?;
             alone.set_transfer(&opaque())?;
         }
         gpu.enqueue(f)?;
         wanted.push_back(alone.render(f)?);
         if i == 5 {
-            // With the maximum number in flight: volume and transfer function, and back.
+            // With the maximum number of frames in flight: another volume, and the first transfer function
+            // again.
             let other = field_bytes([24; 3]);
             let other = VolumeView::new(Scalars::U8(&other), [24; 3]).unwrap();
             for r in [&mut gpu, &mut alone] {
@@ -511,7 +512,7 @@ fn counting_changes_no_picture() -> Outcome {
             }
         }
     }
-    // Windows, with each variant.
+    // Rays that are cast in several windows, with each shader variant.
     let frame = Frame { step: 1.0 / 64.0, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 19, 14) };
     gpu.set_transfer(&transparent().with_unit_distance(16.0).unwrap())?;
     for skipping in SKIPPINGS {

@@ -1,5 +1,6 @@
-//! A second thread for work of a few microseconds, synchronized through one cache line: no queue, no lock, no
-//! system call.
+//! A second thread for work of a few microseconds, synchronized through one cache line, without a queue or a
+//! lock. Posting and finishing work makes no system call; an idle helper thread yields its core (feature
+//! `std`).
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -174,7 +175,7 @@ impl Drop for Posted<'_> {
                 FAILED => {
                     // The serving thread has ended, and half of the result is missing.
                     self.0.state.store(ABSENT, Ordering::Release);
-                    panic!("the helping thread unwound");
+                    panic!("the helper thread panicked");
                 }
                 _ => wait(&mut waited, false),
             }

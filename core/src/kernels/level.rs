@@ -201,7 +201,7 @@ fn features() -> u32 {
     found
 }
 
-// Miri has no such instructions: everything runs on the portable level there.
+// Other architectures and Miri lack these instructions: everything runs on the portable level there.
 #[cfg(any(not(target_arch = "x86_64"), miri))]
 fn probe() -> u32 {
     0

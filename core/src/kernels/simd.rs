@@ -21,7 +21,7 @@ pub trait Kernel {
 }
 
 /// Token of one instruction set. Holding a token proves that the instructions may be used, so its methods are
-/// safe except for those that take pointers.
+/// safe except for those that read or write through a pointer.
 ///
 /// Pointers need no alignment beyond that of their element.
 #[allow(dead_code, reason = "one vocabulary for all kernels, whichever of them are compiled in")]

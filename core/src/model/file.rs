@@ -66,7 +66,7 @@ impl<'a> Source<'a> {
             let Some(slice) = data.get(start..end) else {
                 bail!(
                     InvalidModel,
-                    "{name} lies at bytes {start} to {end} of {}: out of the file",
+                    "{name} is at bytes {start} to {end} of {}: beyond the end of the file",
                     data.len()
                 );
             };
@@ -222,7 +222,8 @@ impl ModelFile {
     /// As [`Model::from_bytes`].
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         self.to_model()?;
-        // Widest types first keeps every tensor aligned to its own type, as in the format's other writers.
+        // Tensors are sorted by the width of their type, widest first: each is then aligned to its own type,
+        // as the format's other writers do it.
         let mut order: Vec<_> = self.tensors.iter().collect();
         order.sort_by(|(name, t), (other, o)| o.dtype.cmp(&t.dtype).then_with(|| name.cmp(other)));
         let mut header = json(&Header { metadata: &self.metadata, tensors: &order })?.into_bytes();
@@ -273,6 +274,6 @@ impl Serialize for Header<'_> {
 fn json<T: Serialize + ?Sized>(value: &T) -> Result<String> {
     match serde_json::to_string(value) {
         Ok(text) => Ok(text),
-        Err(e) => bail!(InvalidModel, "cannot be written as JSON: {e}"),
+        Err(e) => bail!(InvalidModel, "the model's metadata cannot be written as JSON: {e}"),
     }
 }

@@ -106,7 +106,7 @@ impl Source<'_> {
             ),
             None => bail!(
                 InvalidModel,
-                "the metadata lacks {:?}, expected {:?}: this is not a model of ours, or it was saved without metadata",
+                "the metadata lacks {:?}, expected {:?}: the file is no model of entire, or was saved without metadata",
                 Key::Format.name(),
                 FORMAT
             ),
@@ -345,14 +345,14 @@ impl Source<'_> {
                 Key::VolumeNet
             );
         }
-        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings, which the sizes of
-        // existing weights bound.
+        // The sum cannot overflow: the edge is at most MAX_VOLUMENET_INPUT plus the paddings of all blocks,
+        // and each padding is smaller than a kernel that the file holds.
         let padded = input_edge + 2 * padding;
         if kernel > padded {
             bail!(
                 InvalidTensor,
-                "{conv} has kernel {kernel}, but block {i}'s padded input is only {padded} wide: fewer blocks, a \
-                 larger input or more padding"
+                "{conv} has kernel {kernel}, but block {i}'s padded input is only {padded} wide: use fewer \
+                 blocks, a larger input or more padding"
             );
         }
         if stride > padded {

@@ -304,8 +304,8 @@ fn an_encoder_whose_memory_leaves_the_bound_is_refused_whatever_the_files_size()
         let file = encoder_file(512, blocks, 1);
         fails(&file, ErrorKind::InvalidModel, &says);
     }
-    // Rows and channels are padded to whole vectors: the dense layer's weights grow most where there is one
-    // of each.
+    // Rows and channels are padded to whole vectors. With one row and one channel, this padding enlarges the
+    // dense layer's weights most.
     fails(&encoder_file(1, &[(1, 1, 1, 0)], 1 << 22), ErrorKind::InvalidModel, &says);
     assert!(encoder_file(512, &[(1, 1, 1, 0), (1, 1, 512, 0)], 1).to_model().is_ok());
 }

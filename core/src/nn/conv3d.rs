@@ -1,4 +1,4 @@
-//! The definition of a block, in float64: the reference in tests of the kernels.
+//! A convolution block in plain float64 loops: the reference in tests of the kernels.
 
 use super::parts::ConvBlockParts;
 use crate::kernels::{SELU_ALPHA, SELU_SCALE};

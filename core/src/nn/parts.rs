@@ -166,7 +166,8 @@ impl PredNetParts {
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, the expected and the found.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, the expected and the actual
+    /// shape or value.
     pub(crate) fn check(&self) -> Result<()> {
         let Some(last) = self.layers.last() else {
             bail!(InvalidTensor, "PredNet has no layer: expected at least prednet.0.weight");

@@ -31,9 +31,9 @@ pub struct PredScratch {
 /// the storage.
 ///
 /// Nothing is cached between predictions. Input groups that did not change could save only their share of the
-/// first layer: 0.5 % of a 12C256, and tens of nanoseconds of the smallest networks, less than finding out
-/// which inputs changed. Quantities that change once per volume or transfer function are cached in the
-/// features.
+/// first layer: 0.5 % of the weights of the paper's network 12C256, and tens of nanoseconds in the smallest
+/// networks, which is less than it takes to find out which inputs changed. Quantities that change once per
+/// volume or transfer function are cached with the scene features.
 #[derive(Clone, Debug)]
 pub struct PredNet {
     mlp: Mlp,
@@ -58,10 +58,10 @@ impl PredNet {
     /// Bound on the error of a prediction with weights kept in `storage` where the file holds `file`, against
     /// a float64 evaluation of the same file.
     ///
-    /// Where nothing is rounded ([`Storage::F32`], or the file's own format), relative to the prediction:
-    /// 1e-5. Otherwise relative to the largest output over the inputs: 5e-3 for [`Storage::F16`], 5e-2 for
-    /// [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. The last depends on the network: measure it on frames
-    /// of your own first.
+    /// Where no weight is rounded ([`Storage::F32`], or the file's own format), the bound is 1e-5 of the
+    /// prediction. Otherwise it is a fraction of the largest output over the inputs: 5e-3 for
+    /// [`Storage::F16`], 5e-2 for [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. The error of
+    /// [`Storage::Int8`] depends on the network: measure it on your own frames first.
     pub fn tolerance(storage: Storage, file: Dtype) -> f64 {
         match storage {
             Storage::F32 => 1e-5,
@@ -314,8 +314,8 @@ mod tests {
                         let single = net.predict(row, &mut scratch);
                         prop_assert_eq!(single.to_bits(), split.to_bits());
                         for found in [single, batch[i]] {
-                            // Errors of rounded weights are relative to the network's output, of which this
-                            // is the logarithm.
+                            // Errors of rounded weights are relative to the last layer's output: the
+                            // logarithm of the seconds, normalized.
                             let size = ((libm::log(exact[i]) + 4.0) / 0.5).abs().max(1.0);
                             let size = if storage == Storage::F32 { 1.0 } else { size };
                             let error = (f64::from(found) - exact[i]).abs() / exact[i] / size;

@@ -98,8 +98,7 @@ impl VolumeNet {
         self.features
     }
 
-    /// Creates empty working memory for [`encode`](Self::encode), which allocates at its first call and again
-    /// where more threads are used.
+    /// Creates empty working memory for [`encode`](Self::encode), which allocates it when needed.
     pub fn scratch(&self) -> EncodeScratch {
         EncodeScratch { resampler: Resampler::new(self.level), cube: Vec::new(), encoder: Scratch::default() }
     }
@@ -165,8 +164,8 @@ fn in_place<T: Scalar>(view: &VolumeView<'_>, scalars: &[T], z: usize, plane: &m
     }
 }
 
-/// Upper bound on the bytes of an encoder's packed weights and of one thread's working memory: vectors as
-/// wide as on the widest level. Sums saturate.
+/// Upper bound on the bytes of an encoder's packed weights and of one thread's working memory, for the
+/// widest vectors of any level. Sums saturate.
 fn memory(parts: &VolumeNetParts) -> u64 {
     /// Floats per vector and per cache line.
     const LANES: u128 = 16;
@@ -203,8 +202,8 @@ fn memory(parts: &VolumeNetParts) -> u64 {
     u64::try_from(bytes).unwrap_or(u64::MAX)
 }
 
-/// Checks that the blocks fit together and that the encoder can be built and run; [`VolumeNet::new`] refuses
-/// the rest.
+/// Checks that the blocks and the dense layer fit together and that the encoder needs at most
+/// [`MAX_ENCODER_MEMORY`].
 pub(crate) fn check(parts: &VolumeNetParts) -> Result<()> {
     let (mut edge, mut channels) = (parts.input, 1usize);
     if edge == 0 {

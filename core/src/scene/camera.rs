@@ -45,8 +45,9 @@ pub struct Camera {
 /// Range of [`Camera::with_parallel_scale`], in bounding-sphere radii.
 const PARALLEL_SCALES: core::ops::RangeInclusive<f32> = 1e-6..=1e6;
 
-/// Distance from the center of the plane that parallel rays leave, where the eye is farther away, in
-/// bounding-sphere radii: in front of everything visible, and near enough to keep full precision.
+/// Largest distance between the volume's center and the plane from which parallel rays start, in
+/// bounding-sphere radii. It replaces the distance of a farther eye: the plane is still in front of the
+/// whole volume, and near enough for full precision.
 const PARALLEL_DISTANCE: f32 = 2.0;
 
 impl Camera {

@@ -8,7 +8,7 @@ use crate::names::names;
 /// Largest image width or height of a frame, in pixels.
 pub const MAX_IMAGE_SIDE: u32 = 16384;
 
-/// Shading, computed at each sample; every variant is a cost class of its own.
+/// Shading, computed at each sample. Each variant has its own cost models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Shading {

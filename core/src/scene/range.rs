@@ -42,7 +42,8 @@ impl VolumeView<'_> {
             let highs = left.len() - left.partition_point(|v| *v < high);
             let frequent = |count: usize| count >= 4 && count as f32 >= FREQUENT * sample.len() as f32;
             let candidates = [(low, lows, &left[lows..]), (high, highs, &left[..left.len() - highs])];
-            // The farther end first: next to it, the other may seem near.
+            // Takes the end that lies farther away first: as long as it is there, it widens the range by
+            // which the other end's distance is judged.
             let far = |rest: &[f32], value: f32| {
                 let (Some(&least), Some(&most)) = (rest.first(), rest.last()) else { return None };
                 let gap = if value < least { half(least) - half(value) } else { half(value) - half(most) };

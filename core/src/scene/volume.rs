@@ -356,7 +356,8 @@ fn bounding_radius(extent: Vec3) -> f32 {
     libm::ldexpf(0.5 * scaled.length(), exponent)
 }
 
-/// The spacing up to a power of two: bit-identical in units of length that differ by a power of two.
+/// The spacing, scaled by the power of two that brings its largest component into 0.5…1: bit-identical in
+/// units of length that differ by a power of two.
 pub fn ratios(spacing: Vec3) -> Vec3 {
     normalized(spacing).0
 }

@@ -50,7 +50,7 @@ impl VulkanRaycaster {
             )));
         }
         if !picture.is_of(&self.shared_device()) {
-            return Err(Error::new("the picture is on another device; make one on this raycaster's"));
+            return Err(Error::new("the picture is on another device; make one on this raycaster's device"));
         }
         Ok(self.cast(frame, region, Sink::Picture(picture))?.0)
     }

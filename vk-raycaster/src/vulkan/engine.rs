@@ -16,10 +16,10 @@ use std::sync::Arc;
 /// Every compiled variant of the shader: shading, skipping, fetch, counting, packets, bricks; SPIR-V.
 static SHADERS: &[([u32; 6], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 
-/// Bytes that a staging buffer holds, unless one slice needs more.
+/// Size of a staging buffer, in bytes, unless one slice needs more.
 const STAGING_BYTES: u64 = 64 << 20;
 
-/// Largest size of a table's texels; the most that a recording can hold inline.
+/// Largest size of a table's texels, in bytes: the limit of `vkCmdUpdateBuffer`.
 const TABLE_BYTES: u64 = 65536;
 
 /// Bytes per pixel of the state of a ray between its windows.
@@ -36,9 +36,9 @@ pub(crate) struct ShaderKey {
     pub(crate) bricks: u32,
 }
 
-/// Frames that may be in flight.
+/// Maximum number of frames in flight.
 pub(crate) const FRAMES_IN_FLIGHT: usize = 2;
-/// The slot of copies to the device, which may continue while every other slot has a frame.
+/// Index of the slot for copies to the device, so that copies can run while every other slot has a frame.
 const COPIES: usize = FRAMES_IN_FLIGHT;
 
 /// Maximum number of textures that a volume may be cut into.
@@ -122,10 +122,11 @@ pub(crate) struct Engine {
     volume: Vec<Image>,
     skip_map: Option<Image>,
     staging: Option<Buffer>,
-    /// A failed submission may still be running: nothing is freed or submitted before every slot was waited
-    /// for.
+    /// True after a failed submission, which may still be running: nothing is freed or submitted before the
+    /// engine has waited for every slot.
     broken: bool,
-    /// A submission exceeded its time limit: the device is no longer waited for, only polled.
+    /// True after a submission has exceeded its time limit: the engine then polls the device instead of
+    /// waiting.
     hangs: bool,
     /// Number of casts so far.
     casts: u64,
@@ -476,8 +477,9 @@ impl Engine {
         Ok(())
     }
 
-    /// Makes a new descriptor set of the current resources. Sets are never rewritten: some drivers read every
-    /// descriptor of a set, including those that the shader does not use and whose resources are freed.
+    /// The slot's descriptor set for a brick, made from the current resources where it is missing. Sets are
+    /// never rewritten: some drivers read every descriptor of a set, including those that the shader does
+    /// not use and whose resources are freed.
     fn prepare_set(&mut self, index: usize, brick: usize) -> Result<vk::DescriptorSet> {
         let slot = &mut self.slots[index];
         if let Some(set) = slot.sets.get(&brick) {

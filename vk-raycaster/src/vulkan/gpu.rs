@@ -23,7 +23,7 @@ pub const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 /// Replaces functions of the device by those of a test.
 pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 
-/// Choice of the device, and true to enable the validation layer.
+/// Options of opening a device.
 pub(crate) struct GpuOptions<'a> {
     /// Time limit of a submission; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
     pub(crate) longest_wait: Option<Duration>,
@@ -92,7 +92,7 @@ pub(crate) struct Gpu {
     entry: ManuallyDrop<ash::Entry>,
 }
 
-/// Makes an error of a failed Vulkan call, on an open device.
+/// The error of a failed Vulkan call, with the remedy. `device` is the name of the open device, if any.
 pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
@@ -128,7 +128,8 @@ pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) 
 pub(crate) trait NamedCall<T> {
     fn named(self, call: &str) -> Result<T>;
 
-    /// As [`NamedCall::named`] for a call on an open device, which is marked lost if the call returns so.
+    /// As [`NamedCall::named`] for a call on an open device. The device is marked lost if the call returns
+    /// `VK_ERROR_DEVICE_LOST`.
     fn on(self, gpu: &Gpu, call: &str) -> Result<T>;
 }
 

@@ -34,14 +34,14 @@ use std::sync::Arc;
 use std::time::Duration;
 use upload::Brick;
 
-/// A dispatch that takes longer than this reduces the tiles of its shading mode.
+/// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
-/// llvmpipe ends an invocation's loops after 65535 iterations in all; longer rays are cast in several
-/// dispatches.
+/// Largest number of loop iterations of an invocation on a software device. llvmpipe ends the loops after
+/// 65535, so longer rays are cast in several dispatches.
 const LOOP_LIMIT: f64 = 60_000.0;
 
-/// The smallest edge of reduced tiles.
+/// Smallest edge of tiles that shrink, in pixels.
 const SMALLEST_TILE: u32 = 64;
 
 /// Source of voxels in the shader.
@@ -134,12 +134,13 @@ pub struct VulkanRaycaster {
     block_edge: usize,
     volume: Option<DeviceVolume>,
     classifier: Option<Classifier>,
-    /// The step whose table is on the device; `None` if there is none of the current transfer function.
+    /// Ray step whose table is on the device; `None` if the device has no table of the current transfer
+    /// function.
     table_step: Option<f32>,
     has_skip_map: bool,
     /// Number of non-empty blocks under the current transfer function, and of all blocks.
     occupied: Option<(usize, usize)>,
-    /// Edge of the tiles for each shading mode.
+    /// Edge of the tiles for each shading mode, in pixels.
     tile: [u32; 3],
     /// Frames that were enqueued and not yet collected.
     in_flight: VecDeque<Enqueued>,
@@ -282,9 +283,8 @@ impl VulkanRaycaster {
     ///
     /// # Errors
     /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one
-    /// dispatch (an image larger than a tile, a volume in bricks, very long rays; [`Renderer::render`] takes
-    /// those), or as
-    /// [`Renderer::render`] fails.
+    /// dispatch (an image larger than a tile, a volume in bricks, very long rays: [`Renderer::render`] draws
+    /// such frames), or as [`Renderer::render`] fails.
     pub fn enqueue(&mut self, frame: &Frame) -> Result<()> {
         let watch = Stopwatch::start();
         let plan = self.plan(frame)?;
@@ -293,8 +293,8 @@ impl VulkanRaycaster {
         let tile = Tile { x: 0, y: 0, width, height };
         if width.max(height) > self.tile[plan.class] || plan.last_window > 0.0 || bricks != 1 {
             return Err(Error::new(format!(
-                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {}, {bricks} \
-                 bricks) and cannot be enqueued; render it",
+                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {} \
+                 pixels, {bricks} bricks) and cannot be enqueued; call `render` instead",
                 self.tile[plan.class]
             )));
         }
@@ -392,7 +392,7 @@ impl VulkanRaycaster {
         })
     }
 
-    /// Uploads the empty blocks of the current volume and transfer function to the device.
+    /// Makes the skip map of the current volume and transfer function and uploads it to the device.
     fn update_skip_map(&mut self, preparation: &mut Preparation) -> Result<()> {
         self.has_skip_map = false;
         if let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) {
@@ -525,8 +525,9 @@ fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
     }
 }
 
-/// The bricks from front to back: along each axis every ray goes away from the eye, or from the side of the box
-/// that parallel rays come from, so the number of bricks between orders them.
+/// The bricks from front to back. Along each axis, a ray goes away from the eye (a parallel ray: from the
+/// side of the box where it enters), so the bricks are sorted by their distance from the first brick, summed
+/// over the axes.
 fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     let parallel = setup.origin_up != [0.0; 3];
     let inside = |brick: &Brick, a: usize| {
@@ -557,8 +558,8 @@ fn longest_ray(step: f64) -> f64 {
 /// stay below [`LOOP_LIMIT`].
 fn window(step: f64, shading: Shading) -> f32 {
     let shadow = longest_ray(step * f64::from(crate::setup::SHADOW_STEP));
-    // A sample costs one iteration of its loop and at most one of the loops around; so does each shadow
-    // sample.
+    // A sample costs one iteration of its own loop and at most one of the enclosing loop; so does each
+    // shadow sample.
     let turns = if shading == Shading::Scatter { 2.0 + 2.0 * shadow } else { 2.0 };
     (LOOP_LIMIT / turns).floor().max(1.0) as f32
 }

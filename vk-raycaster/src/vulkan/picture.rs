@@ -108,8 +108,8 @@ impl Drop for Picture {
         }
         let gpu = self.device.gpu();
         let queue = gpu.queue();
-        // The window may still be reading it. A failure means a lost device, which reads nothing. SAFETY: the
-        // queue is the device's, and the guard keeps other threads from it.
+        // A viewer may still be reading the picture. A failure means a lost device, which reads nothing.
+        // SAFETY: the queue is the device's, and the guard keeps other threads from it.
         let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
     }
 }

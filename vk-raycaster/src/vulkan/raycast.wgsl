@@ -93,7 +93,7 @@ struct Counts {
 }
 
 var<private> counts: Counts;
-// Copies of the setup values of every sample: software devices load them lane by lane.
+// Private copies of the setup values that every sample uses: software devices load values of a buffer lane by lane.
 var<private> dims: vec3<f32>;
 var<private> last: vec3<f32>;
 var<private> scale: f32;

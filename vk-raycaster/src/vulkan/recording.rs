@@ -22,7 +22,7 @@ pub(crate) enum Target {
 /// One step of a submission.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Command {
-    /// Writes the uniform block.
+    /// Writes the frame's parameters.
     WriteSetup(Box<FrameSetup>),
     /// Writes the texels of the step table into its staging buffer on the device.
     WriteTable(Vec<u8>),

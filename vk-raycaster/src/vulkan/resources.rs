@@ -7,8 +7,8 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::{Arc, PoisonError};
 
-/// A handle that destroys itself. Its owner ensures that the device no longer uses it when it drops, or that
-/// the device is abandoned, in which case it is leaked.
+/// A handle that is destroyed when this value drops; its owner ensures that the device no longer uses it
+/// then. On an abandoned device, the handle is leaked.
 pub(crate) struct Owned<T: Copy> {
     gpu: Arc<Gpu>,
     handle: T,
@@ -65,7 +65,7 @@ fn allocate(
         })
 }
 
-/// Frees an allocation. Only a foreign allocation could fail, which cannot happen here.
+/// Frees an allocation. This fails only for an allocation of another allocator, which cannot happen here.
 fn free(gpu: &Gpu, allocation: Option<Allocation>) {
     if let Some(allocation) = allocation {
         let _ = gpu.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);

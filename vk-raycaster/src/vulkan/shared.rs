@@ -9,8 +9,8 @@ use std::sync::Arc;
 /// The device of a [`VulkanRaycaster`], kept open for as long as one of these, a raycaster or a
 /// [`Picture`](super::Picture) lives.
 ///
-/// Code that makes Vulkan objects from [`SharedDevice::device`] keeps a clone, and destroys them before it
-/// drops the clone.
+/// Code that makes Vulkan objects from [`SharedDevice::device`] must keep a clone of this, and destroy the
+/// objects before it drops the clone.
 #[derive(Clone)]
 pub struct SharedDevice {
     gpu: Arc<Gpu>,

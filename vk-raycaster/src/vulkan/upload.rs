@@ -52,7 +52,7 @@ pub(crate) struct Brick {
 const APRON: usize = 3;
 
 /// Cuts a volume so that no brick has more than `limit` voxels along an axis or `most` voxels in all. Returns
-/// the bricks and their number along each axis; `None` when there were more than [`MAX_BRICKS`].
+/// the bricks and their number along each axis; `None` where there would be more than [`MAX_BRICKS`].
 pub(crate) fn cut(dims: [usize; 3], limit: usize, most: u64) -> Option<(Vec<Brick>, [usize; 3])> {
     let mut grid = dims.map(|n| if n <= limit { 1 } else { n.div_ceil(limit.saturating_sub(APRON).max(1)) });
     let held = |grid: [usize; 3]| {

@@ -93,7 +93,7 @@ impl Shape {
     }
 
     /// Range of input planes that output plane `z` reads, and the first kernel plane that falls inside the
-    /// input; the others fall into the padding.
+    /// input; the kernel planes before it, and those beyond the range, fall into the padding.
     pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {
         let low = z * self.stride;
         let first = low.max(self.padding);

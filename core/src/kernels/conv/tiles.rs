@@ -345,8 +345,9 @@ row_step!(four_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3);
 ///
 /// # Safety
 /// The input pointer plus any tap plus the width, rounded up to whole steps, is readable; weights and biases
-/// are packed for the group; the output has room for `width` floats per channel, rounded up to whole vectors
-/// with zeros (SELU(0) = 0), which no other thread accesses.
+/// are packed for the group; the output has room for `width` floats per channel, rounded up to whole
+/// vectors. The floats after `width` are zero and stay zero (SELU(0) = 0). No other thread accesses the
+/// output.
 #[inline(always)]
 pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     let mut x = 0;

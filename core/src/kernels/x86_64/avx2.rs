@@ -287,7 +287,8 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn nonzero(self, a: Self::I) -> Self::M {
-        // SAFETY: token. What is zero turns to all ones, and those around.
+        // SAFETY: token. The comparison marks the lanes that are zero, and the exclusive or inverts the
+        // mask.
         unsafe {
             let zero = _mm256_cmpeq_epi32(a, _mm256_setzero_si256());
             _mm256_castsi256_ps(_mm256_xor_si256(zero, _mm256_set1_epi32(-1)))

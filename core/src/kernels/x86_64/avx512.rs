@@ -167,7 +167,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
-        // SAFETY: token (which says whether VNNI is there).
+        // SAFETY: token; it proves VNNI where `VNNI` is true.
         unsafe {
             if VNNI {
                 return _mm512_dpbusd_epi32(sum, a, w);
@@ -275,7 +275,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
         assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "no word, or too many");
-        // SAFETY: token; indices end at the last word.
+        // SAFETY: token; indices are clamped to the last word.
         unsafe {
             let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
             // Scalar loads: gather instructions take two to three times as long on many machines.
@@ -350,7 +350,8 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
-        // SAFETY: token. In a register, then stored: compressing stores are slow on some machines.
+        // SAFETY: token. Compresses in a register and stores the whole vector: compressing stores are slow
+        // on some machines.
         self.write(unsafe { _mm512_maskz_compress_ps(m, v) }, to);
         m.count_ones() as usize
     }
@@ -381,8 +382,8 @@ unsafe fn add_bits(a: __m512i, b: __m512i, c: __m512i) -> (__m512i, __m512i) {
     unsafe { (_mm512_ternarylogic_epi32::<0x96>(a, b, c), _mm512_ternarylogic_epi32::<0xe8>(a, b, c)) }
 }
 
-/// Adds the [`bits_of`] eight vectors to the sums of weight one, two and four; returns these and the carry of
-/// weight eight.
+/// Adds the one-hot codes ([`bits_of`]) of eight vectors to the sums of weight one, two and four. Returns
+/// the sums and the carry of weight eight.
 ///
 /// # Safety
 /// As [`bits_of`], of 512 bytes.
@@ -416,10 +417,10 @@ unsafe fn take(counts: &mut [u32; 8], mut sums: __m512i, weight: u32) {
     }
 }
 
-/// The words at `at[i..i + 4]`.
+/// The words of `from` at the four indices `at[i..i + 4]`.
 ///
 /// # Safety
-/// All of these lie in `from`, and there are four.
+/// `at` has these entries, and each is less than the length of `from`.
 #[inline(always)]
 unsafe fn four_words(from: &[u32], at: &[u32; 16], i: usize) -> __m128i {
     // SAFETY: the caller guarantees the indices; SSE2 is part of x86-64.
@@ -430,10 +431,10 @@ unsafe fn four_words(from: &[u32], at: &[u32; 16], i: usize) -> __m128i {
     }
 }
 
-/// The words at `at[i..i + 8]`.
+/// The words of `from` at the eight indices `at[i..i + 8]`.
 ///
 /// # Safety
-/// As [`four_words`], of eight; the CPU has AVX2.
+/// As [`four_words`], for eight entries; the CPU has AVX2.
 #[inline(always)]
 unsafe fn eight_words(from: &[u32], at: &[u32; 16], i: usize) -> __m256i {
     // SAFETY: the caller guarantees both.

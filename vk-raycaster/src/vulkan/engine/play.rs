@@ -145,7 +145,7 @@ impl Engine {
                     };
                     let shown = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
                     let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
-                    // The window samples the picture, copies it, or both.
+                    // A viewer samples the picture, copies it, or both.
                     let readers = vk::PipelineStageFlags::FRAGMENT_SHADER | vk::PipelineStageFlags::TRANSFER;
                     let reads = vk::AccessFlags::SHADER_READ | vk::AccessFlags::TRANSFER_READ;
                     self.layout_barrier(

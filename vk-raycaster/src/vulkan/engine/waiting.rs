@@ -38,8 +38,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Waits for a slot's fence, which stays signaled, up to the time limit of a submission; after one
-    /// exceeded it, only polls the fence.
+    /// Waits for a slot's fence up to the time limit of a submission, and leaves the fence signaled. After a
+    /// submission has exceeded the limit, only polls the fence.
     fn wait_for_fence(&mut self, slot: usize, pass: &str) -> Result<()> {
         let longest = self.gpu.longest_wait;
         let nanoseconds = if self.hangs { 0 } else { u64::try_from(longest.as_nanos()).unwrap_or(u64::MAX) };
