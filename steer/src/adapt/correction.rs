@@ -60,14 +60,15 @@ fn standard_deviation(variance: f64) -> f64 {
 ///
 /// Costs stay positive because only their logarithms change.
 ///
-/// Times have a heavy tail on the slow side: other programs on the machine slow frames down, mostly several
-/// in a row, which carries no information about the scene. A single frame that is off by over three standard
-/// deviations is a stall, and its error is clipped to three. Two in a row on the same side are a change of
-/// the machine's pace: its *load*, a common factor on every scene. The load ends with the first frame that is
-/// better explained without it; while it lasts, nothing is learned of the scene beyond its first frame. A
-/// load that persists becomes the machine's own pace and is added to θ. A scene that has been seen for only a
-/// few frames may have begun under an undetected load: if its frames become faster, b takes the change. All
-/// state is bounded.
+/// Times have a heavy tail on the slow side: other programs slow frames down, mostly several in a row, and
+/// such times carry no information about the scene. A single frame that is too slow by more than three
+/// standard deviations is a stall, and its error is clipped to three; errors of frames that are too fast are
+/// clipped at `clip_below`. Two frames in a row beyond three on the same side are a change of the machine's
+/// pace: its *load*, a common factor on every scene. The load ends with the first frame that is better
+/// explained without it. While it lasts, only the first of the present scene's frames updates θ and b. A load
+/// that persists becomes the machine's own pace and is added to θ. A scene of at most [`ESTABLISHED`] frames
+/// may have begun under an undetected load: if its frames become faster, b takes the change. All state is
+/// bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// θ, then b.
@@ -75,7 +76,7 @@ pub(crate) struct Correction {
     covariance: [[f64; STATES]; STATES],
     /// Variance of the errors of calm frames, in ln t, without stalls.
     spread: f64,
-    /// As `spread`, including stalls and loads.
+    /// As `spread`, including stalls and frames under a load.
     spread_of_all: f64,
     /// Variance of b among scenes.
     change: f64,
@@ -95,31 +96,37 @@ pub(crate) struct Correction {
     constants: CorrectionConstants,
 }
 
+/// Number of states: θ and b.
 const STATES: usize = TERMS + 1;
+/// Index of b among the states.
 const LOCAL: usize = TERMS;
 /// Guard: θ and b stay within factors of e⁻¹⁰…e¹⁰, more than the ratio of any two machines.
 const STATE_LIMIT: f64 = 10.0;
-/// Guard: variance of calm errors, for standard deviations of 0.3 % (below any clock's noise) to 50 %.
+/// Guard: range of the variance of calm frames' errors, for standard deviations of 0.3 % (below any clock's
+/// noise) to 50 %.
 const SPREAD: (f64, f64) = (1.0e-5, 0.25);
-/// Guard: range of `gain`; at 0 nothing is followed, at 1 no noise is left.
+/// Guard: range of `gain`. At 0 the scene's factor would never change; at 1 it would take the whole of every
+/// error, noise included.
 const GAIN: (f64, f64) = (0.1, 0.8);
-/// Smallest learning rates of the variance of calm errors and of scenes' errors: averages over about ten. At
-/// half the rates, the loss on the training paths is the same.
+/// Smallest learning rate of the variance of calm frames' errors: an average over about ten frames. At half
+/// the rate, the loss on the training paths is the same.
 const SPREAD_PACE: f64 = 0.1;
+/// Learning rate of the variance of b among scenes: an average over about ten scenes. At half the rate, the
+/// loss on the training paths is the same.
 const SCENE_PACE: f64 = 0.1;
-/// Variance of a fitted model's unit costs, of each and of their common factor, as a share of the variance of
-/// its errors. At 0, the loss on the training paths is the same.
+/// Prior variance of ln of each unit cost of a fitted model, and of their common factor, as a share of the
+/// variance of the model's errors. At 0, the loss on the training paths is the same.
 const FITTED_SHARE: f64 = 0.1;
-/// Guard: variance among scenes, for standard deviations of 3 % to 70 %.
+/// Guard: range of the variance of b among scenes, for standard deviations of 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
-/// Variance of an unknown common factor, by definition: a standard deviation of 3, a factor of 20, so that
-/// the first observed time determines it, whatever its order of magnitude.
+/// Prior variance of ln of an unknown common factor, by definition: a standard deviation of 3, a factor of
+/// 20, so that the first observed time determines it, whatever its order of magnitude.
 const OPEN: f64 = 9.0;
 /// Guard: no variance exceeds that of an unknown machine ([`OPEN`] and a unit cost's own) by much.
 const MAX_VARIANCE: f64 = 12.0;
-/// Guards: standard deviation of a fitted model that states none, 30 %; and range of stated ones, 1 % to a
-/// factor of e.
+/// Guard: standard deviation of ln(time) of a fitted model that states none.
 const FITTED_SD: f64 = 0.3;
+/// Guard: range of stated standard deviations of ln(time), from 1 % to a factor of e.
 const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// Number of frames after which a scene's own factor is settled: at the default `gain`, a fifth of the first
 /// error is left.
@@ -127,23 +134,24 @@ const SETTLED: u64 = 3;
 /// Number of consecutive frames beyond [`CLIP`] on one side that count as a change of pace. Normal errors
 /// exceed it twice in a row only once in a quarter of a million frames; a single slow frame is a stall.
 const SURE: i64 = 2;
-/// Variance per frame added to ln of the unit costs' common factor, and to that of each unit cost: follows a
-/// machine that drifts by a tenth in an hour. At 0, the loss on the training paths is the same.
+/// Variance that each frame adds to ln of the unit costs' common factor, for a machine whose speed drifts: a
+/// standard deviation of 10 % after 1000 frames. At 0, the loss on the training paths is the same.
 const DRIFT: f64 = 1.0e-5;
+/// As [`DRIFT`], for ln of each unit cost: a standard deviation of 4.5 % after 1000 frames.
 const DRIFT_SINGLE: f64 = 2.0e-6;
-/// Guard: largest number of frames averaged by the load, so that a load may change.
+/// Guard: largest number of frames over which the load is averaged, so that it can change.
 const LOAD_FRAMES: f64 = 8.0;
 /// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
 /// longest burst in the recordings.
 const ESTABLISHED: u64 = 32;
-/// Variance of the machine's pace just after it was learned from one scene, as a share of the variance among
-/// scenes: a guess, corrected by the next scenes.
+/// Variance added to ln of the common factor when a persistent load becomes the machine's own pace, as a
+/// share of the variance of b among scenes: a guess, since few scenes were observed under the load.
 const LEARNED_SHARE: f64 = 0.25;
 /// Guard: largest ratio of a squared error to its expectation; 1.4 % of normal errors exceed it.
 const SQUARE_LIMIT: f64 = 6.0;
 /// Guard: largest learning rate of the first errors, so that none of them dominates.
 const FASTEST_PACE: f64 = 0.25;
-/// Guard: smallest trust in an observation.
+/// Guard: smallest trust in an observation, on a scale up to 1.
 const LEAST_TRUST: f64 = 1.0e-3;
 /// Smallest novelty of a scene's first frame, on a scale from 0 (same scene) to 1 (unrelated); by definition,
 /// one half.
@@ -227,7 +235,7 @@ impl Correction {
         self.jumped
     }
 
-    /// True while other programs change the machine's pace, as far as times show.
+    /// True during a load.
     fn loaded(&self) -> bool {
         self.load != 0.0
     }
@@ -318,7 +326,8 @@ impl Correction {
         // The distribution of errors is skewed: frames faster than expected are clipped earlier than slower
         // ones.
         let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
-        // The part beyond the model's own variance is noise (calm frames) or the effect of a change.
+        // The part of the squared error beyond the model's variance is variance among scenes in first frames,
+        // noise in calm ones.
         let squared = (error * error).min(CLIP * CLIP * sd * sd);
         if standing == Standing::First {
             if self.observations > 0 {
@@ -382,7 +391,8 @@ impl Correction {
             self.loaded = self.loaded.saturating_add(1);
             let mean = self.load + with / (self.loaded as f64).min(LOAD_FRAMES);
             self.load = mean.clamp(-STATE_LIMIT, STATE_LIMIT);
-            // Not at the first frame of a scene, whose error updates the scene as well.
+            // An established load becomes the machine's own pace, but not at the first frame of a scene,
+            // whose error updates θ and b as well.
             if self.loaded > ESTABLISHED && self.age > 1 {
                 for i in 0..TERMS {
                     self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);
@@ -394,14 +404,15 @@ impl Correction {
         false
     }
 
-    /// Sets another load, from the last observed frame on.
+    /// Sets the load, of which the last observed frame is the first; 0 ends it.
     fn pace(&mut self, load: f64) {
         self.load = load;
         self.loaded = u64::from(load != 0.0);
         (self.off, self.jumped) = (0, true);
     }
 
-    /// The corrected time, and the derivatives of ln t with respect to the states.
+    /// The corrected time in seconds, without the load, and the derivatives of ln t with respect to the
+    /// states.
     fn shares(&self, terms: &CostTerms, this_scene: bool) -> (f64, [f64; STATES]) {
         let mut parts = [0.0f64; STATES];
         let mut sum = 0.0;
@@ -606,7 +617,8 @@ mod tests {
                 correction.advance([0.0, 0.0, 0.0, 0.3, 1.0][frame as usize % 5]);
                 let seconds = if frame / 400 % 2 == 0 { 0.01 } else { 3.0 } * (1.0 + (frame % 7) as f64);
                 let standing = if frame % 5 == 4 { Standing::First } else { Standing::Same };
-                // The same mix of terms for long: the filter becomes certain in one direction only.
+                // The terms stay the same for 1000 frames, so that the filter becomes certain in one
+                // direction only.
                 correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
                 let bytes = saved(&correction);
                 let mut other = Correction::new(prior, CorrectionConstants::default());

@@ -46,7 +46,7 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// Hashes of a volume and a transfer function; collisions are very unlikely.
+    /// Hashes of a volume's sizes and histogram, and of a transfer function; collisions are very unlikely.
     pub fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
         Self { volume: volume.fingerprint(), transfer: transfer.fingerprint() }
     }
@@ -165,7 +165,10 @@ impl Calibration {
     /// added in these cases.
     pub fn add(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
-            bail!(InvalidArgument, "a frame took {seconds} seconds; 0 to {LONGEST_FRAME} are accepted");
+            bail!(
+                InvalidArgument,
+                "a frame took {seconds} seconds; it must be over 0 and at most {LONGEST_FRAME}"
+            );
         }
         let mut row = core::mem::take(&mut self.row);
         let written = self.prior.write(inputs, &mut row);
@@ -179,7 +182,7 @@ impl Calibration {
 
     /// Adds a picture that was compared with the same view at full quality. [`Calibration::fit`] then stores
     /// a picture quality law in the model ([`fit_quality`]), where at least [`FEWEST_SCENES`] scenes were
-    /// drawn at the same settings. The first 65 536 are kept.
+    /// drawn at the same settings. The first 65 536 pictures are kept.
     ///
     /// # Errors
     /// As [`Picture::check`], and [`crate::ErrorKind::OutOfMemory`].
@@ -249,7 +252,8 @@ impl Calibration {
                 self.kept.len()
             );
         }
-        // The fit makes many small allocations that cannot fail, so their total is checked first.
+        // The fit makes many small allocations that abort the program where memory is short, so room for
+        // their total is checked first.
         let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.width() + 512);
         drop(room::<u8>(pieces)?);
         let (held_out, groups) = self.groups();
@@ -262,7 +266,7 @@ impl Calibration {
             .enumerate()
             .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
             .collect();
-        // An unknown renderer may convert stored values.
+        // The renderer is unknown, so that its costs may include a conversion of stored values.
         let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, executor)?;
         let pairs: Vec<(f64, f64)> =
             chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();
@@ -274,7 +278,7 @@ impl Calibration {
             median_error: median(&mut errors).unwrap_or(f64::NAN),
             rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
             upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
-            // With too few scenes, the model has no law.
+            // With too few scenes, the model has no picture quality law.
             quality: fit_quality(&self.pictures).ok(),
         };
         out.write_metadata(source)?;
@@ -286,7 +290,7 @@ impl Calibrated {
     /// Writes the file's metadata.
     fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
         self.upper.store(&mut self.file)?;
-        // The prior's law belongs to another renderer.
+        // The prior's picture quality law belongs to another renderer.
         self.file.metadata.remove(Key::Quality.name());
         if let Some(fitted) = &self.quality {
             fitted.quality.store(&mut self.file)?;

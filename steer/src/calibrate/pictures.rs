@@ -21,9 +21,10 @@ pub const FEWEST_SCENES: usize = 3;
 /// to full quality, colors differ by rounding only.
 const LONGEST: f64 = 0.75;
 
-/// Ratio of successive image sample distances of a path, and of successive values of c at which it is
-/// evaluated.
+/// Ratio of successive image sample distances of a path.
 const RATIO: f64 = 1.2;
+
+/// Ratio of successive values of c = step · distance² at which a path is evaluated.
 const FINER: f64 = 1.03;
 
 /// Difference in ln(error) assumed between full quality and the setting next to it, since an error of 0 has
@@ -210,7 +211,8 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
             counted.len()
         );
     }
-    // Errors may be measured to any power: the law's logarithm times a fitted slope.
+    // Mean squared difference of ln(error) from a fitted slope times the law's logarithm: measured errors may
+    // be proportional to any power of the law's.
     let off = |v: &[f64; 3]| {
         let law = law(v);
         let model: Vec<f64> = counted.iter().map(|&(s, d, _)| libm::log(law.error(s, d))).collect();
@@ -377,7 +379,7 @@ mod tests {
                         step,
                         distance,
                         seconds: 0.01 * (1.0 + scene as f64) * truth.time_share(s, d) * wobble(),
-                        // To the power of 1.4, in another unit per scene.
+                        // The law's error to the power of 1.4, in another unit for each scene.
                         error: (0.02 + 0.01 * scene as f64) * libm::pow(truth.error(s, d), 1.4) * wobble(),
                     });
                 }

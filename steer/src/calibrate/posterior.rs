@@ -1,8 +1,8 @@
 //! Fits a model of other machines to frames of this one: unit costs and, where the prior has one, the last
 //! layer of its learned factor, regularized towards the prior.
 //!
-//! The fit is [`CostFit`]'s; the prior of the factor's last layer has [`FACTOR_SD`] times its root mean
-//! square as standard deviation.
+//! [`CostFit`] is the fit. The prior standard deviation of the last layer's weights is [`FACTOR_SD`] times
+//! their root mean square.
 
 use crate::features::{SceneFeature, SceneQuantity};
 use crate::numeric::{dot, median};
@@ -33,8 +33,10 @@ const FACTOR_SD: f64 = 0.2;
 /// next machine.
 const ZERO_SHARE: f64 = 0.1;
 
-/// Largest number of folds in cross-validation, and smallest number of groups of frames.
+/// Largest number of folds in cross-validation.
 const FOLDS: usize = 7;
+
+/// Smallest number of groups of frames for cross-validation.
 pub(super) const FEWEST_GROUPS: usize = 3;
 
 /// Prior of a calibration: unit costs, and at most one learned factor.
@@ -50,11 +52,13 @@ struct Factor {
     file: ModelFile,
     parts: PredNetParts,
     layout: InputLayout,
-    /// Mean and standard deviation of each input, and the standard deviation of the output.
+    /// Mean and standard deviation of each input.
     inputs: Vec<(f64, f64)>,
+    /// Standard deviation of the output.
     deviation: f64,
+    /// Weights of the last layer, without that of the estimate.
     weights: Vec<f64>,
-    /// The part of ln t that is neither the estimate nor the last layer's weights.
+    /// Constant term of ln t, beside the estimate and the weighted activations.
     constant: f64,
     root_mean_square: f64,
     /// Range to which the factor's inputs are clamped.
@@ -192,7 +196,7 @@ impl PriorModel {
         Ok(if files.is_empty() { Self::default() } else { Self { costs: logs.map(libm::exp), factor: None } })
     }
 
-    /// Unit costs of the prior; 0 for work that it does not know.
+    /// Unit costs of the prior in seconds; 0 for work whose cost it lacks.
     pub fn costs(&self) -> &[f64; COSTS] {
         &self.costs
     }
@@ -236,7 +240,7 @@ impl PriorModel {
     }
 
     /// Fits a model to frames of this machine. `renderer` holds typical costs of this kind of renderer, the
-    /// prior for work whose cost the prior model lacks; work that costs nothing there stays at 0.
+    /// prior for work whose cost the prior model lacks; costs that are 0 in both stay 0.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or where rows
@@ -287,7 +291,10 @@ impl PriorModel {
         let crossed: Vec<f64> =
             prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(without(f).log_seconds(p))).collect();
         if !crossed.iter().all(|p| p.is_finite()) {
-            bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
+            bail!(
+                InvalidArgument,
+                "a fit to these frames predicts a time that is not finite; check the measured times"
+            );
         }
         let file = match &self.factor {
             Some(factor) => factor.with(&fits[0])?,

@@ -43,7 +43,7 @@ pub(crate) fn unit_factor(side: usize) -> ModelFile {
     file
 }
 
-/// Work of frame i; every quantity has other amounts.
+/// Work of frame i; the amounts differ between frames and between quantities.
 fn work(i: usize) -> [f64; COSTS] {
     core::array::from_fn(|k| match k {
         0 => 1.0,

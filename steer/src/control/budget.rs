@@ -1,15 +1,15 @@
-//! One frame time for all that a window draws.
+//! Divides the frame time of a window among the volumes that it draws.
 
-/// Number of frames from which the time outside of the passes is taken.
+/// Number of frames whose median gives the time outside of the passes.
 const REST_FRAMES: usize = 5;
-/// Smallest share of the target for all passes together, however long the rest of the frame takes.
+/// Smallest share of the target for all passes together, however long the window's other work takes.
 const LEAST_SHARE: f32 = 0.2;
 /// Weight of the newest time of a pass in its mean.
 const NEWEST: f32 = 0.3;
 
 /// Divides the target time of a window's frame among the passes that draw volumes in it: several volumes, two
-/// eyes, several renderers. All passes are coarsened alike, since each gets a share in proportion to its time at
-/// full quality; what the window does besides is left out of the target.
+/// eyes, several renderers. The time of the window's other work is first subtracted from the target. All
+/// passes are coarsened alike, since each gets a share in proportion to its time at full quality.
 ///
 /// The caller reports each frame: [`FrameBudget::begin`], then for each pass [`FrameBudget::share`] before and
 /// [`FrameBudget::drew`] after it, then [`FrameBudget::end`]. The value of a new budget is all zeros.
@@ -32,15 +32,15 @@ const NEWEST: f32 = 0.3;
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct FrameBudget {
-    /// Seconds outside of the passes in the last frames, as a ring.
+    /// Seconds outside of the passes in the last frames, as a ring buffer.
     rests: [f32; REST_FRAMES],
-    /// Number of entries that were ever added to `rests`.
+    /// Number of entries added to `rests` so far.
     count: u32,
     /// Number of begun frames; 0 before the first.
     frame: u32,
-    /// Sum of the passes' times at full quality, and their number: of the last frame with passes and of the
-    /// current one.
+    /// Sum of the passes' seconds at full quality, in the last frame with passes and in the current one.
     full: [f32; 2],
+    /// Number of passes, in the same two frames.
     passes: [u32; 2],
     /// Seconds of the passes of the current frame.
     drawn: f32,
@@ -50,16 +50,18 @@ pub struct FrameBudget {
     unusual: u32,
 }
 
-/// State of what is drawn once or several times in a window's frame: of one volume, say. See [`FrameBudget`].
-/// The value of a new one is all zeros.
+/// State of one object, such as a volume, that is drawn once or several times in a window's frame. See
+/// [`FrameBudget`]. The value of a new state is all zeros.
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct PassShare {
-    /// Mean seconds at full quality, after the last pass and before the current frame; 0 before the first pass.
+    /// Mean seconds at full quality, after the last pass; 0 before the first pass.
     mean: f32,
+    /// Value of `mean` before the current frame.
     before: f32,
-    /// Number of the frame that drew it last, and number of passes that it was drawn in then; 0 before.
+    /// Number of the last frame that drew the object; 0 before the first.
     frame: u32,
+    /// Number of the object's passes in that frame.
     passes: u32,
 }
 
@@ -80,7 +82,7 @@ impl FrameBudget {
         let left = (target - self.rest()).max(LEAST_SHARE * target);
         let (mut total, mut passes) = (self.full[0], self.passes[0]);
         let known = if pass.frame == self.frame { pass.before } else { pass.mean };
-        // Passes that were not drawn yet count as the others.
+        // A pass that was never drawn counts as the mean of the others.
         let own = if known > 0.0 { known } else { total / passes.max(1) as f32 };
         if !(pass.frame > 0 && pass.frame + 1 >= self.frame) {
             total += own;
@@ -98,7 +100,7 @@ impl FrameBudget {
         if pass.frame != self.frame {
             (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
         }
-        // The frame's sum counts each of its passes with the mean that the next frame goes by.
+        // The frame's sum counts each pass with the latest mean, from which the next frame's shares follow.
         self.full[1] -= pass.passes as f32 * pass.mean;
         if full.is_finite() && full > 0.0 {
             pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST * (full - pass.mean) } else { full };
@@ -109,8 +111,9 @@ impl FrameBudget {
         self.drawn += seconds;
     }
 
-    /// Ends a frame that took `seconds` in all; `usual` is false if it included work that most frames do not,
-    /// which counts if the frame before did so too. The first frame is never taken as usual.
+    /// Ends a frame that took `seconds` in all; `usual` is false if it included work that most frames do not
+    /// include. The time of an unusual frame counts only if the frame before was unusual too. The first frame
+    /// never counts.
     pub fn end(&mut self, seconds: f32, usual: bool) {
         let rest = seconds - self.drawn;
         let counts = usual || self.unusual > 0;
@@ -141,8 +144,8 @@ mod tests {
         (a - b).abs() <= 1e-5 * b.abs()
     }
 
-    /// A frame of passes with times at full quality, drawn `coarse` times faster, and 5 ms besides; returns the
-    /// shares of a target of 50 ms.
+    /// Draws a frame of passes, given with their times at full quality, `coarse` times faster, with 5 ms of
+    /// other work; returns the passes' shares of a target of 50 ms.
     fn frame(budget: &mut FrameBudget, passes: &mut [(PassShare, f32)], coarse: f32) -> Vec<f32> {
         budget.begin(0);
         let mut total = 0.005;

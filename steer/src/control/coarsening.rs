@@ -17,12 +17,12 @@ const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 /// extra tenth is a choice.
 const TOGETHER: f64 = 1.1;
 
-/// Hysteresis factor of c by which a distance is kept beyond its thresholds. Thresholds are a factor of
-/// `RATIO`³ = 1.73 of c apart; up to the square root, 1.31, a distance is still the best one for some c; this
-/// is half of it, in ln(c).
+/// Hysteresis factor: a distance is kept until c lies beyond one of its thresholds by this factor. Successive
+/// thresholds are a factor of `RATIO`³ = 1.73 apart in c, so the middle between two is a factor of 1.31 from
+/// each; this is half of that, in ln(c).
 const KEEP: f64 = 1.15;
 
-/// Number of levels: distance 1 and every distance up to 64.
+/// Capacity for levels; distance 1 and the powers of [`RATIO`] up to 64 are 23.
 const LEVELS: usize = 24;
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
@@ -45,7 +45,7 @@ pub(super) struct Coarsening {
     levels: usize,
     /// Distances by level, ascending from 1.
     distances: [f64; LEVELS],
-    /// Threshold of each level: smallest c over the finest step for which it is used.
+    /// Threshold of each level: smallest c, in finest steps, for which the level is used.
     from: [f64; LEVELS],
     /// Level of the frame before; 0 at distance 1.
     last: usize,
@@ -74,8 +74,8 @@ impl Coarsening {
         self.steps = steps;
     }
 
-    /// Sets the largest image sample distance, and the coarsening by the step alone before any distance over
-    /// 1, in finest steps, where no quality law is known; both from 1 to 64.
+    /// Sets the largest image sample distance, and the step, in finest steps, up to which the step alone is
+    /// coarsened where no quality law is known; both from 1 to 64.
     pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
         if self.largest != (distance, step_alone) {
             self.largest = (distance, step_alone);

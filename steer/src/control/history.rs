@@ -1,4 +1,4 @@
-//! A predictor from the last frames' times alone.
+//! Predicts a frame's time from the times of the last three frames alone.
 
 use crate::adapt::state::{Reader, Writer};
 use entire_core::Result;
@@ -16,9 +16,11 @@ const SD_OF_MEAN: f64 = 1.25;
 /// Number of compared frames before recent frames may lead: fewer give no reliable mean error.
 const COMPARED: u32 = 10;
 
-/// Conditions for recent frames to lead: smallest mean error of the prediction, in ln(time), and its smallest
-/// ratio to theirs. Guards against useless predictions; on the training paths recent frames never lead.
+/// Smallest mean error of the prediction, in ln(time), at which recent frames may lead: a guard against
+/// useless predictions. On the training paths recent frames never lead.
 const LEAST_ERROR: f64 = 0.15;
+
+/// Smallest ratio of the prediction's mean error to that of recent frames at which recent frames lead.
 const LEAD: f64 = 1.5;
 
 /// Smallest learning rate of both errors: averages over about twelve frames.
@@ -39,8 +41,9 @@ pub(super) struct History {
     len: usize,
     next: usize,
     spread: f64,
-    /// Mean |ln error| of this predictor and of the corrected prediction, over calm frames.
+    /// Mean |ln(measured / predicted)| of this predictor, without frames after a change.
     history_error: f64,
+    /// The same of the corrected prediction.
     own_error: f64,
     leads: bool,
     compared: u32,
@@ -81,6 +84,8 @@ impl History {
         (seconds, seconds * libm::exp(margin * self.spread))
     }
 
+    /// Updates both mean errors by a measured frame; `own` is |ln(measured / predicted)| of the corrected
+    /// prediction. A frame after a change is not compared.
     pub(super) fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
         if self.len == 0 || changed {
             return;
@@ -102,6 +107,7 @@ impl History {
         }
     }
 
+    /// Adds a measured frame; where it follows a change, the earlier frames are dropped.
     pub(super) fn push(&mut self, step: f32, seconds: f64, changed: bool) {
         if changed {
             self.len = 0;

@@ -26,11 +26,11 @@ const DEFAULT_TOLERANCE: f32 = 0.1;
 pub struct HybridOptions {
     /// Miss rate: share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by
     /// default. The share of undisturbed frames over the target plus `tolerance` is smaller, since many
-    /// bounds are below it. The miss rate of the first frames of new scenes is at least 0.07.
+    /// bounds are below that sum. The miss rate of the first frames of new scenes is at least 0.07.
     pub miss_rate: f32,
-    /// Tolerance: share of the target by which a frame's upper bound may exceed it; 0.1 by default. Full
-    /// quality is drawn even beyond it where it is expected to meet the target and the chosen step would be
-    /// close to the finest one (`full` of the constants).
+    /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
+    /// The finest step is drawn even if its bound exceeds the tolerance, where it is expected to meet the
+    /// target and the chosen step would be close to it (`full` of the constants).
     pub tolerance: f32,
     /// Prior knowledge of the prediction's errors.
     pub prior: Prior,
@@ -94,8 +94,9 @@ impl HybridOptions {
 ///   without it. The step is chosen by the bound for undisturbed frames; the bound of the plan includes
 ///   disturbed ones.
 /// * A new scene: nothing is damped, the scene's own correction is dropped, and the margin is that of new
-///   scenes. Where a step is expected to fit but no bound does, the step lies halfway between that one and
-///   the coarsest, in ln(step).
+///   scenes.
+/// * Wide bounds: where some step is expected to fit but the bound of none does, the chosen step lies
+///   halfway, in ln(step), between the finest step that is expected to fit and the coarsest.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
 /// * Fallback: a second predictor from the last three frames alone (scaled to a common step by a simple rule)
 ///   takes over where the prediction is out of range or has recently been clearly worse. Without either, the
@@ -176,7 +177,7 @@ impl Hybrid {
         &self.correction
     }
 
-    /// Corrects a prediction for the present frame, at the last drawn step.
+    /// Corrects a prediction for the present frame; the bounds do not depend on the step.
     fn judge(&self, terms: &CostTerms) -> Expected {
         self.judge_at(terms, f64::NAN)
     }
@@ -314,8 +315,8 @@ impl Controller for Hybrid {
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
         let mut step = match Self::finest(limits, excess) {
             Some(step) => step,
-            // No step has a bound that fits. Where one is expected to fit, the geometric mean of it and the
-            // coarsest.
+            // No step has a bound that fits. Where some step is expected to fit, the choice is the geometric
+            // mean of the finest such step and the coarsest.
             None => match Self::finest(limits, |step| libm::log(judge(step).seconds / target)) {
                 Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
                 None => {

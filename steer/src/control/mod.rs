@@ -76,7 +76,8 @@ impl Default for StepLimits {
 #[non_exhaustive]
 #[repr(u32)]
 pub enum Reason {
-    /// The finest step whose upper bound fits the target.
+    /// The finest step that is expected to meet the target and whose upper bound is within the tolerance; a
+    /// coarser one where no step has such a bound.
     Fits = 1,
     /// As `Fits`, but approached slowly because nothing has changed abruptly.
     Damped = 2,

@@ -39,7 +39,7 @@ pub struct Plan {
     pub seconds: f32,
     /// Upper bound in seconds; NaN where there is none.
     pub upper: f32,
-    /// 0 inside the predictor's range, 1 where trust ends, growing beyond; NaN where unknown.
+    /// As [`Prediction::out_of_range`]; NaN where unknown.
     pub out_of_range: f32,
     /// Reason for the step.
     pub reason: Reason,
@@ -66,14 +66,16 @@ struct Pending {
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
     pub(super) controller: Box<dyn Controller + Send>,
-    /// Step curve for predictors that do not depend on the step.
+    /// Analytic model whose step curve scales the predictions of predictors that do not depend on the step.
     shape: AnalyticModel,
     volume: Option<VolumeSummary>,
     transfer: Option<TransferSummary>,
     volume_features: Option<Vec<f32>>,
     lobes: Option<Vec<GaussianLobe>>,
     pub(super) features: FrameFeatures,
+    /// Refinement of the probe; `None` where every plan casts the same number of rays.
     ladder: Option<ladder::Ladder>,
+    /// View for which the probe's rays were last cast; `None` without refinement.
     cast_for: Option<ladder::Cast>,
     coarsening: Coarsening,
     enabled: bool,
@@ -263,7 +265,8 @@ impl Session {
         &self.features
     }
 
-    /// Predicts a frame at its own step, corrected by the observations. Does not change the session's state.
+    /// Predicts a frame at its own step, corrected by the observations. Changes no state except
+    /// [`Session::features`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set,
@@ -403,8 +406,8 @@ impl Session {
             recording.observe(id, seconds);
         }
         if flags.cancelled && !over {
-            // The frame would have taken longer than this. That is no news where a longer time, or none, was
-            // expected.
+            // The time of a cancelled frame is a lower bound. It carries no information where a longer time,
+            // or none, was expected.
             return Ok(Verdict::Ignored);
         }
         let observed = Observed {

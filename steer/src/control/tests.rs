@@ -52,7 +52,7 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
     let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
     let mut session = Session::untrained();
     session.set_volume(summary, None);
-    // The simulated machine: other ratios of unit costs, 40 times slower than the defaults.
+    // The simulated machine: other ratios of unit costs, and far slower than the defaults.
     let truth = AnalyticModel::from_costs([
         4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0, 0.0, 0.0,
@@ -513,7 +513,7 @@ fn a_log_of_targets_and_times_replays_to_the_same_bits() {
     let first = logged(&mut log);
     assert_eq!(log.len(), 150);
     assert_eq!(logged(&mut log), first);
-    // A change of one observed time by a few bits shows.
+    // A change of one observed time by 1000 units in the last place shows.
     log[20].1 = log[20].1.map(|t| t + 1000);
     assert_ne!(logged(&mut log), first);
 }
@@ -623,10 +623,10 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
         assert_eq!(ladder.predict(&frame).unwrap().seconds, expected);
         side
     };
-    // Targets that every step meets, or none.
+    // Every step meets the first target, no step the second.
     assert_eq!(climbed(0.0, 1e3), 4);
     assert_eq!(climbed(0.0, 1e-9), 4);
-    // In between, every error changes the step; a high tolerance accepts it.
+    // Between these targets every error changes the step; a high tolerance accepts the error.
     let target = 0.8 * expected;
     assert_eq!(climbed(0.0, target), 24);
     assert_eq!(climbed(1.0, target), 4);
@@ -677,7 +677,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
             assert_eq!(before, now);
         }
     }
-    // The same for another time step.
+    // After another time step, rays are cast again.
     let thinner: Vec<u8> = voxels.iter().map(|&v| if v < 120 { 0 } else { v }).collect();
     let next = VolumeView::new(Scalars::U8(&thinner), [64; 3]).unwrap();
     session.set_time_step(VolumeSummary::new(&next, SummaryOptions::default()).unwrap(), None).unwrap();

@@ -101,9 +101,9 @@ pub(super) struct Blocks<'a> {
     pub(super) high: &'a [u8],
     /// Index of each cell's first block, and one past the last block.
     pub(super) first: &'a [u32],
-    /// Number of blocks of a cell that the volume's border does not cut; `uniform` is true where every cell
-    /// has as many.
+    /// Number of blocks of a cell that the volume's border does not cut.
     pub(super) most: usize,
+    /// True where every cell has `most` blocks.
     pub(super) uniform: bool,
 }
 
@@ -267,7 +267,7 @@ fn count(bits: &[u64], first: usize, end: usize) -> u32 {
     while at < end {
         let (word, shift) = (at / 64, at % 64);
         let len = (end - at).min(64);
-        // Two shifts: a shift by 64 is undefined.
+        // Two shifts, because a single shift by 64 would overflow.
         let ahead = bits[word + 1] << 1 << (63 - shift);
         sum += ((bits[word] >> shift | ahead) & u64::MAX >> (64 - len)).count_ones();
         at += len;

@@ -39,8 +39,8 @@ pub(crate) const COMMON_COSTS: usize = 21;
 pub struct UnitCosts(pub [f64; COSTS]);
 
 impl UnitCosts {
-    /// A software renderer on two processors: the geometric mean of the measured ones. Only the ratios of the
-    /// costs matter, since the first observations set the scale.
+    /// Costs of a software renderer on two processors: geometric means of measured costs. Only the ratios of
+    /// the costs matter, since the first observations set the scale.
     pub const SOFTWARE: Self = Self([
         1.3e-4, 8.0e-8, 1.3e-8, 5.5e-9, 2.2e-9, 1.2e-9, 2.5e-8, 1.9e-8, 4.2e-10, 1.2e-9, 5.3e-11, 2.7e-9,
         2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0,

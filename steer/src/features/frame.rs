@@ -9,7 +9,7 @@ use entire_core::kernels::Level;
 use entire_core::scene::{Arcball, Frame, Shading, Skipping, ratios};
 use glam::Vec3;
 
-/// Rays along each side of the footprint's rectangle that [`along`] averages.
+/// Number of rays along each side of the footprint's rectangle over which [`along`] averages.
 const ALONG_SIDE: usize = 3;
 
 /// Of the voxel borders that rays cross, the shares normal to x, y and z: the mean of ALONG_SIDE² rays
@@ -130,7 +130,7 @@ impl Work {
 ///
 /// The far share, the part of the reads that wait for memory, is the unshared share of the reads times the
 /// share of the volume outside the cache. This constant and [`UNSHARED_SPACING`] minimize the cross-validated
-/// error over the tables of four machines; see the book's page on the cost of a frame.
+/// error over the tables of four machines; see "Memory" on the book's page of measurements.
 pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
 
 /// Ray spacing at which half of a sample's reads are shared with no other ray, in reference steps.

@@ -12,7 +12,7 @@ const FROM: [usize; 3] = [2, 3, 5];
 /// Number of bit vectors: one per entry of [`FROM`], and two as working memory.
 const BUFFERS: usize = FROM.len() + 2;
 
-/// Bit vectors of the cells of each class and above, by rows along x; every row begins a word.
+/// Bit vectors of the cells of each class and above, by rows along x; every row begins at a word boundary.
 ///
 /// Cells outside the grid count as not empty, as in a skip map that ends at the grid.
 #[derive(Clone, Debug, Default)]
@@ -93,7 +93,7 @@ impl Interior {
 #[inline(always)]
 fn read(bits: &[u64], at: usize) -> u64 {
     let word = |i: usize| bits.get(i).copied().unwrap_or(0);
-    // Two shifts: a shift by 64 is undefined.
+    // Two shifts, because a single shift by 64 would overflow.
     word(at / 64) >> (at % 64) | word(at / 64 + 1) << 1 << (63 - at % 64)
 }
 

@@ -90,15 +90,15 @@ quantities! {
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
         "local samples that wait for memory: local samples times the far share of shading";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
-        "shadow samples, all eight rays waiting, times the far share of shading";
+        "shadow samples where all eight rays wait while any of them shades, times the far share of shading";
     FarX, "far_x", "samples", 1.0, yes, yes,
-        "samples that wait for memory, times the share of the voxel borders crossed by rays that lie across \
-         x: where voxels are far apart in memory along an axis, rays along it read slowly";
-    FarY, "far_y", "samples", 1.0, yes, yes, "the same across y";
-    FarZ, "far_z", "samples", 1.0, yes, yes, "the same across z";
+        "samples that wait for memory, times the share of crossed voxel borders that are normal to x: where \
+         voxels are far apart in memory along an axis, rays along it read slowly";
+    FarY, "far_y", "samples", 1.0, yes, yes, "the same for borders normal to y";
+    FarZ, "far_z", "samples", 1.0, yes, yes, "the same for borders normal to z";
     RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,
-        "samples of a volume whose values a renderer that looks them up in a table must shift or scale: all \
-         but integers from 0 (which is among them) to at most 32767; else 0";
+        "samples, if a renderer with lookup tables must shift or scale the volume's values; 0 for integers \
+         whose minimum is 0 and whose maximum is at most 32767";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
         "work times the unit costs that the model file holds, or those of a software renderer";
     SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples over pixels of the image";

@@ -31,8 +31,8 @@ pub(super) struct Optics {
 
 /// Layout of a cell's packed word, which packets of rays gather. From the lowest bit on: the square root of
 /// the visible share in units of 1/1023; the depth class ([`Interior`]); the extinction as an unsigned
-/// floating-point number (10 bits of mantissa, 5 of exponent, 2⁻²⁷ at least); around them the number of the
-/// edit in which the word was computed. Apart from the edit's number, the word is zero for an empty cell and
+/// floating-point number (10 bits of mantissa, 5 of exponent, 2⁻²⁷ at least). The other bits hold the number
+/// of the edit in which the word was computed. Apart from them, the word is zero for an empty cell and
 /// nonzero for any other.
 pub(super) mod packed {
     /// Bits of the visible share's root.
@@ -123,7 +123,7 @@ impl TransferSummary {
     /// Applies a table to a volume.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for two words per cell of the volume.
+    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for the summary.
     pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
         let mut summary = Self {
             full: Vec::new(),
@@ -149,8 +149,8 @@ impl TransferSummary {
         Ok(summary)
     }
 
-    /// Applies another table, or the table to another volume. Allocates only where the volume has more cells
-    /// than every volume before.
+    /// Applies another table, or the table to another volume. Allocates only where the volume needs larger
+    /// buffers than every volume before.
     ///
     /// # Errors
     /// As [`TransferSummary::new`]; on an error nothing has changed.

@@ -52,7 +52,7 @@ impl UnitCosts {
         let mut out = Self([0.0; COSTS]);
         for (name, &cost) in &named {
             let Some(at) = out.named().position(|(n, _)| n == name) else {
-                bail!(InvalidModel, "{} names {name:?}, which this version does not count", Key::UnitCosts);
+                bail!(InvalidModel, "{} names {name:?}, which is not a known unit cost", Key::UnitCosts);
             };
             if !(cost.is_finite() && cost >= 0.0) {
                 bail!(
@@ -70,7 +70,8 @@ impl UnitCosts {
     }
 }
 
-/// Smallest number of scene features in a file of unit costs; any other affine model with fewer is a network.
+/// Smallest number of scene features in a file of unit costs; a file of one layer with fewer is loaded as a
+/// network.
 const FEWEST_NAMES: usize = 11;
 
 /// Lower clamp of predicted times, in seconds.
@@ -127,7 +128,7 @@ pub struct AnalyticModel {
 }
 
 impl Default for AnalyticModel {
-    /// The model of an unmeasured machine: unit costs of a software renderer on a few cores.
+    /// The model of an unmeasured machine: unit costs of a software renderer on two processors.
     fn default() -> Self {
         Self {
             costs: UnitCosts::SOFTWARE.0,
@@ -385,7 +386,7 @@ impl Predictor for AnalyticModel {
     }
 
     fn log_sd(&self) -> Option<f32> {
-        // Costs that were given without residuals are assumed to be within a third.
+        // Costs without a calibrated bound are assumed to have errors of 0.3 in ln(seconds).
         self.fitted.then(|| self.calibration.log_sd().unwrap_or(0.3))
     }
 }
@@ -393,6 +394,8 @@ impl Predictor for AnalyticModel {
 /// Number of quantities in the range of the analytic model.
 const RANGE_TERMS: usize = 5;
 
+/// Point of a frame in that range: logarithms of its pixels and of its rays, skips, samples and lane samples
+/// per pixel.
 fn range_point(work: &[f64; COSTS]) -> [f32; RANGE_TERMS] {
     let log = |v: f64| libm::log(v + 1.0) as f32;
     let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;

@@ -25,9 +25,9 @@ impl Default for UpperBound {
 }
 
 impl UpperBound {
-    /// The bound from held-out residuals ln(measured / predicted) (or so many that holding out does not
-    /// matter): the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few. Sorts the slice; NaN
-    /// residuals count as misses.
+    /// The bound from held-out residuals ln(measured / predicted), or from fitted ones that are so many that
+    /// holding out does not matter: the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few.
+    /// Sorts the slice; NaN residuals count as misses.
     pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
         if log_residuals.is_empty() {
             return Self::default();
@@ -53,7 +53,7 @@ impl UpperBound {
         for (_, group) in &sorted {
             *sizes.entry(group).or_default() += 1.0;
         }
-        // One frame more than there are, as in split-conformal bounds.
+        // The factor 1 + 1/n for n frames is the finite-sample correction of split-conformal bounds.
         let wanted = UPPER_LEVEL * sizes.len() as f64 * (1.0 + 1.0 / sorted.len().max(1) as f64);
         let mut sum = 0.0;
         for (r, group) in &sorted {
@@ -105,7 +105,7 @@ pub(super) fn store_in_calibration<const N: usize>(
     };
     let mut stored: serde_json::Value = match stored {
         Ok(stored @ serde_json::Value::Object(_)) => stored,
-        _ => bail!(InvalidModel, "{} is no object", Key::Calibration),
+        _ => bail!(InvalidModel, "{} is not a JSON object", Key::Calibration),
     };
     stored["level"] = serde_json::json!(UPPER_LEVEL);
     for (name, value) in values {
@@ -115,7 +115,7 @@ pub(super) fn store_in_calibration<const N: usize>(
     Ok(())
 }
 
-/// Bounding box of the training data in up to `N` dimensions.
+/// Bounding box of the training data in `N` dimensions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FeatureRange<const N: usize = 5> {
     low: [f32; N],
@@ -163,8 +163,7 @@ impl<const N: usize> FeatureRange<N> {
     }
 
     /// 0 inside the range; outside, the largest distance from it in any dimension, in units of half the
-    /// range's width (at least 0.7, a factor of two in logarithms). From 1 on the prediction is not trusted.
-    /// NaN for an unknown range.
+    /// range's width (at least 0.7, a factor of two in logarithms). NaN for an unknown range.
     pub(crate) fn score(&self, row: &[f32; N]) -> f32 {
         if !self.known {
             return f32::NAN;

@@ -15,7 +15,7 @@ use alloc::vec::Vec;
 /// Prior standard deviation of the logarithm of a unit cost, apart from the common speed.
 pub(crate) const COST_SD: f64 = 0.4;
 
-/// Standard deviation of ln t about the model.
+/// Assumed standard deviation of a measured ln t about the model.
 const NOISE: f64 = 0.06;
 
 /// Exponent of a frame's time in its weight: long frames dominate the RMSE.
@@ -39,7 +39,7 @@ pub(crate) struct FitRow {
 
 /// The prior of a fit.
 pub(crate) struct Expected<'a> {
-    /// Unit costs; those at 0 stay 0.
+    /// Unit costs in seconds; those at 0 stay 0.
     pub(crate) costs: &'a [f64; COSTS],
     /// Standard deviations of the unit costs' logarithms.
     pub(crate) cost_sd: [f64; COSTS],

@@ -25,8 +25,9 @@ pub struct Prediction {
     pub seconds: f32,
     /// Upper bound at the calibrated level, in seconds; NaN where the predictor is uncalibrated.
     pub upper: f32,
-    /// Distance of the inputs from the training range: 0 inside, 1 where trust ends, growing beyond; NaN
-    /// where the predictor has no range.
+    /// Distance of the inputs from the training range: 0 inside, growing with the distance; NaN where the
+    /// predictor has no range. A session trusts predictions up to
+    /// [`crate::control::HybridOptions::trust_limit`].
     pub out_of_range: f32,
     /// Origin of the prediction.
     pub source: Source,

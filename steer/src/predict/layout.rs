@@ -346,7 +346,7 @@ fn takes_sorted_lobes(model: &Model) -> Result<bool> {
         Some(other) => {
             bail!(
                 Unsupported,
-                "{} is {other:?}; this version knows center, and none for lobes as given",
+                "{} is {other:?}; center is accepted, or no entry for lobes in the caller's order",
                 Key::LobeOrder
             )
         }

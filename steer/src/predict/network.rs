@@ -67,7 +67,7 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
 /// Predictor that runs a model file's PredNet on inputs assembled from named groups in the file's order.
 ///
 /// The out-of-range score uses the inputs' distances from their training means, where the file has them.
-/// Volume features do not count, since an encoder maps any volume to familiar codes.
+/// Volume features do not count, since an encoder's outputs are in a similar range for every volume.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,

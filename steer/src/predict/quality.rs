@@ -7,8 +7,8 @@ use entire_core::bail;
 use entire_core::model::{Key, Model, ModelFile};
 use serde::{Deserialize, Serialize};
 
-/// Picture error and time of a renderer as functions of ray step and image size. Where a frame's time can be
-/// reached by either, the plan uses the one with the smaller error.
+/// Picture error and time of a renderer as functions of ray step and image size. Where a coarser step and a
+/// smaller image take the same time, the plan uses the one with the smaller error.
 ///
 /// For a step of s finest steps and rays d pixels apart along each side, the picture's error against full
 /// quality is proportional to (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, its time
@@ -63,7 +63,7 @@ impl Quality {
         Ok(())
     }
 
-    /// The picture's error against full quality, in units of that at a step of 2 finest ones.
+    /// The picture's error against full quality, in units of the error at a step of 2 finest steps.
     pub fn error(&self, step: f64, distance: f64) -> f64 {
         let power = |x: f64, exponent: f32| if x > 0.0 { libm::pow(x, f64::from(exponent)) } else { 0.0 };
         power(step - 1.0, self.step_exponent)
@@ -88,8 +88,9 @@ impl Quality {
     /// the value of step · distance² from which each distance has a smaller error at equal time than the
     /// smaller distances; infinite for distances that never have.
     pub(crate) fn lay(&self, distances: &[f64], from: &mut [f64]) {
-        /// Ratio of successive times that are tried, and their number.
+        /// Ratio of successive times that are tried.
         const FINER: f64 = 0.97;
+        /// Number of times that are tried.
         const TIMES: usize = 400;
         from[1..].fill(f64::INFINITY);
         let (mut taken, mut share) = (0, 1.0);

@@ -52,7 +52,7 @@ impl InputRange {
         if low.len() != width || high.len() != width {
             bail!(
                 InvalidModel,
-                "{} limits {} and {} inputs; the model takes {width}",
+                "{} has lower limits for {} inputs and upper limits for {}; the model takes {width} inputs",
                 Key::Calibration,
                 low.len(),
                 high.len()
@@ -62,7 +62,11 @@ impl InputRange {
         if let Some((i, (low, high))) =
             ends.iter().enumerate().find(|(_, (l, h))| !(l.is_finite() && h.is_finite() && l <= h))
         {
-            bail!(InvalidModel, "{}: input {i} is limited to {low} to {high}", Key::Calibration);
+            bail!(
+                InvalidModel,
+                "{}: input {i} has the limits {low} and {high}; they must be finite and ascending",
+                Key::Calibration
+            );
         }
         Ok(Some(Self { ends: ends.into() }))
     }

@@ -70,18 +70,18 @@ pub(super) struct Ladder {
 }
 
 impl Session {
-    /// Sets the number of probe rays to `side`²: fewer take less time and have more scatter (see
-    /// [`FrameFeatures::with_probe_side`]). For linear cost models ([`crate::Predictor::any_probe_side`]); a
-    /// network keeps the probe that it was trained with.
+    /// Sets the number of probe rays to `side`²: fewer rays take less time, and their estimates have a larger
+    /// variance (see [`FrameFeatures::with_probe_side`]). For linear cost models
+    /// ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was trained with.
     ///
     /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last
-    /// `side`² only while the probe's estimated error could change the plan: while this error exceeds the
-    /// tolerance (a share of the frame's time, which changes the step by as much), unless even then the
-    /// finest step meets the target or the coarsest one does not. While the view has hardly turned since rays
-    /// were cast, plans reuse their results and recompute only the volume's place in the image. So `side`
-    /// bounds the time of a plan, and most plans take less. [`FrameFeatures::probe_side`] of
-    /// [`Session::features`] returns the side of the last probe. [`Session::predict`] and [`Session::choose`]
-    /// use the finest probe.
+    /// `side`² rays. It stops as soon as the probe's estimated error is at most the tolerance (a share of the
+    /// frame's time, which changes the step by as much) or cannot change the plan: the finest step meets the
+    /// target, or the coarsest one does not, for every time within the error. While the view has hardly
+    /// turned since rays were cast, plans reuse the rays' results and recompute only the volume's place in
+    /// the image. So `side` bounds the time of a plan, and most plans take less.
+    /// [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the last probe.
+    /// [`Session::predict`] and [`Session::choose`] use the finest probe.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance

@@ -11,7 +11,7 @@ impl Session {
     /// (VTK's ImageSampleDistance). Ray step and image are coarsened together
     /// ([`Plan::image_sample_distance`](super::Plan::image_sample_distance)), from `step_alone` times the
     /// finest step on; 1 couples them from the start. A `distance` of 1, the initial value, keeps the full
-    /// image size. For predictors that depend on the image size.
+    /// image size. Meant for predictors that depend on the image size.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
@@ -50,7 +50,7 @@ impl Session {
         self.quality.or_else(|| self.predictor.quality(&self.timing[0]))
     }
 
-    /// Recomputes the path of coarsening with the present law.
+    /// Recomputes the path of coarsening from the present picture quality law.
     pub(super) fn weigh_pictures(&mut self) {
         self.coarsening.set_quality(self.quality());
     }

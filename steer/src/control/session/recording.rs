@@ -84,11 +84,11 @@ impl Session {
     /// ([`crate::calibrate::KEPT_FRAMES`]; later ones replace earlier ones at random, so that the kept ones
     /// are a fair sample). Frames recorded before are dropped.
     ///
-    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic one, or one
-    /// times a learned factor, whose probe must be the session's. Without one, the fit starts from unit costs
-    /// of a software renderer. Not recorded are frames whose observation is unusual or cancelled, the first
-    /// frame of the session and of a volume, and frames that lack an input of the prior. Planning and
-    /// observing still do not allocate.
+    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic model, or an
+    /// analytic model times a learned factor that was fitted with the session's probe. Without one, the fit
+    /// starts from unit costs of a software renderer. Not recorded are frames whose observation is unusual or
+    /// cancelled, the first frame of the session and of a volume, and frames that lack an input of the prior.
+    /// Planning and observing still do not allocate.
     ///
     /// Frames timed earlier can be recorded in the same way: with steering off ([`Session::set_enabled`]),
     /// plan each frame as it was drawn, and observe its time.
@@ -130,6 +130,7 @@ impl Session {
     /// Fits a model to the recorded frames; 500 of them take a second or less on one thread. The session is
     /// unchanged and keeps recording; [`Session::set_predictor`] installs the model.
     ///
+    /// # Errors
     /// [`crate::ErrorKind::NotReady`] before [`Session::record`] and for fewer than
     /// [`crate::calibrate::FEWEST_FRAMES`].
     pub fn calibrate(&self, executor: Executor<'_>) -> Result<Calibrated> {

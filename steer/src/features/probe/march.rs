@@ -13,7 +13,7 @@ pub(super) const U: usize = 0;
 pub(super) const V: usize = 1;
 /// Random number in [0, 1) that selects the visible point from which the shadow ray starts.
 pub(super) const DRAW: usize = 2;
-/// Results; lengths are in reference steps. Length inside the box.
+/// Length inside the box. This field and those below are results; all lengths are in reference steps.
 pub(super) const CHORD: usize = 3;
 /// Lengths in occupied blocks, in empty blocks, and of visible samples, all up to termination.
 pub(super) const OCCUPIED: usize = 4;
@@ -48,6 +48,7 @@ pub(super) const TINY: f32 = 1.0e-9;
 /// Number of chords that are binned at a time.
 pub(super) const KEPT: usize = 256;
 
+/// Exponent field of an `f32` in the first bin of chords, which begins at 2⁻⁴ reference steps.
 const FIRST_BIN_EXPONENT: u32 = 127 - 4;
 
 /// Histogram of chords through empty space by length, in integers, so that sums do not depend on the order of
@@ -254,7 +255,7 @@ impl<'a> March<'a> {
     }
 
     /// Marches the first `count` rays one by one.
-    #[allow(clippy::needless_range_loop, reason = "the ray of every field")]
+    #[allow(clippy::needless_range_loop, reason = "the index runs over the arrays of all fields")]
     pub(super) fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         for i in 0..count {
             let at = |[middle, right, up]: [Vec3; 3]| middle + rays[U][i] * right + rays[V][i] * up;

@@ -111,13 +111,7 @@ impl Probe {
         distance_skips: Chords::NOTHING,
     };
 
-    /// Marches the probe's rays through a volume. The image's aspect ratio matters, its number of pixels does
-    /// not.
-    ///
-    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `transfer` must be made from
-    /// `volume`; a summary of another grid gives [`Probe::NOTHING`]. `side` is the number of rays along each
-    /// side of the footprint's bounding rectangle, at most [`MAX_PROBE_SIDE`]; with 0 only the footprint is
-    /// computed.
+    /// As [`Probe::on`], with the best level of this CPU.
     #[cfg(test)]
     pub(crate) fn new(
         volume: &VolumeSummary,
@@ -128,7 +122,13 @@ impl Probe {
         Self::on(Level::detect(), volume, transfer, frame, side)
     }
 
-    /// As [`Probe::new`], with the instructions of a level. Results are bit-identical on every level.
+    /// Marches the probe's rays through a volume, with the instructions of a level. Results are bit-identical
+    /// on every level. The image's aspect ratio matters, its number of pixels does not.
+    ///
+    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `transfer` must be made from
+    /// `volume`; a summary of another grid gives [`Probe::NOTHING`]. `side` is the number of rays along each
+    /// side of the footprint's bounding rectangle, at most [`MAX_PROBE_SIDE`]; with 0 only the footprint is
+    /// computed.
     pub(super) fn on(
         level: Level,
         volume: &VolumeSummary,
@@ -164,7 +164,7 @@ impl Probe {
         }
     }
 
-    /// As [`Probe::new`], with room for side² ≤ `ROOM` rays.
+    /// As [`Probe::measured`], with room for side² ≤ `ROOM` rays and a given footprint.
     fn cast<const ROOM: usize>(
         level: Option<Level>,
         volume: &VolumeSummary,
@@ -258,7 +258,7 @@ impl Probe {
         true
     }
 
-    /// As [`Probe::new`], marching rays one by one.
+    /// As [`Probe::on`], marching rays one by one.
     #[cfg(test)]
     pub(super) fn by_single_rays(
         volume: &VolumeSummary,

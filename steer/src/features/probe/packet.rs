@@ -55,7 +55,7 @@ struct Lit {
     count: usize,
 }
 
-/// Order in which rays are marched: by similar numbers of cells.
+/// Order in which rays are marched: by the number of cells that they cross.
 struct Order {
     rays: [i32; MAX_RAYS + 16],
     len: usize,

@@ -56,7 +56,8 @@ impl SummaryBuilder {
     /// those of `like`, of which no voxel is read.
     ///
     /// # Errors
-    /// As [`VolumeSummary::new`], and [`crate::ErrorKind::InvalidArgument`] for no planes.
+    /// As [`VolumeSummary::new`], [`crate::ErrorKind::InvalidArgument`] for no planes, and
+    /// [`crate::ErrorKind::SizeMismatch`] for more than [`entire_core::scene::MAX_VOLUME_EDGE`].
     pub fn new(like: &VolumeView<'_>, planes: usize, options: SummaryOptions) -> Result<Self> {
         let (summary, grid) = Self::layout(like, planes, options)?;
         let found = match like.scalars() {

@@ -79,8 +79,9 @@ fn runs(bits: Mask) -> impl Iterator<Item = Range<usize>> {
     })
 }
 
-/// Scans consecutive layers of cells: the cells marked as changed and, with `search`, all cells for changes.
-/// `quantiles` and `blocks` are those of the whole volume.
+/// Scans the cells of consecutive layers that are marked as changed. With `search`, first compares the
+/// checksum of every cell and marks those that changed. `quantiles` and `blocks` are those of the whole
+/// volume.
 ///
 /// # Errors
 /// [`crate::ErrorKind::OutOfMemory`]; cells that were not scanned stay marked.
@@ -398,9 +399,9 @@ const LENGTH: usize = 2;
 const LARGE: u8 = u8::MAX;
 
 /// Appends a cell's tally: its length in bytes, the bounds of its entries, the number of voxels that are not
-/// finite, and the number of voxels with each entry between the bounds. A number takes one byte, or nine from
-/// 255 on. Cells with one entry take six bytes, smooth cells of 8³ voxels one more per entry between the
-/// bounds.
+/// finite, and the number of voxels with each entry from the lower bound to the upper. A number takes one
+/// byte, or nine from 255 on. A cell of 8³ voxels takes 14 bytes where all have one entry, otherwise mostly
+/// 5 bytes and one per entry.
 fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_finite: u64) -> Result<()> {
     let counts = &counts[usize::from(low)..=usize::from(high)];
     let at = to.len();

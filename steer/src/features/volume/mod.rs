@@ -29,7 +29,7 @@ pub(crate) const DEFAULT_CELLS_PER_AXIS: usize = 48;
 /// Number of quantile intervals per cell; the `QUANTILES + 1` bounds split its voxels into equal shares.
 pub(crate) const QUANTILES: usize = 8;
 
-/// Largest stored integer that can index a table of 15 bits directly.
+/// Largest stored integer that can index a table of 2¹⁵ entries directly.
 pub(crate) const LARGEST_INDEX: i16 = i16::MAX;
 
 /// Largest number of blocks kept along an axis of a cell; beyond it, several blocks are merged into one.
@@ -76,9 +76,9 @@ pub struct VolumeSummary {
     block_low: Vec<u8>,
     block_high: Vec<u8>,
     first_block: Vec<u32>,
-    /// Number of blocks of a cell that the volume's border does not cut; `uniform` is true where every cell
-    /// has as many.
+    /// Number of blocks of a cell that the volume's border does not cut.
     most_blocks: usize,
+    /// True where every cell has `most_blocks` blocks.
     uniform: bool,
     histogram: [f32; 256],
     non_finite_share: f32,
@@ -90,15 +90,15 @@ impl VolumeSummary {
     /// can be stopped, and takes volumes that are never in memory as a whole.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
-    /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for the summary.
+    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::OutOfMemory`] where there is no
+    /// room for the summary.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
         builder.add(volume, Executor::Serial)?;
         builder.finish()
     }
 
-    /// Hash of the summary's sizes and histogram; different volumes are very unlikely to collide.
+    /// Hash of the summary's sizes and histogram; volumes that differ in either are very unlikely to collide.
     pub(crate) fn fingerprint(&self) -> u64 {
         let sizes = self.shape.dims.iter().map(|&n| n as u64);
         let shares = self.histogram.iter().map(|h| u64::from(h.to_bits()));

@@ -22,8 +22,8 @@ use entire_core::scene::{Scalars, VolumeView};
 ///
 /// In addition to the summary, each cell has a checksum of 16 bytes, which misses a change with a probability
 /// of about 2⁻¹²⁸ (unless voxels are chosen to collide); the number of voxels with each entry of a 256-entry
-/// table, 6 bytes and mostly one more for each entry between the cell's lowest and highest; and four stored
-/// values per block. For bytes in cells of one block, these are about 26 bytes per cell and one per entry, in
+/// table, 5 bytes and mostly one for each entry from the cell's lowest to its highest; and four stored values
+/// per block. For bytes in cells of one block, these are about 25 bytes per cell and one per entry, in
 /// addition to the 11 of the summary.
 ///
 /// A time step may be added slab by slab, as with [`SummaryBuilder`]: to show progress, to stop, or where the
