@@ -1,4 +1,4 @@
-//! Writes down which commit the program is built from, so that every table and report can say it.
+//! Passes the commit that the program is built from to the compiler, so that tables and reports can state it.
 
 use std::path::Path;
 use std::process::Command;

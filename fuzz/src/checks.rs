@@ -6,7 +6,7 @@ use entire_core::model::Model;
 use entire_core::nn::{PredNet, VolumeNet};
 use entire_core::scene::{Scalars, VolumeView};
 
-/// An accepted volume is whole and its geometry is finite; an error is one line.
+/// An accepted volume has all its voxels and finite geometry; an error has a message.
 pub fn check_volume<E: std::fmt::Display>(read: Result<Volume, E>) {
     match read {
         Ok(volume) => {

@@ -4,7 +4,7 @@
 
 pub use entire_io::{dataset, path, volume};
 
-// Task lists alone: the rest of the crate draws charts.
+// Only the task lists of entire-farm: the whole crate would bring in charts.
 #[path = "../../farm/src/list/mod.rs"]
 pub mod farm;
 

@@ -128,7 +128,8 @@ pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) ->
     put(data, &bytes, room)
 }
 
-/// Changes a model's header or its tensors by `step` and repairs the header's length, or makes a model up.
+/// Changes a model's header or its tensors by `step` and repairs the header's length, or generates another
+/// model.
 pub fn model(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = Random::new(seed);
     let header = data[..size]

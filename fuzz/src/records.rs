@@ -56,7 +56,7 @@ pub fn check_manifest(input: &[u8]) {
     }
 }
 
-/// Sixteen or more frames of an accepted path can be drawn, and their transfer functions have tables.
+/// At least 16 frames of an accepted path (all of a shorter one) can be drawn and have a transfer table.
 pub fn check_path(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let file = match PathFile::parse(text) {

@@ -56,7 +56,7 @@ pub fn seal(bytes: &mut Vec<u8>) {
 pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = Random::new(seed);
     let mut body = data[..size.saturating_sub(SEAL)].to_vec();
-    // At least one number.
+    // A state with at least one number after its first 32 bytes.
     if body.len() < 40 || random.below(200) == 0 {
         body = learned();
         body.truncate(body.len() - SEAL);
@@ -68,7 +68,7 @@ pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) 
             let length = step(&mut body, length, most);
             body.truncate(length);
         }
-        // Numbers follow two tags, the model's checksum and two empty names.
+        // The first 32 bytes are two tags, the model's checksum and two empty names; 8-byte numbers follow.
         _ => {
             for _ in 0..1 + random.below(4) {
                 let at = 32 + 8 * random.below((body.len() - 32) / 8);
@@ -92,8 +92,8 @@ thread_local! {
     });
 }
 
-/// A refused state changes nothing. An accepted one is saved unchanged, gives plans with finite numbers, and
-/// the session continues to learn.
+/// A refused state changes nothing. An accepted one loads again as saved, gives plans with finite numbers,
+/// and the session continues to learn.
 pub fn check_state(input: &[u8]) {
     SESSION.with_borrow_mut(|(session, fresh)| {
         session.load_state(fresh).expect("the state of a new session");

@@ -1,5 +1,5 @@
-//! The clock whose seconds a model predicts. Model, table and steered renderer must agree: mixing clocks adds
-//! a constant factor.
+//! The clock whose seconds a model predicts. Model, timing table and steered renderer must use the same one:
+//! seconds of two clocks can differ by a large factor.
 
 use crate::dataset::{Clock, TimedFrame};
 use crate::device;
@@ -26,7 +26,7 @@ pub fn set(file: &mut ModelFile, clock: Clock) {
     file.metadata.insert(Key::Clock.into(), clock.name().into());
 }
 
-/// Parses the option's value of a clock that a model can state: any but `auto`, which depends on the device.
+/// Parser of an option for the clocks that a model can state: all but `auto`, which depends on the device.
 pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
     let fixed = Clock::value_variants().iter().filter(|c| **c != Clock::Auto);
     PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
@@ -55,7 +55,8 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
 }
 
-/// The clock that `auto` means: the device's timestamps on a GPU, wall time where a processor renders.
+/// The clock that `auto` means for a renderer: device timestamps on a GPU that has them, else wall time.
+/// Other clocks are returned unchanged.
 pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
     match clock {
@@ -65,9 +66,9 @@ pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     }
 }
 
-/// Clock that training learns: the one that was asked for, else the clock of the model that it starts from,
-/// else processor time, which the project's figures are about, else what `auto` gives. A note names frames
-/// without the wanted clock.
+/// The clock whose seconds a new model learns: `asked`, if given. Otherwise the clock of `base`, the model
+/// that training starts from (its name and clock), or CPU time without one; if some frames lack that clock,
+/// the one that [`Clock::Auto`] means for them, with a note.
 ///
 /// # Errors
 /// As [`concrete`].
@@ -111,8 +112,8 @@ pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<S
     ))
 }
 
-/// Note for models that state no clock and are evaluated or steer by one; `None` where all state one, and for
-/// [`Clock::Auto`].
+/// Note that names the models that state no clock, so that their predictions count as seconds of `clock`;
+/// `None` where all models state one, and for [`Clock::Auto`].
 pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
     if clock == Clock::Auto {
         return None;
@@ -128,7 +129,7 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
 }
 
 /// The clock by which models are evaluated or steer: the one that they state, which must be the same for all
-/// and agree with the requested one; the requested one where none states any.
+/// and agree with `asked`; `asked` itself where no model states one.
 ///
 /// # Errors
 /// When models and the requested clock disagree; names the remedy.
@@ -243,8 +244,8 @@ mod tests {
         assert_eq!(concrete(Clock::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
         let mixed = concrete(Clock::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
         assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
-        // Processor time is learned by default; an adapted model keeps its clock; else the clock that frames
-        // have.
+        // CPU time by default; a fine-tuned model keeps its clock; a clock that frames lack is replaced by
+        // one that they have.
         let frames = [frame(&[both])];
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);

@@ -17,12 +17,12 @@ pub enum Device {
     Cpu,
 }
 
-/// True where a processor renders: frame times are then those of the host.
+/// True if the renderer runs on the CPU: the CPU raycaster, or a Vulkan driver in software.
 pub fn is_software(renderer: &dyn Renderer) -> bool {
     names_software(renderer.backend(), &renderer.device())
 }
 
-/// As [`is_software`], by the names of a renderer and its device.
+/// As [`is_software`], from the names of the backend and the device.
 pub fn names_software(backend: &str, device: &str) -> bool {
     let device = device.to_ascii_lowercase();
     backend == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
@@ -32,13 +32,13 @@ pub fn names_software(backend: &str, device: &str) -> bool {
 /// on standard error says when the CPU version is used instead.
 ///
 /// # Errors
-/// When Vulkan or one of its devices was requested and there is none; names the way to get a driver. For a
-/// variable of the environment that cannot be read.
+/// When Vulkan or one of its devices was requested and there is none; says how to get a driver. When an
+/// environment variable has an invalid value.
 pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     if device == Device::Cpu {
         return Ok(Box::new(CpuRaycaster::new()));
     }
-    // Nothing replaces a setting of the environment.
+    // If the environment names a device, the CPU version does not replace it.
     let options = VulkanOptions::from_env()?;
     let named = options.device.is_some();
     match VulkanRaycaster::new(options) {

@@ -1,4 +1,5 @@
-//! Enlargement of volumes at load, so that small ones cost as much as large ones.
+//! Resampling of volumes at load: enlargement, so that a small volume costs as much to render as a large one,
+//! and the low-resolution copy that the baseline LVRP renders.
 
 use crate::volume::{Volume, VolumeData};
 use anyhow::{Result, ensure};
@@ -8,13 +9,13 @@ use rayon::prelude::*;
 /// Largest enlargement that is accepted, per axis.
 pub const MAX_FACTOR: usize = 8;
 
-/// Enlarges a volume by a whole factor along every axis, trilinearly, voxel centers at halves and the edge
-/// held; the spacing shrinks by the same factor, so that the box stays the same. Whole-number types round to
-/// the nearest value. A scalar range that was set stays; else the enlarged volume keeps its source's default
-/// range.
+/// Enlarges a volume by a whole factor along every axis, by trilinear interpolation. Voxel centers lie at
+/// half-integer positions; positions outside the outermost centers take the value at the edge. The spacing
+/// shrinks by the same factor, so that the box stays the same. Whole-number types round to the nearest value.
+/// The scalar range is that of the source.
 ///
 /// # Errors
-/// A factor of 0 or over [`MAX_FACTOR`].
+/// When `factor` is 0 or over [`MAX_FACTOR`].
 pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
     ensure!(
         (1..=MAX_FACTOR).contains(&factor),
@@ -30,12 +31,12 @@ pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
     Ok(enlarged)
 }
 
-/// Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers, for the
-/// low-resolution proxy; type, box and scalar range stay, so that a sample costs the same. Whole-number types
-/// round to the nearest value.
+/// Resamples a volume to `edge` voxels along every axis, by trilinear interpolation at the new voxels'
+/// centers, for the baseline LVRP. Type, box and scalar range stay the same. Whole-number types round to the
+/// nearest value.
 ///
 /// # Errors
-/// An edge of 0 or over 512.
+/// When `edge` is 0 or over 512.
 pub fn resample(volume: &Volume, edge: usize) -> Result<Volume> {
     ensure!(
         (1..=512).contains(&edge),

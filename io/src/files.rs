@@ -13,7 +13,7 @@ use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// Limit of model files, bytes.
+/// Largest model file that is read, in bytes.
 const MAX_MODEL_BYTES: u64 = 4 << 30;
 
 /// Most bytes that a compressed table may decompress to.
@@ -136,7 +136,7 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     builder.prefix(".").suffix(".part");
-    // Permissions of any new file: those that the user's mask leaves.
+    // Read and write for all, less the user's umask, as for any new file.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut part = builder.tempfile_in(folder).with_context(fail)?;
@@ -146,7 +146,7 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     Ok(())
 }
 
-/// As [`write_whole`], a value as indented JSON with a line break at its end.
+/// Writes a value as indented JSON with a line break at its end, as [`write_whole`].
 ///
 /// # Errors
 /// As [`write_whole`].
@@ -154,8 +154,8 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     write_whole(path, (serde_json::to_string_pretty(value)? + "\n").as_bytes())
 }
 
-/// Locks a file for this process only, as [`File::try_lock`]. A process that another thread is starting holds
-/// a copy of the lock until its program runs, so the lock is retried for a third of a second.
+/// Locks a file for this process only, as [`File::try_lock`]. A child process that another thread is starting
+/// holds a copy of the lock between fork and exec, so locking is retried for 0.3 seconds.
 ///
 /// # Errors
 /// As [`File::try_lock`].
@@ -193,7 +193,7 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// Reads a regular file that is no larger than the limit for tables.
+/// Reads a regular file of at most 4 GiB.
 ///
 /// # Errors
 /// When it is no regular file, is larger than 4 GiB, or cannot be read.
@@ -212,7 +212,7 @@ pub fn read_text(path: &Path, most: u64) -> Result<String> {
 /// Decodes text in UTF-8, with or without a byte order mark, or UTF-16 with one, as spreadsheets write it.
 ///
 /// # Errors
-/// Names the byte that is not text.
+/// When the bytes are not such text; for UTF-8, names the first byte that is not.
 pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
     let unit: fn([u8; 2]) -> u16 = match bytes {
         [0xff, 0xfe, ..] => u16::from_le_bytes,
@@ -245,7 +245,7 @@ pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
     Ok(encoder.finish()?)
 }
 
-/// 64-bit FNV-1a.
+/// 64-bit FNV-1a hash.
 pub fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
@@ -334,7 +334,7 @@ mod tests {
         write_whole(&path, b"second").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"second");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        // Neither below a missing folder nor below a file, which stays unchanged.
+        // A missing folder, or a file in place of a folder, is an error; the file stays unchanged.
         for nowhere in [folder.path().join("none").join("f.txt"), path.join("f.txt")] {
             let said = format!("{:#}", write_whole(&nowhere, b"x").unwrap_err());
             assert!(said.contains(&format!("cannot write {}", nowhere.display())), "{said}");
@@ -354,7 +354,7 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&target).unwrap(), "kept");
         assert_eq!(std::fs::read_to_string(&link).unwrap(), "new");
         assert!(std::fs::symlink_metadata(&link).unwrap().is_file());
-        // Others may read it like any file that this user makes.
+        // The new file has the permissions of any file that this user makes.
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&link), mode(&target));
         // A device is written to, not replaced.

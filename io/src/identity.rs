@@ -10,16 +10,16 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
-/// Files of no more bytes are hashed whole.
+/// Size of the largest file that is hashed whole, bytes.
 pub const WHOLE: u64 = 16 << 20;
 
-/// Bytes that are hashed of a larger file at its beginning, in its middle and at its end.
+/// Number of bytes that are hashed of a larger file at each of three places: beginning, middle and end.
 const PART: u64 = 1 << 20;
 
-/// Bytes in which a header names its data file.
+/// Number of bytes at the beginning of a volume file in which names of data files are looked for.
 const HEADER: u64 = 1 << 16;
 
-/// Nanoseconds of a second.
+/// Nanoseconds per second.
 const SECOND: u64 = 1_000_000_000;
 
 /// Identity of a file.
@@ -27,7 +27,7 @@ const SECOND: u64 = 1_000_000_000;
 pub struct Identity {
     /// Its name; for a data file, the name in the header.
     pub name: String,
-    /// Its size.
+    /// Its size, bytes.
     pub bytes: u64,
     /// Time of its last change, nanoseconds since 1970. It counts only for files that were hashed in parts.
     pub modified_ns: u64,
@@ -115,7 +115,7 @@ pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     Ok(out)
 }
 
-/// Key of a volume's files.
+/// Key of a volume's files: the keys of their identities, joined.
 pub fn key(files: &[Identity]) -> String {
     files.iter().map(Identity::key).collect()
 }
@@ -137,7 +137,8 @@ pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
 }
 
 /// Difference between a volume's files and earlier identities, which may come from another machine; `None`
-/// for the same files. Files are read only where sizes or times differ. Times may be whole seconds.
+/// for the same files. Files are read only where sizes or modification times differ. Modification times that
+/// differ only in fractions of a second count as equal.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -159,7 +160,7 @@ pub fn changed(path: &Path, then: &[Identity]) -> Result<Option<String>> {
     Ok(difference(then, &now))
 }
 
-/// The data files that a volume's header names.
+/// Names of the data files that a volume's header names.
 fn data_files(path: &Path, name: &str) -> Vec<String> {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|f| f.take(HEADER).read_to_end(&mut head));
@@ -255,7 +256,7 @@ mod tests {
         std::fs::write(&b, format!("{HEADER}\nabcdefgh")).unwrap();
         let was = of_volume(&a).unwrap();
         assert_eq!((was.len(), key(&was)), (1, key(&of_volume(&b).unwrap())));
-        // Rewritten with the same bytes it is the same file; with other bytes it is not, whatever its size.
+        // A new modification time leaves a small file the same; other bytes do not, even of the same size.
         File::options()
             .write(true)
             .open(&a)

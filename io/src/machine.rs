@@ -11,7 +11,7 @@ pub fn version() -> String {
     }
 }
 
-/// Now, UTC, ISO 8601 to the second.
+/// The current date and time, UTC, ISO 8601 to the second.
 pub fn now() -> String {
     let now = time::OffsetDateTime::now_utc();
     let (date, clock) = (now.date(), now.time());
@@ -26,7 +26,7 @@ pub fn now() -> String {
     )
 }
 
-/// The load averages over 1, 5 and 15 minutes, where the system tells them.
+/// The load averages over 1, 5 and 15 minutes; `None` where the system does not report them.
 pub fn load_average() -> Option<[f64; 3]> {
     let text = std::fs::read_to_string("/proc/loadavg").ok()?;
     let mut numbers = text.split_whitespace().map(|w| w.parse::<f64>().ok());
@@ -47,14 +47,14 @@ pub struct Provenance {
     pub device: String,
     /// The program's version and commit.
     pub commit: String,
-    /// When, UTC.
+    /// Date and time, UTC.
     pub date: String,
     /// Load averages over 1, 5 and 15 minutes when this was written.
     pub load_average: Option<[f64; 3]>,
 }
 
 impl Provenance {
-    /// For measurements that end now.
+    /// Provenance of measurements that end now.
     pub fn of(device: String) -> Self {
         Self { machine: machine(), device, commit: version(), date: now(), load_average: load_average() }
     }
@@ -74,9 +74,9 @@ impl Provenance {
     }
 }
 
-/// Processor model, its vector width (software renderers depend on it, and one model name may stand for
-/// several makes), logical processors, operating system and architecture. No host name, since tables get
-/// published.
+/// Processor model, its widest vector instructions (the speed of software renderers depends on them, and
+/// processors of one model name may differ in them), logical processors, operating system and architecture.
+/// No host name, since tables get published.
 pub fn machine() -> String {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let processor = cpuinfo
@@ -98,7 +98,7 @@ pub fn machine() -> String {
     )
 }
 
-/// The widest vectors of the processor, where that is an x86 one.
+/// The widest vector instructions of the processor; `None` without AVX2.
 fn vectors() -> Option<&'static str> {
     match Level::available().last()?.isa() {
         Isa::Avx2 => Some("AVX2"),

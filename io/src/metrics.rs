@@ -6,27 +6,27 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The shortest prediction; smaller ones, and NaN, count as this many seconds.
+/// The shortest prediction, seconds; smaller ones and NaN are replaced by it.
 pub const SHORTEST: f64 = 1e-6;
 
 /// Errors of predictions over some frames.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Metrics {
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
     /// Root of the mean squared error, seconds.
     pub rmse: f64,
     /// Standard deviation of the measured seconds.
     pub sd: f64,
-    /// RMSE over SD: 1 is the error of the mean.
+    /// RMSE over SD: 1 if every prediction is the mean of the measured seconds.
     pub rmse_over_sd: f64,
     /// Mean absolute error, seconds.
     pub mae: f64,
     /// Median of |predicted − measured| / measured.
     pub mdape: f64,
-    /// 95th percentile of it.
+    /// 95th percentile of |predicted − measured| / measured.
     pub p95: f64,
-    /// 99th percentile of it.
+    /// 99th percentile of |predicted − measured| / measured.
     pub p99: f64,
     /// 1 − Σ(ln predicted − ln measured)² / Σ(ln measured − their mean)².
     pub r2_log: f64,
@@ -37,7 +37,8 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Compares. Both slices have one entry per frame; measured seconds are positive. `None` without frames.
+    /// Errors of predicted seconds against measured ones. Both slices have one entry per frame; measured
+    /// seconds are positive. `None` without frames.
     pub fn new(predicted: &[f64], measured: &[f64]) -> Option<Self> {
         let frames = measured.len().min(predicted.len());
         if frames == 0 {
@@ -85,13 +86,14 @@ pub struct BoundMetrics {
     pub coverage: f64,
     /// The same among the slowest tenth of the frames.
     pub slowest_coverage: f64,
-    /// Mean quantile loss, seconds, over the mean of the measured seconds: small for bounds that are tight
-    /// and hold.
+    /// Mean quantile loss in seconds, divided by the mean of the measured seconds: small for bounds that are
+    /// tight and hold.
     pub pinball: f64,
 }
 
 impl BoundMetrics {
-    /// Compares bounds for `level` (0.95, say) with measured seconds. `None` without frames.
+    /// Compares upper bounds in seconds for the quantile `level` (0.95, say) with measured seconds. `None`
+    /// without frames.
     pub fn new(bounds: &[f64], measured: &[f64], level: f64) -> Option<Self> {
         let n = measured.len().min(bounds.len());
         if n == 0 {
@@ -164,7 +166,7 @@ pub fn intervals_by_group<G: Ord, const N: usize>(
     }))
 }
 
-/// A percentile of ascending numbers, interpolated between neighbors; NaN without any.
+/// The quantile `share` (0 to 1) of ascending numbers, interpolated between neighbors; NaN without numbers.
 pub fn percentile(ascending: &[f64], share: f64) -> f64 {
     let Some(last) = ascending.len().checked_sub(1) else { return f64::NAN };
     let at = share.clamp(0.0, 1.0) * last as f64;
@@ -210,13 +212,13 @@ mod tests {
     #[test]
     fn bounds_are_judged_overall_and_among_the_slowest() {
         let t: Vec<f64> = (1..=100).map(f64::from).collect();
-        // Holds for all but the ten slowest frames.
+        // A bound that holds for all but the ten slowest frames.
         let bound: Vec<f64> = t.iter().map(|t| if *t > 90.0 { 0.5 * t } else { 2.0 * t }).collect();
         let b = BoundMetrics::new(&bound, &t, 0.95).unwrap();
         assert_eq!((b.coverage, b.slowest_coverage), (0.9, 0.0));
         let tight = BoundMetrics::new(&t, &t, 0.95).unwrap();
         assert_eq!((tight.coverage, tight.slowest_coverage, tight.pinball), (1.0, 1.0, 0.0));
-        // Half of the frames exceed their bound by half their time: 0.95 / 2, by the definition.
+        // Both frames exceed their bound by 0.5 s, over a mean of 1 s: 0.95 · 0.5.
         let low = BoundMetrics::new(&[0.5, 0.5], &[1.0, 1.0], 0.95).unwrap();
         assert!((low.pinball - 0.475).abs() < 1e-12);
         assert_eq!(BoundMetrics::new(&[], &[], 0.95), None);

@@ -43,7 +43,7 @@ pub struct VolumeArgs {
 }
 
 impl VolumeArgs {
-    /// The options, for readers.
+    /// The options as volume readers take them.
     pub fn reading(&self) -> Reading {
         Reading { array: self.array.clone(), fill: self.fill.clone(), range: self.range }
     }
@@ -93,10 +93,10 @@ impl From<SkipOption> for Skipping {
     }
 }
 
-/// Reads `WxH`.
+/// Parses an image size in pixels: `WxH`.
 ///
 /// # Errors
-/// When it is not two sides of 1 to [`MAX_IMAGE_SIDE`] pixels.
+/// When the text is not two sides of 1 to [`MAX_IMAGE_SIDE`] pixels.
 pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     let wrong = || format!("{text:?} is not WIDTHxHEIGHT with sides of 1 to {MAX_IMAGE_SIDE} pixels");
     let (w, h) = text.split_once(['x', 'X', '×']).ok_or_else(wrong)?;
@@ -108,29 +108,29 @@ pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     }
 }
 
-/// Reads `FINEST,COARSEST`.
+/// Parses the limits of the ray step, in reference steps: `FINEST,COARSEST`.
 ///
 /// # Errors
-/// When it is not two numbers.
+/// When the text is not two numbers.
 pub fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
     let pair = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
 }
 
-/// Reads `FRAME:SCALE`.
+/// Parses a frame number and the image scale from that frame on: `FRAME:SCALE`.
 ///
 /// # Errors
-/// When it is no frame and scale, or the scale is not within 0.01 to 4.
+/// When the text is not a frame number and a scale, or the scale is outside 0.01 to 4.
 pub fn parse_scale(text: &str) -> std::result::Result<(u32, f32), String> {
     let pair = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     pair.filter(|(_, s): &(u32, f32)| (0.01..=4.0).contains(s))
         .ok_or_else(|| format!("{text:?} is not FRAME:SCALE like 40:0.5 with a scale of 0.01 to 4"))
 }
 
-/// Reads the largest image sample distance.
+/// Parses the largest image sample distance, in pixels between rays.
 ///
 /// # Errors
-/// When it is no number from 1 to 20.
+/// When the text is not a number from 1 to 20.
 pub fn parse_distance(text: &str) -> std::result::Result<f32, String> {
     text.trim()
         .parse()
@@ -153,10 +153,10 @@ pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
     }
 }
 
-/// A pool of this many threads; default: all logical processors.
+/// A pool of `threads` threads; `None` for one thread per logical processor.
 ///
 /// # Errors
-/// For none or more than 1024 threads, or when the system starts none.
+/// When `threads` is outside 1 to 1024, or the system cannot start the threads.
 pub fn thread_pool(threads: Option<usize>) -> Result<ThreadPool> {
     if let Some(n) = threads {
         ensure!((1..=1024).contains(&n), "--threads is {n}; it must lie in 1 to 1024");

@@ -13,7 +13,7 @@ pub fn progress_bar(what: &str) -> ProgressBar {
     bar
 }
 
-/// A bar of a template (see [`ProgressStyle::with_template`]).
+/// A bar that is drawn by a template (see [`ProgressStyle::with_template`]).
 pub fn templated_bar(template: &str) -> ProgressBar {
     if is_quiet() {
         return ProgressBar::hidden();

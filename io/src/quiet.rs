@@ -2,15 +2,15 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// For the whole process, like its standard error.
+/// True if notes and progress bars are off, for the whole process.
 static QUIET: AtomicBool = AtomicBool::new(false);
 
-/// Switches bars and notes off or on.
+/// Switches notes and progress bars off (`true`) or on (`false`).
 pub fn keep_quiet(quiet: bool) {
     QUIET.store(quiet, Ordering::Relaxed);
 }
 
-/// True if bars and notes are off.
+/// True if notes and progress bars are off.
 pub fn is_quiet() -> bool {
     QUIET.load(Ordering::Relaxed)
 }

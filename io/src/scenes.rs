@@ -41,10 +41,10 @@ impl Default for SceneDistribution {
     }
 }
 
-/// One draw.
+/// A random scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RandomScene {
-    /// Where the eye stands.
+    /// Position of the eye.
     pub camera: Arcball,
     /// Image width, pixels.
     pub width: u32,
@@ -60,7 +60,7 @@ impl SceneDistribution {
     /// Checks the ranges.
     ///
     /// # Errors
-    /// Names the option that is wrong and what it accepts.
+    /// Names the value that is wrong and the accepted ones.
     pub fn check(&self) -> Result<()> {
         ensure!(
             !self.radii.is_empty() && self.radii.iter().all(|r| r.is_finite() && *r > 0.0),
@@ -98,7 +98,7 @@ impl SceneDistribution {
         let ry = (unit() * 360.0 - 180.0) as f32;
         let square = unit() < 0.5;
         let mut side = || {
-            // Every whole number n owns the slot [n, n + 1) of the logarithmic axis.
+            // A log-uniform number in [min, max + 1), rounded down.
             let size = log_uniform((f64::from(self.min_size), f64::from(self.max_size) + 1.0), unit());
             (size as u32).clamp(self.min_size, self.max_size)
         };

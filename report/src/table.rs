@@ -6,9 +6,9 @@ use std::fmt::Write as _;
 /// Alignment of a column's texts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Align {
-    /// Texts.
+    /// Aligned at the left: texts.
     Left,
-    /// Numbers.
+    /// Aligned at the right: numbers.
     Right,
 }
 
@@ -61,7 +61,8 @@ impl<T: Into<Self>> From<Option<T>> for Cell {
     }
 }
 
-/// Tables of more columns are set smaller on a page, so that they need no scrolling.
+/// Largest number of columns at normal text size on a page; wider tables have smaller text, so that they need
+/// no scrolling.
 const WIDE: usize = 8;
 
 /// A table. Rows shorter than the heading are padded with empty cells.
@@ -105,7 +106,7 @@ impl Table {
         row.get(column).map(|c| c.text.clone()).unwrap_or_default()
     }
 
-    /// For a terminal: columns padded with spaces, best cells marked with an asterisk.
+    /// The table as text for a terminal: columns padded with spaces, best cells marked with an asterisk.
     pub fn to_text(&self) -> String {
         let show = |row: &[Cell], c: usize| {
             let best = row.get(c).is_some_and(|cell| cell.best);
@@ -140,7 +141,7 @@ impl Table {
         out
     }
 
-    /// For an HTML page; best cells are bold.
+    /// The table as HTML; best cells are bold.
     pub fn to_html(&self) -> String {
         let blank = Cell::from("");
         let rows: Vec<Vec<(&Column, &Cell)>> = self
@@ -151,7 +152,7 @@ impl Table {
         Html { columns: &self.columns, rows: &rows }.render().expect("writing into memory does not fail")
     }
 
-    /// For a Markdown file; best cells are bold.
+    /// The table as Markdown; best cells are bold.
     pub fn to_markdown(&self) -> String {
         let safe = |t: &str| t.replace('|', "\\|").replace('\n', " ");
         let mut out = String::new();

@@ -1,12 +1,12 @@
-/* Allocations that fail, one after the other and all of them, in every kind of call: none ends the process. Hot calls
- * make none. Of the others, those whose sizes the caller declares answer with ENTIRE_OUT_OF_MEMORY where the declared
- * size itself cannot be had; small pieces come from the library's reserve, until half of it is held: then calls that
- * make something answer so too.
+/* Makes allocations fail in every kind of call, one after the other and all at once: none may end the process. Hot
+ * calls allocate nothing. A call that allocates a size declared by the caller returns ENTIRE_OUT_OF_MEMORY if that
+ * allocation fails. Small allocations that fail are served from the library's reserve; once half of the reserve is in
+ * use, calls that make a handle return ENTIRE_OUT_OF_MEMORY, too.
  *
  *   alloc_failure MODEL
  *
- * This program's own malloc stands before the C library's: the n-th request of the thread that is watched fails, or all
- * of at least a given size.
+ * This program's malloc replaces that of the C library: while `watching` is set, the n-th request fails, or all
+ * requests of at least a given size.
  */
 #define _GNU_SOURCE
 #include "check.h"
@@ -206,8 +206,8 @@ static entire_result plan_and_observe(void) {
     return result == ENTIRE_OK ? observe() : result;
 }
 
-/* Handles while the system has no memory at all: they are made until the reserve is half held, then refused; after some
- * are freed, they can be made again. */
+/* Makes handles while every request fails: they come from the reserve until half of it is in use, then are refused;
+ * after they are freed, they can be made again. */
 static entire_result fill_the_reserve(void) {
     enum { MOST = 10000 };
     static entire_transfer_function *held[MOST];
@@ -227,9 +227,10 @@ static entire_result fill_the_reserve(void) {
 static const struct {
     const char *name;
     entire_result (*call)(void);
-    /* Allocates nothing. */
+    /* 1 for a call that allocates nothing. */
     int hot;
-    /* Size from which on every request fails: the declared size returns ENTIRE_OUT_OF_MEMORY. 0: no such size. */
+    /* Size in bytes that the caller declares; when requests of at least this size fail, the call returns
+     * ENTIRE_OUT_OF_MEMORY. 0: no such size. */
     size_t declared;
 } calls[] = {
     {"entire_model_predict", predict, 1, 0},
@@ -253,7 +254,8 @@ static const struct {
     {"a refused call", refused, 0, 0},
 };
 
-/* End of a child in which the n-th request, or those from a size on, failed. */
+/* Result of a call in a child process in which the n-th request, or all of at least a given size, failed: ENTIRE_OK, or
+ * an error code. */
 enum ending { DONE, ANSWERED };
 
 static enum ending in_child(entire_result (*call)(void), long n, size_t from, long *made, entire_result *answer) {
@@ -298,7 +300,7 @@ int main(int argc, char **argv) {
     session = toy_session(NULL);
     trained = toy_session(model);
     frame = toy_frame();
-    /* Objects that are made at first use exist. */
+    /* These calls make the objects that the library makes at first use. */
     OK(plan_and_observe());
     OK(encode());
     OK(predict_batch());

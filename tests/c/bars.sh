@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Measures the bars of the C SDK and prints a line each: bar NAME VALUE LIMIT ok|short. Exits 1 when any is short, as
-# one that cannot be measured is.
+# Measures the bars of the C SDK and prints a line each: bar NAME VALUE LIMIT ok|short. Exits 1 when any is short. A bar
+# that cannot be measured is short.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 . lab/scripts/bar_lines.sh
@@ -23,7 +23,7 @@ overhead=$("$cargo" bench --quiet --package entire-ffi --profile sdk --bench ove
 printf '%s\n' "$overhead" | sed 's/^/  /'
 bar ffi.call_overhead_ns "$(sed -n 's/^overhead_ns //p' <<<"$overhead")" 100
 
-bytes() { # bytes FILE: its size stripped; nothing where that cannot be told
+bytes() { # bytes FILE: prints the size of the stripped file, or nothing on failure
     strip -o "$work/stripped" "$1" && stat -c %s "$work/stripped" || true
 }
 bar ffi.shared_library_stripped_bytes "$(bytes "$stage/lib/libentire.so")" 1500000
@@ -34,7 +34,7 @@ cc -std=c11 -O2 examples/c/01_predict.c -I"$stage/include" "$stage/lib/libentire
     -o "$work/01_predict_static" && "$work/01_predict_static" "$toy" >/dev/null || rm -f "$work/01_predict_static"
 bar ffi.static_01_predict_stripped_bytes "$(bytes "$work/01_predict_static")" 600000
 
-# A library without any symbol has not been read.
+# Without any symbol of the library, nm has failed, and the number is unknown.
 others=unknown
 if nm -D --defined-only "$stage/lib/libentire.so" >"$work/symbols" && grep -q ' entire_' "$work/symbols"; then
     others=$(awk '$3 !~ /^entire_/' "$work/symbols" | wc -l)
@@ -48,7 +48,7 @@ else
     tail -n 30 "$work/bars-tests.log" >&2
     why="tests/c/run.sh has failed: $(tail -n 1 "$work/bars-tests.log")"
 fi
-for said in "address and undefined-behavior sanitizers: in, awake, silent" "(10\^5|100000) call sequences, no panic, no report"; do
+for said in "address and undefined-behavior sanitizers: active, no report" "(10\^5|100000) call sequences, no panic, no report"; do
     if grep -qE "^  $said" "$work/bars-tests.log"; then
         bar "${tested[0]}" 0 "${tested[1]}"
     else

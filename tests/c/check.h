@@ -17,7 +17,7 @@
         }                                                                                              \
     } while (0)
 
-/* The call returns this code, and a text exactly if it fails. */
+/* Checks that the call returns this code, and leaves an error text exactly if it fails. */
 #define EXPECT(code, call)                                                                             \
     do {                                                                                               \
         entire_result expect_found_ = (call);                                                          \
@@ -32,7 +32,7 @@
 
 #define OK(call) EXPECT(ENTIRE_OK, call)
 
-/* The text of the last failure contains some words. */
+/* Checks that the text of the last failure contains these words. */
 #define SAYS(words) CHECK(strstr(entire_last_error(), words) != NULL)
 
 enum { TOY_X = 5, TOY_Y = 7, TOY_Z = 11, TOY_VOXELS = TOY_X * TOY_Y * TOY_Z };
@@ -52,7 +52,7 @@ static inline void *read_file(const char *path, size_t *size) {
     return bytes;
 }
 
-/* 5 x 7 x 11 bytes with three different spacings, so that a confusion of axes shows. */
+/* 5 x 7 x 11 bytes with three different spacings, so that swapped axes are noticed. */
 static inline entire_volume *toy_volume(void) {
     uint8_t voxels[TOY_VOXELS];
     for (int i = 0; i < TOY_VOXELS; ++i) voxels[i] = (uint8_t)(i * 37 % 256);

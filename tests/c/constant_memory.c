@@ -8,7 +8,7 @@
 #include <malloc.h>
 #include <unistd.h>
 
-/* Defined by the address sanitizer's runtime, whose own bookkeeping grows. */
+/* 1 in a build with a sanitizer, whose own bookkeeping grows. */
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define SANITIZED 1
 #elif defined(__has_feature)

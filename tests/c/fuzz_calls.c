@@ -1,9 +1,9 @@
-/* Calls random entry points with random valid and invalid arguments. Whatever is asked, every call answers: never a panic
- * code, never a crash, and outputs stay as they were when a call fails.
+/* Calls random entry points with random valid and invalid arguments. Every call must return: never a panic code, never
+ * a crash, and outputs stay unchanged when a call fails.
  *
  *   fuzz_calls MODEL SEQUENCES [SEED]
  *
- * Pointers are valid for what they are said to hold, or NULL; everything else is anything.
+ * Pointers are NULL or point to as many elements as the call states; all other arguments are arbitrary.
  */
 #include "check.h"
 #include <inttypes.h>
@@ -50,18 +50,18 @@ static size_t count_near(size_t right) {
     return one_in(10) ? odd[below(6)] : right;
 }
 
-/* Of any magnitude: 10^-38 to 10^38. */
+/* A number of any magnitude: 10^-38 to 10^38, sometimes negative. */
 static float magnitude(void) {
     return powf(10, uniform(-38, 38)) * (one_in(20) ? -1.0f : 1.0f);
 }
 
-/* Zero, one, or of any magnitude up to the largest. */
+/* 0, 1, or a size of any magnitude. */
 static size_t any_size(void) {
     const size_t any = (size_t)bits() >> below(sizeof(size_t) * 8);
     return one_in(3) ? below(2) : any;
 }
 
-/* For counts up to which the library may read: never more than the array has. */
+/* A count of elements that the library may read: at most those of the array. */
 static size_t count_within(size_t there) {
     return one_in(6) ? below(there + 1) : there;
 }
@@ -81,7 +81,7 @@ static entire_transfer_function *tfs[SLOTS];
 static entire_session *sessions[SLOTS];
 static uint64_t failures[128], successes;
 
-/* Mostly the first slot, which holds the start of most sequences. */
+/* Mostly the first slot, which holds the valid scene of most sequences; sometimes NULL. */
 #define PICK(pool) (one_in(40) ? NULL : (pool)[one_in(6) ? below(SLOTS) : 0])
 
 static entire_result note(entire_result result) {

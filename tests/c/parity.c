@@ -1,6 +1,6 @@
-/* The C door to a model and a session, for comparison with the Rust door (ffi/tests/suite/parity.rs): reads rows of inputs
- * as raw floats from standard input, writes raw floats: a prediction per row, then the volume's features, then the
- * seconds and the step of plans around an orbit.
+/* Runs a model and a session through the C library, for comparison with Rust (ffi/tests/suite/parity.rs): reads rows of
+ * inputs as raw floats from standard input, writes raw floats: a prediction per row, then the volume's features, then
+ * the seconds and the step of plans around an orbit.
  *
  *   parity MODEL COLUMNS < inputs > outputs
  */

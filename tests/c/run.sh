@@ -33,7 +33,7 @@ mkdir -p "$work"
 generator=()
 if have ninja; then generator=(-G Ninja); fi
 
-holds() { # holds PROGRAM SYMBOL: whether a program has a symbol whose name contains this
+holds() { # holds PROGRAM SYMBOL: succeeds if the program has a symbol whose name contains SYMBOL
     nm "$1" >"$work/nm"
     grep -q "$2" "$work/nm"
 }
@@ -66,7 +66,7 @@ soname=$(readelf -d "$lib" | sed -n 's/.*SONAME.*\[\(.*\)\]/\1/p')
 [[ $(readlink -f "$stage/lib/$soname") == "$(readlink -f "$lib")" ]] || fail "SONAME $soname is no file of the package"
 ok "$(wc -l <"$work/exported") exported functions, all declared, all prefixed, all tested with NULL; SONAME $soname"
 if have pkg-config; then
-    # Only for these: crates that use pkg-config would be built again.
+    # PKG_CONFIG_PATH is set for these calls only: if exported, cargo would rebuild crates that use pkg-config.
     of_package() { PKG_CONFIG_PATH=$stage/lib/pkgconfig pkg-config "$@" entire; }
     read -ra flags <<<"$(of_package --cflags --libs)"
     "${CC:-cc}" -std=c11 examples/c/01_predict.c "${flags[@]}" -Wl,-rpath,"$stage/lib" -o "$work/by_pkg_config"
@@ -89,7 +89,7 @@ for file in examples/c/*.c examples/cpp/*.cpp; do
 done
 ok "examples: built by find_package, each under 80 lines"
 
-# The whole suite with one compiler, then the differing parts with the others.
+# The whole suite with one compiler; the others build it again with --full, else only the headers.
 configure_and_test gcc-c++17 "$stage" -DCMAKE_C_COMPILER=gcc -DCMAKE_CXX_COMPILER=g++ -DCMAKE_BUILD_TYPE=RelWithDebInfo
 
 if [[ $full ]]; then
@@ -124,7 +124,7 @@ ok "parity of Rust and C; the C log is read as a timing table"
 
 if [[ -n ${ENTIRE_SDK:-} ]]; then
     say "panic boundary (a library built with test-panic)"
-    # Into the gate's own build, of which only this library is built again.
+    # The build uses the gate's target folder, so that only this library is compiled again.
     $cargo build --quiet --workspace --features entire-cli/explore,entire-ffi/test-panic --all-targets
     ffi/package/install.sh --profile dev --no-build --prefix "$work/stage-panic" >/dev/null
     ctest_options="-R panic_boundary" configure_and_test panic "$work/stage-panic" -DENTIRE_TEST_PANIC=ON
@@ -136,7 +136,8 @@ ctest_options="-E constant_memory" configure_and_test asan "$stage" -DCMAKE_BUIL
     -DCMAKE_C_COMPILER=gcc -DCMAKE_CXX_COMPILER=g++ \
     -DCMAKE_C_FLAGS="-fsanitize=$sanitize -fno-sanitize-recover=all" \
     -DCMAKE_CXX_FLAGS="-fsanitize=$sanitize -fno-sanitize-recover=all"
-# The sanitizers are in every program, and find what they should: a leak in the library, a write beyond a buffer.
+# Every program must contain the sanitizers, and they must find two planted errors: a leak in the library and a write
+# beyond a buffer.
 for program in "$work"/asan/test_* "$work"/asan/fuzz_calls "$work"/asan/null_args; do
     holds "$program" __asan_init || fail "$program has no address sanitizer"
     holds "$program" __ubsan_ || fail "$program has no undefined-behavior sanitizer"
@@ -148,7 +149,7 @@ for canary in leak overflow; do
     if "$work/canary-$canary" 2>"$work/canary.log"; then fail "the sanitizer does not see a $canary"; fi
     grep -q 'AddressSanitizer\|LeakSanitizer' "$work/canary.log" || fail "the $canary canary died of something else"
 done
-ok "address and undefined-behavior sanitizers: in, awake, silent"
+ok "address and undefined-behavior sanitizers: active, no report"
 
 sequences=10000
 if [[ $full ]]; then sequences=100000; fi

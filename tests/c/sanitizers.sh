@@ -27,22 +27,23 @@ asked() { [[ " ${parts[*]} " == *" $1 "* ]]; }
 
 nightly=
 if rustup run nightly rustc --version >"$work/nightly" 2>/dev/null; then nightly=$(<"$work/nightly"); fi
-component() { # component NAME: whether nightly has it; tries to install it
+component() { # component NAME: succeeds if nightly has it or it can be installed
     [[ $nightly ]] || return 1
     rustup component list --toolchain nightly >"$work/components" 2>/dev/null || return 1
     grep -q "^$1.*(installed)" "$work/components" && return 0
     timeout 300 rustup component add --toolchain nightly "$1" >"$work/component.log" 2>&1
 }
 
-build_library() { # of `sanitized`, whose variables it reads
-    # Lightly optimized: the reports are the same, and the build is faster.
+build_library() { # called by `sanitized`, whose variables it reads
+    # Light optimization builds faster and gives the same reports.
     RUSTFLAGS="-Zsanitizer=$name -Cforce-frame-pointers=yes" CARGO_TARGET_DIR=$out \
         CARGO_PROFILE_DEV_OPT_LEVEL=1 CARGO_PROFILE_DEV_DEBUG=line-tables-only \
         timeout "$seconds" cargo +nightly build --quiet "${build_std[@]}" --target "$host" --package entire-ffi --lib \
         >"$work/build.log" 2>&1
 }
 
-# The static library of nightly, instrumented, and the C tests instrumented by gcc, with the runtime of rustc in both.
+# Builds the static library, instrumented by nightly's rustc, and checks it. The C tests are instrumented by gcc and
+# linked with rustc's sanitizer runtime.
 sanitized() { # sanitized NAME FLAG
     local name=$1 out=$target/sanitize-$1 runtime build_std=()
     runtime=$(rustc +nightly --print sysroot)/lib/rustlib/$host/lib/librustc-nightly_rt.$2.a

@@ -135,7 +135,7 @@ static void schedule(void) {
     CHECK(makespan == -5 && nodes[0] == 77);
 }
 
-/* Two volumes and a window that takes 5 ms besides. */
+/* Two volumes that take 5 and 15 ms, in a window that needs 5 ms of its own. */
 static void budget(void) {
     entire_budget budget = {{0}};
     entire_pass small = {{0}}, large = {{0}};

@@ -1,5 +1,5 @@
-/* Declared sizes of a caller are refused before anything is allocated or scanned; a model's answer that is no frame time is
- * never ENTIRE_OK. */
+/* Sizes beyond the limits are refused before anything is allocated or scanned; a model's output that is not a frame
+ * time is never returned with ENTIRE_OK. */
 #include "check.h"
 #include <math.h>
 
@@ -146,7 +146,8 @@ static entire_model *with_tensor(const char *path, const char *tensor, float val
     return model;
 }
 
-/* Whatever a model answers, a result with ENTIRE_OK is a frame time, or marked absent. */
+/* For any output of a model, a result with ENTIRE_OK is a frame time or marked absent. Returns the number of
+ * refused calls. */
 static long answers(const entire_model *model) {
     enum { COLUMNS = 11, ROWS = 7 };
     long refused = 0;

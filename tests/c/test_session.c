@@ -343,7 +343,7 @@ static void choices(void) {
     entire_session_free(session);
 }
 
-/* A renderer whose time depends on the pixels only, and one loop that learns it without a restart. */
+/* A renderer whose time depends on the number of pixels only. */
 static float draw_pixels(uint32_t width, uint32_t height) {
     return 1e-3f + 4e-8f * (float)(width * height);
 }
@@ -416,7 +416,7 @@ static void calibration(void) {
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(known[0] == 0 && known[1] == 0 && known[2] == 0 && known[3] == 0);
     OK(entire_session_set_model(session, model));
-    /* The pictures' quality law is fitted again, for this renderer alone, until the host knows better. */
+    /* The session takes the model's quality law, for this renderer alone, until the host sets another. */
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(fabsf(known[0] - 5) < 0.1f && fabsf(known[1] - 1.2f) < 0.02f && fabsf(known[2] - 0.9f) < 0.02f && fabsf(known[3] - 0.2f) < 0.01f);
     OK(entire_session_set_quality(session, 3, 1, 1, 0));
@@ -443,7 +443,7 @@ static void calibration(void) {
     const float real = draw_pixels(frame.width, frame.height);
     CHECK(p.seconds == q.seconds && fabsf(p.seconds / real - 1) < 0.1f);
 
-    /* It can be a prior in turn, and works with any probe: it holds unit costs. */
+    /* The fitted model can be a prior in turn, and works with any probe, since it holds unit costs. */
     OK(entire_session_record(other, again, 8));
     play(other, 20);
     entire_model *third = NULL;
@@ -550,7 +550,7 @@ static void with_a_model(const char *path) {
     OK(entire_session_predict(session, &frame, &again));
     CHECK(again.seconds == prediction.seconds);
 
-    /* It keeps the probe of its training. */
+    /* A session with this model keeps the probe of its training: `probe_side` has no effect. */
     entire_session_options small;
     OK(entire_session_options_init(&small, sizeof small));
     small.probe_side = 4;
@@ -565,7 +565,7 @@ static void with_a_model(const char *path) {
     const float three[] = {1, 2, 3};
     OK(entire_volume_set_features(volume, three, 3));
     EXPECT(ENTIRE_SIZE_MISMATCH, entire_session_set_volume(session, volume));
-    SAYS("3 ready features");
+    SAYS("3 precomputed features");
 
     entire_model_free(model);
     OK(entire_session_predict(session, &frame, &again));

@@ -41,8 +41,8 @@ static void lobes(void) {
     CHECK(tf == NULL);
 }
 
-/* Values of VTK 9.7: vtkPiecewiseFunction and vtkColorTransferFunction at 0, 0.1, ... 1 between (0, 0) and (1, 1) with
- * midpoint 0.5. Tests of the core compare the whole tables. */
+/* Values of VTK 9.7: vtkPiecewiseFunction and vtkColorTransferFunction between (0, 0) and (1, 1) with midpoint 0.5.
+ * Tests of the core compare whole tables. */
 static void nodes(void) {
     static const struct {
         double sharpness, opacity[5], color[5]; /* at 0.2, 0.4, 0.5, 0.6, 0.8 */
@@ -57,7 +57,7 @@ static void nodes(void) {
         for (int k = 0; k < 5; ++k) {
             const entire_opacity_node opacity[] = {{0, 0, 0.5, vtk[i].sharpness}, {1, 1, 0.5, 0}};
             const entire_color_node color[] = {{0, {0, 0, 0}, 0.5, vtk[i].sharpness}, {1, {1, 1, 1}, 0.5, 0}};
-            /* A range whose middle is the wanted position, with table samples at both of its ends. */
+            /* A range of zero width at x: every entry of the table is the value there. */
             const double x = tenth[k] / 10.0;
             entire_transfer_function *tf = NULL;
             OK(entire_transfer_function_from_nodes(opacity, 2, color, 2, x, x, 1, &tf));

@@ -239,7 +239,7 @@ static void bricks(void) {
     CHECK(entire_volume_desc_init(&desc, 9) == ENTIRE_STRUCT_SIZE);
 }
 
-/* A session that follows a volume from step to step plans like one that gets only the last step. */
+/* A session that follows a volume from time step to time step predicts like one that gets only the last of them. */
 static void time_steps(entire_voxels_ownership ownership) {
     uint16_t voxels[TOY_VOXELS];
     for (int i = 0; i < TOY_VOXELS; ++i) voxels[i] = (uint16_t)(i % 3);

@@ -1,4 +1,4 @@
-//! Number of probe rays of adaptive plans, and the distance of their steps from those of the finest probe.
+//! Compares adaptive plans with plans by the finest probe: number of probe rays, and difference of ray steps.
 //!
 //! ```text
 //! cargo run --release -p entire-tests --example probe_ladder -- [--frames N] [--tolerance T] VOLUME…
@@ -17,7 +17,7 @@ use entire_steer::Session;
 use entire_steer::control::StepLimits;
 use entire_steer::features::{SummaryOptions, VolumeSummary};
 
-/// The finest probe.
+/// Rays along each side of the finest probe.
 const FINEST: usize = 16;
 
 fn main() {

@@ -1,4 +1,4 @@
-//! Links without the C runtime where a model to embed is named: the program is then built freestanding.
+//! Links without the C runtime if ENTIRE_FREESTANDING_MODEL names a model to embed: a freestanding program.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");

@@ -65,7 +65,7 @@ def prednet(name, dims, target, normalised, dtype, seed):
         if group["name"] == "scene_features":
             metadata["entire.scene_features"] = json.dumps([f"feature_{i}" for i in range(group["size"])])
     save_file(tensors, HERE / f"{name}.safetensors", metadata=metadata)
-    # Values that nearly cancel are useless for relative errors.
+    # Results near 0 come from sums that nearly cancel, and are useless for relative errors.
     scale = y.abs().max()
     keep = [i for i in range(len(y)) if y[i, 0].abs() > 0.02 * scale]
     return {

@@ -1,4 +1,4 @@
-//! The same test on every level of the kernels.
+//! Runs a test on every level of the kernels.
 
 use entire_core::kernels::{Isa, Level};
 use libtest_mimic::{Failed, Trial};

@@ -1,6 +1,6 @@
-//! Structure-aware mutants of model files, which random bit flips never reach, because the header's length
-//! would no longer fit. Every file's length field is right; the data after it are wrong in ways that a reader
-//! must detect.
+//! Structure-aware mutants of model files. Random changes of bytes do not reach them, since the header's
+//! length would not fit. Every file's length field is right; the data after it are wrong in ways that a
+//! reader must detect.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{GroupKind, Key, Model};
@@ -10,10 +10,10 @@ use entire_steer::features::{Changes, FrameFeatures, Setting};
 use entire_steer::predict::{Inputs, check_predictions, load};
 use serde_json::{Map, Value, json};
 
-/// Limit of the multiplications of an encoding; a larger mutant encoder is built but not run.
+/// Largest number of multiplications of an encoding that is run; a larger mutant encoder is built only.
 pub const MOST_WORK: u128 = 20_000_000;
 
-/// Limit of the tensor bytes of a generated encoder.
+/// Largest size of a tensor of a generated encoder, bytes.
 const MOST_TENSOR: usize = 1 << 18;
 
 /// A tensor of a file that is being mutated.
@@ -27,7 +27,7 @@ struct Tensor {
     offsets: Option<[u64; 2]>,
 }
 
-/// A file in parts.
+/// The parts of a model file.
 #[derive(Clone, Debug, Default)]
 struct Parts {
     metadata: Map<String, Value>,

@@ -1,10 +1,9 @@
-//! The environment is read once for the level: a host that changes it later, from another thread, has no
-//! effect.
+//! The level is read from the environment once: a host that changes the environment later has no effect.
 
 use entire_core::kernels::Level;
 use libtest_mimic::{Arguments, Failed, Trial};
 
-/// Variable that a user sets.
+/// Environment variable that forces a level.
 const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 #[allow(unsafe_code, reason = "setting the environment is unsafe; this test is alone in its process")]

@@ -40,8 +40,9 @@ fn stored(model: &Model) -> Dtype {
     model.prednet().expect("a PredNet").layers[0].dtype
 }
 
-/// Exact storage formats are compared row by row, as the contract says; rounded ones with the largest value
-/// as scale, since the effect of a rounded weight on a sum that nearly cancels is no error of the arithmetic.
+/// The error of formats that store the weights exactly is relative to each result; that of rounded formats is
+/// relative to the largest result, since a rounded weight changes a sum that nearly cancels by a large
+/// factor.
 fn prednets_agree(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, expected)) = (model(&case), rows(&case));
@@ -96,7 +97,7 @@ fn storage_follows_the_file() {
     }
 }
 
-/// Same model, same inputs, same level: same bits, whatever the rest of the batch and however it is split.
+/// Same model, same inputs, same level: same bits, with any other rows in the batch and any split of it.
 fn batches_do_not_depend_on_their_cut(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));

@@ -1,4 +1,4 @@
-//! Upper bounds: computed from residuals, read from and stored in model files, and tested.
+//! Upper bounds of frame times: computed from residuals, read from model files, and evaluated.
 
 use entire_core::model::{Key, Model};
 use entire_io::metrics::{BoundMetrics, SHORTEST};
@@ -10,7 +10,7 @@ pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
     predicted.iter().zip(measured).map(|(&p, t)| (t / usable(p)).ln()).collect()
 }
 
-/// The bound from frames that no weight was fitted to.
+/// The upper bound computed from held-out frames, to which no weight was fitted.
 pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
     UpperBound::from_residuals(&mut log_residuals(predicted, measured))
 }
@@ -21,7 +21,7 @@ pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Up
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().zip(groups))
 }
 
-/// Coverage and quantile loss of an upper bound.
+/// Coverage and quantile loss of an upper bound; `None` without frames.
 pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
     BoundMetrics::new(&of_predictions(upper, predicted), measured, UPPER_LEVEL)
 }
@@ -31,7 +31,7 @@ pub fn of_predictions(upper: &UpperBound, predicted: &[f64]) -> Vec<f64> {
     predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect()
 }
 
-/// The upper bound that a model file holds.
+/// The upper bound that a model file holds; `None` where it holds none.
 pub fn of(model: &Model) -> Option<UpperBound> {
     let stored: serde_json::Value =
         serde_json::from_str(model.metadata().get(Key::Calibration.name())?).ok()?;

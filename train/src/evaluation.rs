@@ -30,7 +30,7 @@ pub struct WarmLatency {
     /// Median seconds of one prediction, from camera and transfer function to seconds, without the work per
     /// volume and per transfer function.
     pub seconds: f64,
-    /// The network's part of it.
+    /// Median seconds of the network alone, included in `seconds`.
     pub network_seconds: f64,
     /// Median seconds of the work per transfer function; 0 where the model does not use it.
     pub transfer_seconds: f64,
@@ -77,7 +77,7 @@ pub fn noise_by_kind(
     KINDS.into_iter().filter_map(floor).collect()
 }
 
-/// For each frame the mean time of a random share of its volume's frames, which may include it.
+/// For each frame, the mean time of a random share of its volume's frames; the share may include the frame.
 pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f64> {
     let mut by_volume: BTreeMap<(usize, &str), Vec<usize>> = BTreeMap::new();
     for (i, f) in frames.iter().enumerate() {
@@ -100,7 +100,7 @@ pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f
 /// Warm latency over frames of the first volume: the median over many calls of each stage.
 ///
 /// # Errors
-/// When the model uses the scene and that volume is missing: stored features have values but no latency.
+/// When the model uses scene features and the volume's file is missing: stored features cannot be timed.
 pub fn warm_latency(
     model: &Model,
     layout: &Layout,

@@ -28,7 +28,7 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// From checked weights.
+    /// An encoder from checked weights.
     ///
     /// # Errors
     /// As [`VolumeNet::new`].
@@ -76,7 +76,7 @@ impl Layout {
         Ok(Self { layout, encoder })
     }
 
-    /// The same with another number of rays along each side of the probe.
+    /// The same with another number of rays along each side of the probe; unchanged where no input needs one.
     pub fn with_probe_side(self, probe_side: usize) -> Self {
         let probe_side = if self.layout.probe_side > 0 { probe_side } else { 0 };
         Self { layout: InputLayout { probe_side, ..self.layout }, ..self }
@@ -97,7 +97,7 @@ impl Layout {
         self.layout.probe_side
     }
 
-    /// Numbers per frame.
+    /// Number of inputs per frame.
     pub fn width(&self) -> usize {
         self.layout.width()
     }
@@ -200,7 +200,7 @@ impl Layout {
         for feature in self.scene_features() {
             quantities.insert(feature.quantity, column(feature.quantity)?);
         }
-        // Quantities without a unit cost are not kept.
+        // Cost quantities may be missing: `seconds` needs only those whose unit cost is not 0.
         quantities.extend(COST_QUANTITIES.iter().filter_map(|&q| Some((q, column(q)?))));
         let code = match self.encoder() {
             Some(e) => (0..e.net.feature_len())
@@ -212,7 +212,7 @@ impl Layout {
     }
 }
 
-/// Columns in a feature table of a model's inputs.
+/// Columns of a feature table that hold a model's inputs.
 struct KeptColumns<'a> {
     features: &'a FeatureTable,
     quantities: HashMap<SceneQuantity, usize>,
@@ -272,13 +272,13 @@ impl InputValues for KeptValues<'_> {
             .zip(&costs.0[1..])
             .map(|(q, &cost)| if cost == 0.0 { Some(0.0) } else { self.kept(*q) })
             .collect();
-        // In single precision, like the table's values for other costs.
+        // Rounded to single precision, in which feature tables store the quantity `estimated_seconds`.
         Some(f64::from(seconds_of(costs, &work?) as f32))
     }
 }
 
-/// Calls `f` with all known data of each frame before it is drawn, in parallel over the frames of a volume,
-/// one volume after another; returns the results in the frames' order. `probe_side` goes to
+/// Calls `f` with the inputs of each frame, as known before it is drawn, in parallel over the frames of a
+/// volume, one volume after another; returns the results in the frames' order. `probe_side` goes to
 /// [`FrameFeatures::with_probe_side`]; without it the scene features are empty, and volumes are opened only
 /// for an encoder.
 ///
@@ -397,7 +397,7 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
     );
 }
 
-/// Inputs of the unit costs: one frame, then values of [`COST_QUANTITIES`], in their order.
+/// The numbers that unit costs multiply: 1 for the frame, then values of [`COST_QUANTITIES`], in their order.
 pub fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
     let mut work = [1.0; COSTS];
     for (slot, count) in work[1..].iter_mut().zip(counts) {

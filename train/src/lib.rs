@@ -1,5 +1,5 @@
-//! Predictors made from measured frames, and how right they are: splits of a timing table, inputs of a model, unit
-//! costs by least squares, PredNet by gradient descent, evaluation.
+//! Training and evaluation of predictors on measured frames: splits of a timing table, inputs of a model,
+//! unit costs by least squares, PredNet by gradient descent, errors and upper bounds.
 
 pub mod bound;
 pub mod evaluation;

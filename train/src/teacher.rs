@@ -21,7 +21,7 @@ impl Teacher {
     /// A teacher named `name` from a model on scene features only.
     ///
     /// # Errors
-    /// When the model holds no PredNet, or needs inputs that a renderer does not get (volume features,
+    /// When the model predicts no times, or needs inputs that a renderer does not get (volume features,
     /// Gaussian lobes).
     pub fn new(name: &str, model: &Model) -> anyhow::Result<Self> {
         let predictor = load(model)?;

@@ -8,11 +8,11 @@ use anyhow::{Context, Result, anyhow, ensure};
 use entire_steer::calibrate::Picture;
 use std::path::Path;
 
-/// The columns, in any order: a name of the view; the ray step in finest ones; pixels between neighboring
-/// rays along each side; seconds by any clock; the error, 0 for an equal picture.
+/// The columns, in any order: a name of the view; the ray step as a multiple of the finest one; pixels
+/// between neighboring rays along each side; seconds by any clock; the error, 0 for an equal picture.
 const PICTURE_COLUMNS: [&str; 5] = ["scene", "step", "image_sample_distance", "seconds", "error"];
 
-/// Reads a table of compared pictures. Names that end in `.gz` are decompressed.
+/// Reads a table of compared pictures. A file whose name ends in `.gz` is decompressed.
 ///
 /// # Errors
 /// When the file cannot be read, a column is missing, or a row holds an invalid value; the message names

@@ -1,13 +1,12 @@
 //! Scene features of the frames of a timing table, kept beside it so that training and evaluation need no
 //! volumes: `NAME.csv` → `NAME.features.csv.gz`.
 //!
-//! The first line, `# entire-features 1 schema HASH table HASH frames
-//! N`, identifies the features: a hash of the names of the core's quantities and of [`VERSION`] (names that
-//! were added later are no obstacle), the FNV-1a hash of the timing table's bytes (decompressed), and the
-//! number of rows. Then follows one row per frame: its number, every quantity of the core's schema (never its
-//! logarithm), probe-dependent ones also as `NAME@SIDE` for probes with another number of rays than the
-//! standard, then the features of each VolumeNet, as columns `volumenet_ID_I` where ID identifies the
-//! encoder's weights.
+//! The first line, `# entire-features 1 schema HASH table HASH frames N`, identifies the features: a hash of
+//! the quantities' names and of [`VERSION`] (a table without quantities that were added later stays valid),
+//! the FNV-1a hash of the timing table's bytes (decompressed), and the number of rows. Then follows one row
+//! per frame: its number, every scene quantity (never its logarithm), probe-dependent ones also as
+//! `NAME@SIDE` for probes with another number of rays than the standard, then the features of each VolumeNet,
+//! as columns `volumenet_ID_I` where ID identifies the encoder's weights and I is the feature's index.
 
 use super::TimedFrame;
 use crate::files::{fnv1a, gzip, read_decompressed, without_mark, write_whole};
@@ -17,8 +16,8 @@ use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Version of the quantities' values: raised whenever the core computes another value for the same frame, so
-/// that older tables are refused.
+/// Version of the quantities' values: raised whenever another value is computed for the same frame, so that
+/// older tables are refused.
 pub const VERSION: u32 = 4;
 
 /// Start of the first line.
@@ -35,19 +34,19 @@ pub struct FeatureTable {
     values: Vec<f32>,
 }
 
-/// Hash of the names and meanings of the first `count` quantities.
+/// Hash of [`VERSION`] and the names of the first `count` quantities.
 fn schema_of(count: usize) -> u64 {
     let names: Vec<&str> = SceneQuantity::ALL.iter().take(count).map(|&q| q.into()).collect();
     fnv1a(format!("{VERSION} {}", names.join(",")).as_bytes())
 }
 
-/// Hash of the names and meanings of all quantities.
+/// Hash of [`VERSION`] and the names of all quantities.
 fn schema() -> u64 {
     schema_of(SceneQuantity::ALL.len())
 }
 
-/// True if features of this schema have the same meaning in this version: new quantities come last, so older
-/// tables stay valid for the others. Features that a table lacks are computed from the volumes.
+/// True if features with this schema hash have the same meaning in this version: new quantities are added at
+/// the end, so an older table stays valid for those that it has. The others are computed from the volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }
@@ -88,8 +87,8 @@ impl FeatureTable {
         name.into()
     }
 
-    /// From frame numbers and one row of values each, in the columns' order, computed by this version for the
-    /// timing table with the given hash.
+    /// A table from frame numbers and one row of values for each, in the columns' order, computed by this
+    /// version for the timing table with the hash `table`.
     ///
     /// # Errors
     /// When the values are not one row per number, or a number appears twice.
@@ -302,8 +301,8 @@ mod tests {
         assert!(message.contains("another version") && message.contains("`entire features`"), "{message}");
     }
 
-    /// Fails when the core computes other values than stored tables hold: then raise [`VERSION`], make the
-    /// stored tables again with `entire features`, and put the new hash here.
+    /// Fails when this version computes other values than stored tables hold: then raise [`VERSION`], make
+    /// the stored tables again with `entire features`, and put the new hash here.
     #[test]
     fn this_version_stands_for_these_values() {
         use crate::volume::{Volume, VolumeData};
@@ -311,7 +310,7 @@ mod tests {
         use entire_steer::features::{
             FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
         };
-        // Half of it is empty.
+        // Half of the volume is empty.
         let value = |i: u32| if i % 24 < 12 { 0 } else { (i * i / 97 % 251) as u8 };
         let values: Vec<u8> = (0..24 * 20 * 18).map(value).collect();
         let volume = Volume::new(VolumeData::U8(values), [24, 20, 18], [1.0, 1.0, 1.5], "v").unwrap();

@@ -1,4 +1,4 @@
-//! Consecutive numbers of names.
+//! Numbers for names, in the order in which the names first appear.
 
 use std::collections::HashMap;
 

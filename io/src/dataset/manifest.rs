@@ -20,9 +20,9 @@ const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 pub struct Manifest {
     /// [`MANIFEST_FORMAT`].
     pub format: String,
-    /// When collection started, UTC, ISO 8601.
+    /// Date and time of the start of the collection, UTC, ISO 8601.
     pub created: String,
-    /// Host name, CPU model, logical CPUs, operating system.
+    /// Description of the machine ([`machine`](crate::machine::machine)), without its host name.
     pub machine: String,
     /// `vulkan` or `cpu`.
     pub renderer: String,
@@ -37,7 +37,7 @@ pub struct Manifest {
     pub seed: u64,
     /// Repeats per frame.
     pub repeats: u32,
-    /// Length of one reference step.
+    /// Definition of the reference step, in words: "smallest voxel spacing".
     pub step_reference: String,
     /// All other settings of the collector, free form.
     #[serde(default)]
@@ -70,7 +70,7 @@ impl Manifest {
     }
 
     /// Difference between a volume's files and those that the frames were measured with; `None` for the same
-    /// files, and where the manifest does not have them.
+    /// files, and where the manifest holds no identities of them.
     ///
     /// # Errors
     /// When a file cannot be read.
@@ -81,7 +81,7 @@ impl Manifest {
         }
     }
 
-    /// Options of reading the table's volumes.
+    /// Options with which the table's volumes are read.
     ///
     /// # Errors
     /// When their stored form is unknown to this version.

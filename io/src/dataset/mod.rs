@@ -5,7 +5,7 @@
 //! member, time step and size; the camera (arcball degrees, distance in bounding-sphere radii, vertical field
 //! of view in degrees); the image size in pixels; the ray step in reference steps; the shading and skipping
 //! modes, the opacity at which rays stop; the transfer function's Gaussian lobes as `c w h` joined by `;`;
-//! seconds by each clock; and work counts. An empty field means "not measured".
+//! seconds by each clock; and work counts. An empty field means that there is no value.
 
 mod compared;
 pub mod feature_table;

@@ -1,4 +1,4 @@
-//! Scene of a frame, with its modes and transfer function as text.
+//! Scene of a frame; modes and transfer functions as text.
 
 use anyhow::{Result, anyhow, bail, ensure};
 use entire_core::scene::{

@@ -57,8 +57,8 @@ pub struct Table {
 }
 
 impl Table {
-    /// Reads a table, its manifest and its features. `index` is stored in each frame's `table`. Names that
-    /// end in `.gz` are decompressed.
+    /// Reads a table, its manifest and its features. `index` is stored in each frame's `table`. Files whose
+    /// names end in `.gz` are decompressed.
     ///
     /// # Errors
     /// When a file cannot be read, a column is missing, or a row holds an invalid value; the message names
@@ -91,7 +91,7 @@ impl Table {
         })
     }
 
-    /// Number of passes of its repeats, from the manifest; 1 where it does not say.
+    /// Number of passes in which the repeats were measured, from the manifest; 1 where it does not state it.
     pub fn passes(&self) -> usize {
         let stated = self.manifest.as_ref().and_then(|m| m.settings.get("passes")?.as_u64());
         stated.and_then(|p| usize::try_from(p).ok()).unwrap_or(1).max(1)

@@ -22,7 +22,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// From what a renderer returned.
+    /// A repeat from the times and work counts that a renderer returned.
     pub fn new(time: FrameTime, counts: Option<WorkCounts>) -> Self {
         Self { device: time.device, wall: Some(time.wall), cpu: time.cpu, counts }
     }
@@ -125,8 +125,9 @@ impl TimedFrame {
         median(&mut seconds)
     }
 
-    /// Seconds of the frame without disturbance. Other programs lengthen wall time and never shorten it, so
-    /// by wall time it is the lower quartile of the repeats; by other clocks, it is [`TimedFrame::seconds`].
+    /// Estimated seconds of the frame without disturbance by other programs. They lengthen wall time and
+    /// never shorten it, so the estimate by wall time is the lower quartile of the repeats; by other clocks,
+    /// it is [`TimedFrame::seconds`].
     pub fn undisturbed(&self, clock: Clock) -> Option<f64> {
         if clock != Clock::Wall {
             return self.seconds(clock);
@@ -207,15 +208,15 @@ pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Opt
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a
     /// frame in the same pass (of different passes where a pass has one repeat), over 0.6745·√2, as for a
-    /// normal distribution. The common trend of repeats by their order, such as a slow first one, is removed
-    /// before, among frames of similar duration.
+    /// normal distribution. First, the trend that repeats of frames of similar duration have in common by
+    /// their order, such as a slow first one, is removed.
     pub log_sd: f64,
     /// The same for the median of each frame's repeats, taking its standard error as sqrt(π/2) times the
     /// mean's for three repeats or more, and the mean's for two.
     pub log_sd_of_median: f64,
     /// Median over repeats of |t − frame median| / frame median.
     pub median_relative_deviation: f64,
-    /// Median over frames of ln(first repeat / last one) within a pass: the cost of warming up.
+    /// Median over frames and passes of ln(first repeat / last repeat of the pass): the cost of warm-up.
     pub warm_up: f64,
     /// Range of the passes' medians of ln(pass median / geometric mean of the frame's pass medians): drift of
     /// the machine. `None` for a single pass.
@@ -225,7 +226,7 @@ pub struct NoiseFloor {
 }
 
 impl NoiseFloor {
-    /// In words.
+    /// Describes the noise floor in words.
     pub fn describe(&self) -> String {
         let drift =
             self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
@@ -239,7 +240,7 @@ impl NoiseFloor {
         )
     }
 
-    /// The median of |predicted / measured − 1| of perfect predictions.
+    /// The median of |predicted / measured − 1| that perfect predictions would have.
     pub fn mdape(&self) -> f64 {
         0.6745 * self.log_sd_of_median
     }

@@ -101,7 +101,8 @@ impl Writer {
     /// Appends a frame with all its repeats, numbered from 0.
     ///
     /// # Errors
-    /// When the scene or a measurement is not valid, the frame exists already, or the disk refuses.
+    /// When the scene or a measurement is not valid, the frame is in the table already, or the file cannot be
+    /// written.
     pub fn append(&mut self, number: u64, scene: &Scene, repeats: &[Timing]) -> Result<()> {
         scene.check().with_context(|| format!("frame {number}"))?;
         ensure!(!repeats.is_empty(), "frame {number} has no repeat");

@@ -35,7 +35,7 @@ impl Generated {
     /// transfer function has three lobes.
     ///
     /// # Errors
-    /// Fewer frames than 8.
+    /// When `frames` is outside 8 to [`MAX_FRAMES`].
     pub fn path(self, volume: &VolumeView<'_>, frames: u32) -> Result<PathFile> {
         ensure!(
             (8..=MAX_FRAMES).contains(&frames),
@@ -100,12 +100,12 @@ struct Values {
 }
 
 impl Values {
-    /// From up to 100 000 evenly spread voxels. Voxels at the low end of the range count as background if
-    /// enough others are left.
+    /// The distribution in about 100 000 evenly spread voxels. Voxels in the lowest 4 % of the range count as
+    /// background and are left out if more than 0.5 % of the voxels lie above.
     fn of(volume: &VolumeView<'_>) -> Self {
         let [nx, ny, nz] = volume.shape().dims;
         let stride = (volume.shape().voxels / 100_000).max(1);
-        // A stride that shares no factor with the rows walks through all of them.
+        // An odd stride visits every column of rows whose length is a power of two.
         let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };
         let mut all: Vec<f32> = (0..volume.shape().voxels)
             .step_by(stride as usize)
@@ -134,7 +134,7 @@ impl Values {
         )
     }
 
-    /// Surfaces of the denser half: rays end early.
+    /// Surfaces at the upper half of the values: rays end early.
     fn shell(&self) -> Transfer {
         self.lobes([(0.7, 0.004, 0.1), (0.85, 0.004, 0.15), (0.97, 0.01, 0.3)])
     }

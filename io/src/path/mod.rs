@@ -215,7 +215,7 @@ impl Transfer {
 impl CameraPose {
     fn mix(self, other: Self, t: f32) -> Self {
         let go = |a: f32, b: f32| a + t * (b - a);
-        // Rounding must not move the value beyond its ends, where a camera may be refused.
+        // Rounding must not move the value out of [a, b], where the camera may be refused.
         let grow = |a: f32, b: f32| go(a.ln(), b.ln()).exp().clamp(a.min(b), a.max(b));
         Self {
             rx_deg: go(self.rx_deg, other.rx_deg),
@@ -243,7 +243,7 @@ pub struct TransferAt {
 }
 
 impl TransferAt {
-    /// The transfer function.
+    /// The transfer function, interpolated between keyframes.
     pub fn get(&self) -> Cow<'_, Transfer> {
         let (_, _, value) = &self.keys[self.key];
         match self.keys.get(self.key + 1) {
@@ -409,7 +409,7 @@ impl PathFile {
             let (key, share, transfer_switched) = at(&keys, index);
             let transfer = TransferAt { keys: keys.clone(), key, share };
             let transfer_changed = frames.last().is_none_or(|f| f.transfer != transfer);
-            // A change between two frames without a switch at a keyframe is a drag.
+            // The first frame has none before it, so it is never a switch.
             let real = |switched: bool| switched && index > 0;
             frames.push(PathFrame {
                 camera: camera.arcball(),

@@ -1,4 +1,4 @@
-//! Stored scalar types, and voxels from bytes.
+//! Scalar types in files, and conversion of their bytes to voxels.
 
 use super::VolumeData;
 use super::stream::{Remaining, Stream};
@@ -204,7 +204,7 @@ pub(crate) fn expect_end(
     )))
 }
 
-/// Elements that are reserved before any byte was read, and bytes converted at a time.
+/// Number of bytes that are read and converted at a time.
 const CHUNK: usize = 1 << 16;
 
 fn bytes(stream: &mut Stream<'_>, voxels: usize) -> Result<Vec<u8>> {
@@ -253,7 +253,7 @@ fn start<T>(out: &mut Vec<T>, stream: &Stream<'_>, voxels: usize) -> Result<()> 
     Ok(())
 }
 
-/// Reserves space for `more` elements, doubling, never beyond `total`.
+/// Reserves space for `more` elements; the capacity at least doubles, but not beyond `total`.
 pub(crate) fn grow<T>(out: &mut Vec<T>, more: usize, total: usize) -> Result<()> {
     let needed = out.len() + more;
     if needed > out.capacity() {

@@ -6,8 +6,8 @@
 //! which is the header's own file with `LOCAL`; -1 says that the voxels are the last bytes of the file, or
 //! that it holds compressed voxels only. Of the two fields of byte order, `BinaryDataByteOrderMSB` counts.
 //!
-//! A reader of the project: the crate that reads MetaImage, `bioformats`, supports neither voxels in text nor
-//! 64-bit integers (`lab/scripts/readers`).
+//! The project has its own reader, since the crate that reads MetaImage, `bioformats`, supports neither
+//! voxels in text nor 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::several::Several;
@@ -27,7 +27,7 @@ struct Header {
     element_size: Option<Vec<f64>>,
     channels: u64,
     binary: bool,
-    /// Of BinaryDataByteOrderMSB, and of ElementByteOrderMSB.
+    /// Values of BinaryDataByteOrderMSB and of ElementByteOrderMSB.
     big_endian: [Option<bool>; 2],
     compressed: bool,
     header_size: i64,
@@ -71,7 +71,8 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     Ok(Parts { data, dims, spacing, name: None, notes })
 }
 
-/// Reads the voxels of one file, or of one of several, from a stream that is at their first byte.
+/// Reads the voxels of one file, or of one of several. `begin` is the number of bytes that were read from it
+/// already: those of the header if the voxels follow it, else 0.
 fn voxels(
     mut stream: Stream<'_>,
     header: &Header,
@@ -158,7 +159,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
 }
 
 impl Header {
-    /// Takes one entry; returns true if it closes the header.
+    /// Stores one entry; returns true if it closes the header.
     fn set(&mut self, key: &str, value: &str) -> Result<bool> {
         match key {
             "ObjectType" if !value.eq_ignore_ascii_case("image") => {

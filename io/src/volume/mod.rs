@@ -8,9 +8,9 @@
 //!
 //! # Bytes behind the voxels
 //!
-//! One rule holds for all formats, compressed or not: after the voxels, fewer bytes than the voxels have (a
-//! line end, padding) are left out, and [`Volume::notes`] says so; as many or more are an error, since then
-//! sizes or type do not fit the data, or another volume follows. An array's stated length (VTK) must be
+//! One rule holds for all formats, compressed or not: trailing bytes that are fewer than those of the voxels
+//! (a line end, padding) are left out, and [`Volume::notes`] says so; as many or more are an error, since
+//! then sizes or type do not fit the data, or another volume follows. An array's stated length (VTK) must be
 //! right, and voxels in text must be as many numbers as the sizes require.
 //!
 //! # Stored types and their types in memory
@@ -101,7 +101,7 @@ pub struct Volume {
     dims: [usize; 3],
     spacing: [f32; 3],
     range: Option<(f32, f32)>,
-    /// The default range.
+    /// The default range, computed once from the voxels.
     found_range: (f32, f32),
     name: String,
     source: PathBuf,
@@ -237,8 +237,8 @@ impl Volume {
     /// As [`Volume::open`], with the options `reading`; the watcher may follow the progress and stop it.
     ///
     /// # Errors
-    /// As [`Volume::open`], and the watcher's own; when there is no array of that name, or the format has no names;
-    /// when every voxel holds a fill value that is given.
+    /// As [`Volume::open`], and the watcher's own; when `reading` names an array that the file lacks, or the
+    /// format has no named arrays; when every voxel holds one of the given fill values.
     pub fn open_as(
         path: impl AsRef<Path>,
         reading: &Reading,
@@ -301,7 +301,6 @@ impl Volume {
             Format::Raw => openscivis::read_raw(stream, file_name, companions),
         }?;
         let spacing = parts.spacing.map(|s| s as f32);
-        // Sizes are checked before any voxel.
         let mut notes = parts.notes;
         notes.extend(hide_fill(&mut parts.data, parts.dims, &reading.fill)?);
         let mut volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
@@ -331,7 +330,7 @@ impl Volume {
     /// Sets the scalar range that maps to [0, 1]; `None` for the default.
     ///
     /// # Errors
-    /// Unless both ends are finite and the low end is not above the high one.
+    /// When an end is not finite, or the low end is above the high one.
     pub fn set_range(&mut self, range: Option<(f32, f32)>) -> Result<()> {
         self.checked_view(range)?;
         self.range = range;
@@ -412,7 +411,7 @@ pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
 }
 
 /// Brings sizes and spacings of any number of axes to three: fewer than three axes are refused, further ones
-/// must have one element.
+/// must have one element. `spatial` is false for axes without a direction in space; missing entries are true.
 ///
 /// # Errors
 /// Names the axis that makes the data multi-component, time-varying or flat.

@@ -6,8 +6,8 @@
 //! is unknown too, 1 is taken, with a note. A direction of `none` beside directions of other axes marks an
 //! axis that is not spatial.
 //!
-//! A reader of the project: the crate that reads NRRD, `bioformats`, reserves as much memory as a header
-//! claims, and has no 64-bit integers (`lab/scripts/readers`).
+//! The project has its own reader, since the crate that reads NRRD, `bioformats`, reserves as much memory as
+//! a header claims, and has no 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::several::Several;
@@ -17,7 +17,7 @@ use anyhow::{Context, Result, bail};
 
 const MAX_LINE: usize = 1 << 16;
 const MAX_LINES: usize = 1 << 14;
-/// NRRD_DIM_MAX of the format's own library.
+/// Largest number of axes: NRRD_DIM_MAX of the format's own library.
 const MAX_AXES: usize = 16;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -209,7 +209,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
 }
 
 impl Header {
-    /// Takes one field.
+    /// Stores one field.
     fn set(&mut self, field: &str, value: &str) -> Result<()> {
         match field {
             "type" => self.element = Some(element(value)?),
@@ -443,7 +443,7 @@ mod tests {
         let gzip = PLAIN.replace("raw", "gzip");
         assert_eq!(open(&with(&gzip, &pack(&[7; 24]))).unwrap().data(), &VolumeData::U8(vec![7; 24]));
         assert!(message(&with(&gzip, &pack(&[7; 1 << 24]))).contains("the data has 48 or more"));
-        // The buffer in which the end is searched is freed as soon as possible.
+        // Of 4 MiB of decompressed data, only the voxels at the end are kept.
         let end: Vec<u8> = (0..1 << 22).map(|i| (i % 251) as u8).collect();
         let last = open(&with(&format!("{gzip}byte skip: -3\n"), &pack(&end))).unwrap();
         assert_eq!(last.data(), &VolumeData::U8(end[end.len() - 26..end.len() - 2].to_vec()));

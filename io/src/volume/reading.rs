@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// Width of the range of unsigned bytes below which a volume looks empty or flat over 0…255.
+/// Smallest width of the value range of unsigned bytes, in scalar values, that looks neither empty nor flat
+/// over 0…255.
 const NARROW: f32 = 64.0;
 
 /// Options of reading a volume file. The default determines all of them from the file.
@@ -30,12 +31,13 @@ impl Reading {
         match self.range {
             Range::Given(low, high) => Some((low, high)),
             Range::Data => Some(view.own_range()),
-            // Values that are taken as data count.
+            // The view's default range leaves out values that look like fill values; here the user has said
+            // which values are data.
             Range::Default => (!bytes && self.fill != Fill::Found).then(|| view.own_range()),
         }
     }
 
-    /// Key of the options.
+    /// Key of the options: equal for equal options.
     pub fn key(&self) -> String {
         format!("{:?} {} {}", self.array, self.fill, self.range)
     }

@@ -1,4 +1,4 @@
-//! Voxels in several files: their names, and the share of each.
+//! Voxels in several files: the names of the files, and the number of voxels in each.
 
 use super::VolumeData;
 use super::stream::{Companions, Stream};

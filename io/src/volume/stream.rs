@@ -1,4 +1,4 @@
-//! Byte streams with a known bound on their length, from any source.
+//! Byte streams with a known upper bound on their length, from any source.
 
 use anyhow::{Context, Result, anyhow, bail};
 use bzip2::bufread::MultiBzDecoder;
@@ -93,7 +93,7 @@ impl<'a> Stream<'a> {
             io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
             _ => anyhow!("{shown}: cannot be opened: {error}"),
         };
-        // Opening a FIFO waits for its writer: its kind is checked first.
+        // Opening a FIFO waits for its writer, so the kind of the file is checked first.
         check_regular(path, &std::fs::metadata(path).map_err(refused)?)?;
         let file = File::open(path).map_err(refused)?;
         let metadata = file.metadata().with_context(|| format!("{shown}"))?;
@@ -269,11 +269,11 @@ impl<'a> Stream<'a> {
         Stream { reader: Box::new(reader), remaining: Remaining::AtMost(digits / 2), read: 0, label }
     }
 
-    /// The rest of the stream, of which only the last `count` bytes are kept, followed by `behind` bytes;
-    /// memory grows with the bytes that arrive.
+    /// The `count` bytes that stand before the last `behind` bytes of the stream; memory grows with the bytes
+    /// that arrive.
     ///
     /// # Errors
-    /// When less is left.
+    /// When fewer than `count + behind` bytes are left.
     pub(crate) fn last(mut self, count: u64, behind: u64) -> Result<Stream<'a>> {
         let keep = count.saturating_add(behind);
         let short = |found: u64, prefix: String| {
@@ -306,7 +306,7 @@ impl<'a> Stream<'a> {
             held.extend_from_slice(part);
             self.consume(length);
             found += length as u64;
-            // Half of the buffer is old: moving the rest costs no more than reading it.
+            // More than half of the buffer is dropped, so moving the kept bytes costs less than reading did.
             if held.len() as u64 / 2 > keep.max(1 << 16) {
                 held.drain(..held.len() - keep as usize);
             }

@@ -6,7 +6,8 @@
 //! component of numbers. VTK's own arrays (`vtkGhostType` and the like) are read by name only. Direction and
 //! origin are not used.
 //!
-//! A reader of the project: `vtkio` does not read appended raw data, VTK's default (`lab/scripts/readers`).
+//! The project has its own reader, since the crate `vtkio` does not read appended raw data, VTK's default
+//! (`lab/scripts/readers`).
 
 use super::element::{byte_count, grow, parse_voxels, read_voxels};
 use super::stream::{Stream, without_mark};
@@ -80,7 +81,7 @@ struct File {
     extent: [i64; 6],
     spacing: [f64; 3],
     pieces: Vec<Piece>,
-    /// Encoding of the appended data, and the first byte after its underscore.
+    /// Of the appended data: true if it is base64 text, and the index of the first byte after its underscore.
     appended: Option<(bool, usize)>,
 }
 
@@ -103,7 +104,7 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     }
     // Pieces share the points of their borders; each voxel comes from at least one of them.
     let dims = checked_dims(sizes(file.extent, cells)?)?;
-    // At most what a single piece could hold: pieces that refer to the same data make no volume.
+    // Upper bound: all bytes of the file, decompressed. Many pieces that refer to the same data exceed it.
     let growth = match file.compressor {
         Compressor::None => 8,
         Compressor::Zlib => 1032,

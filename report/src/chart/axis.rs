@@ -6,9 +6,9 @@ use std::ops::Range;
 /// Scale of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Scale {
-    /// Evenly.
+    /// Linear.
     Linear,
-    /// By decades; values that are not positive are left out.
+    /// Logarithmic; values that are not positive are left out.
     Log,
     /// One slot per name. The value is the slot's index: slot i reaches from i − ½ to i + ½.
     Categories(Vec<String>),
@@ -57,10 +57,10 @@ impl Axis {
     }
 }
 
-/// Positions beyond this many axis lengths are not distinguished.
+/// Largest distance of a position from the lower end, in axis lengths; farther ones are clamped to it.
 const FAR: f64 = 1e9;
 
-/// Values beyond this are drawn at it, so that spans stay finite.
+/// Largest magnitude of a drawn value; larger values are clamped to it, so that ranges stay finite.
 const LARGEST: f64 = 1e300;
 
 /// The range that an axis shows; the drawing library's coordinate of one axis.
@@ -124,7 +124,7 @@ impl Span {
         (self.low..=self.high).contains(&value)
     }
 
-    /// Where the value lies: 0 at the lower end, 1 at the upper one.
+    /// Position of a value on the axis: 0 at the lower end, 1 at the upper one.
     pub(super) fn place(&self, value: f64) -> f64 {
         let place = if self.scale == Kind::Log {
             (value.log10() - self.low.log10()) / (self.high.log10() - self.low.log10())
@@ -134,7 +134,7 @@ impl Span {
         if place.is_nan() { 0.0 } else { place.clamp(-FAR, FAR) }
     }
 
-    /// The value at a place.
+    /// The value at a position: the inverse of [`Span::place`].
     pub(super) fn value(&self, place: f64) -> f64 {
         if self.scale == Kind::Log {
             let (low, high) = (self.low.log10(), self.high.log10());

@@ -67,7 +67,7 @@ mod tests {
         let line = [(-1.0, 0.5), (0.5, 0.5), (0.5, 3.0), (0.75, 3.0), (0.75, 0.25)];
         let parts = clip(&line, &unit(), &unit());
         assert_eq!(parts, [vec![(0.0, 0.5), (0.5, 0.5), (0.5, 1.0)], vec![(0.75, 1.0), (0.75, 0.25)]]);
-        // From corner to corner outside.
+        // A diagonal whose ends lie outside.
         assert_eq!(clip(&[(-1.0, -1.0), (2.0, 2.0)], &unit(), &unit()), [vec![(0.0, 0.0), (1.0, 1.0)]]);
         assert!(clip(&[(-1.0, 0.5), (0.5, 3.0)], &unit(), &unit()).is_empty());
     }

@@ -12,7 +12,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::mem::discriminant;
 
-/// Drawing units per pixel: the library rounds to whole units, and these keep curves smooth.
+/// Drawing units per pixel: the library rounds to whole units, so small units keep curves smooth.
 const UNITS: f64 = 10.0;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
@@ -285,7 +285,7 @@ impl Chart {
         };
         match self.series[i].mark {
             Mark::Line(_) | Mark::Steps(_) => {
-                // The dashes of the legend's swatch: runs of line and gap by turns.
+                // The swatch shows the line's dashes: line and gap in turn.
                 let dash = DASHES[self.color_of(i)];
                 let (mut from, mut drawn) = (0.0, true);
                 for length in dash.iter().copied().cycle().chain([SWATCH as u32]) {
@@ -379,7 +379,7 @@ impl Chart {
         Ok(())
     }
 
-    /// The texts of points lie above the marks, if there is space.
+    /// Draws the texts of points over all marks, each beside its point where there is space.
     fn draw_point_texts(
         &self,
         area: &Area<'_>,
@@ -399,7 +399,7 @@ impl Chart {
                 }
             }
         }
-        // From top to bottom, so that coinciding points are named in their order.
+        // From top to bottom; the stable sort keeps the order of coinciding points.
         texts.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
         let mut taken: Vec<Rect> = texts.iter().map(|(h, v, _)| Rect::around(*h, *v, 4.0)).collect();
         for (h, v, text) in texts {

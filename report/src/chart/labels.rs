@@ -1,4 +1,5 @@
-//! Placement of points' texts: beside their point, clear of other points and texts, inside the frame.
+//! Placement of the texts of points: each beside its point, clear of other points and texts, inside the
+//! frame.
 
 /// A rectangle in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,7 +11,7 @@ pub(super) struct Rect {
 }
 
 impl Rect {
-    /// Around a point.
+    /// A square around a point, of twice `half` along each side.
     pub(super) fn around(x: f64, y: f64, half: f64) -> Self {
         Self { left: x - half, top: y - half, right: x + half, bottom: y + half }
     }
@@ -26,7 +27,7 @@ impl Rect {
         (self.right - self.left).max(0.0) * (self.bottom - self.top).max(0.0)
     }
 
-    /// Common area of both.
+    /// Area of the intersection with another rectangle.
     fn shared(&self, other: &Self) -> f64 {
         let left = self.left.max(other.left);
         let top = self.top.max(other.top);

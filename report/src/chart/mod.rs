@@ -1,5 +1,5 @@
-//! Charts: lines, steps, points, bands, bars, stretches and box plots over linear, logarithmic or categorical axes,
-//! drawn as SVG.
+//! Charts: lines, steps, points, bands, bars, intervals and box plots over linear, logarithmic or categorical
+//! axes, drawn as SVG.
 //!
 //! `plotters` draws; `templates/chart.svg` assembles the layers.
 
@@ -27,14 +27,14 @@ pub enum Mark {
     Band(Vec<(f64, f64, f64)>),
     /// Bars from the axis' lower end (zero if it is in the range) to y.
     Bars(Vec<(f64, f64)>),
-    /// Stretches along x at y, half a unit high: (from, to, y).
+    /// Intervals along x as horizontal bars, half a unit of y high: (from, to, y).
     Stretches(Vec<(f64, f64, f64)>),
     /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile. Boxes of several series stand side by side about
     /// their x, as bars do.
     Boxes(Vec<(f64, [f64; 5])>),
 }
 
-/// One entry of the legend.
+/// Data to be drawn, with a name for the legend.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
     name: String,
@@ -113,7 +113,7 @@ impl Chart {
         self.draw(true)
     }
 
-    /// The palette's index of a series.
+    /// Index of a series' color in the palette.
     fn color_of(&self, series: usize) -> usize {
         self.series[series].color.unwrap_or(series % PALETTE.len())
     }

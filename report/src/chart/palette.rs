@@ -18,7 +18,8 @@ pub(super) const PALETTE: [(u32, u32); 11] = [
     (0x111111, 0xf2f2f2),
 ];
 
-/// Dashes of lines (lengths of dash and gap in pixels), different for each color, for print.
+/// Dashes of lines (lengths of dash and gap in pixels), so that printed lines differ: solid for the first and
+/// the last color, different for all others.
 pub(super) const DASHES: [&[u32]; 11] = [
     &[],
     &[7, 3],
@@ -33,9 +34,9 @@ pub(super) const DASHES: [&[u32]; 11] = [
     &[],
 ];
 
-/// Titles, names and lines across the plot.
+/// Titles, names of axes and series, and lines across the plot.
 pub(super) const INK: (u32, u32) = (0x1c2024, 0xe8eaed);
-/// Numbers.
+/// Texts at ticks, points and lines across the plot.
 pub(super) const DIM: (u32, u32) = (0x555b63, 0xa9b0b8);
 /// Grid.
 pub(super) const GRID: (u32, u32) = (0xe4e7ea, 0x2a2f36);

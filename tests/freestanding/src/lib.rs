@@ -48,7 +48,8 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
         let mut scratch = net.scratch();
         let mut features = vec![0.0f32; net.feature_len()];
         let n = net.input_size();
-        // Equal size, shrinking by integers and by fractions, and growing.
+        // Resampling from the same size, from larger ones by whole and by fractional factors, and from a
+        // smaller one.
         for dims in [[n; 3], [2 * n; 3], [n + 3, 2 * n - 1, n + 1], [1, n / 2, 3]] {
             let voxels = dims.iter().product();
             let bytes: Vec<u8> = (0..voxels).map(|i| (i * 193 % 251) as u8).collect();

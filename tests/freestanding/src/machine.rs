@@ -79,7 +79,7 @@ struct Arena {
     used: AtomicUsize,
 }
 
-// SAFETY: pieces are handed out through an atomic counter and never overlap.
+// SAFETY: the program has a single thread, and pieces never overlap.
 unsafe impl Sync for Arena {}
 
 #[global_allocator]
@@ -108,8 +108,8 @@ unsafe impl GlobalAlloc for Arena {
     }
 }
 
-// The compiler turns copies and fills into calls of these. `rep` keeps it from turning their own loops into
-// calls.
+// The compiler turns copies and fills into calls of the functions below. Inline `rep` instructions keep it
+// from turning their own loops into such calls.
 
 /// # Safety
 /// As in C.

@@ -1,6 +1,7 @@
-//! Runs mutants of model files one after another: `model_mutants FIRST END PROGRESS`, with seeds FIRST to
-//! END. Before each it writes its seed to the file PROGRESS, which shows the one that ended the process.
-//! Prints panics, the CPU seconds of the slowest, and the numbers of mutants by stage.
+//! Runs mutants of model files one after another: `model_mutants FIRST END PROGRESS`, with seeds from FIRST
+//! to END, END excluded. Before each mutant its seed is written to the file PROGRESS, so that the one that
+//! ended the process is known. Prints the number of panics, the CPU seconds of the slowest mutant, and the
+//! numbers of mutants that reached each stage.
 
 use entire_tests::mutants::{Mutants, exercise};
 use entire_tests::small_models;

@@ -1,4 +1,5 @@
-//! House rules that a compiler does not check: modules depend only on earlier ones, and `unsafe` is confined.
+//! Rules that the compiler does not check: modules depend only on those listed before them, and `unsafe` is
+//! confined.
 
 use proc_macro2::{TokenStream, TokenTree};
 use quote::ToTokens;
@@ -195,7 +196,7 @@ fn says(word: &str, tokens: TokenStream) -> bool {
 /// Modules of a crate, with the other modules that each may use.
 type Rooms = [(&'static str, &'static [&'static str])];
 
-/// Every module may use itself.
+/// A module may also use itself.
 const CORE: &Rooms = &[
     ("error", &[]),
     ("names", &[]),
@@ -245,7 +246,7 @@ const TRAIN: &Rooms = &[
     ("fit", &["gradient", "inputs"]),
 ];
 
-/// A room is a folder or a file. Commands are used by nothing else.
+/// A module is a folder or a file. Only `command_line` uses `commands`.
 const CLI: &Rooms = &[
     ("pictures", &[]),
     ("program", &[]),
@@ -308,7 +309,7 @@ fn rooms_of(source: &Path) -> Vec<String> {
     found
 }
 
-/// Uses in a crate that point backward.
+/// Uses of a module that the table does not allow.
 fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     let mut wrong = Vec::new();
     for (room, allowed) in rooms {
@@ -326,7 +327,7 @@ fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     wrong
 }
 
-/// A table with a cycle would allow anything: each module may use only those above it.
+/// Modules that may use one that is not listed before them: a table with a cycle would allow anything.
 fn rooms_in_a_circle(rooms: &Rooms) -> Vec<String> {
     let place = |room: &str| rooms.iter().position(|r| r.0 == room);
     rooms
@@ -357,7 +358,7 @@ fn arrows_between_the_rooms_of_a_crate_never_point_back() {
         wrong.extend(rooms_in_a_circle(rooms));
         for room in rooms_of(&source) {
             if !rooms.iter().any(|r| r.0 == room) {
-                wrong.push(format!("{folder}/{room} is a room that this test does not know"));
+                wrong.push(format!("{folder}/{room} is a module that this test does not list"));
             }
         }
     }
@@ -421,7 +422,7 @@ fn unsafe_stays_behind_its_fences() {
     );
 }
 
-/// Code after a test module counts, tests do not, and no way of naming a module escapes.
+/// Code after a test module counts, tests do not, and every way of naming a module is found.
 #[test]
 fn the_rules_read_all_of_a_file_and_nothing_but_the_product() {
     let text = r#"

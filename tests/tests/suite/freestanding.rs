@@ -91,7 +91,7 @@ fn the_freestanding_program_gives_the_bits_of_the_hosted_build() {
         .arg(&target)
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/freestanding"))
         .env("ENTIRE_FREESTANDING_MODEL", &path)
-        // Instrumentation and wrappers of the outer build need libraries that this program lacks.
+        // Flags of the outer build, such as instrumentation, need libraries that this program lacks.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .output()
@@ -108,7 +108,7 @@ fn the_freestanding_program_gives_the_bits_of_the_hosted_build() {
         assert_eq!(found, expected);
     }
     assert_eq!(found, expected);
-    // Without a dynamic loader there is no library.
+    // A program that names no dynamic loader uses no shared library.
     let elf = std::fs::read(&program).unwrap();
     let headers = u64::from_le_bytes(elf[32..40].try_into().unwrap()) as usize;
     let size = usize::from(u16::from_le_bytes(elf[54..56].try_into().unwrap()));

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// Largest median of |estimate / count − 1| over random scenes.
 const MEDIAN_TOLERANCE: f64 = 0.1;
 
-/// The same with single scattering, where one shadow ray per probe ray represents all.
+/// The same tolerance with single scattering, where one shadow ray per probe ray represents all shadow rays.
 const SCATTER_TOLERANCE: f64 = 0.2;
 
 /// One volume of each folder under `data/`.
@@ -76,7 +76,7 @@ fn estimated_work_is_the_counted_work() {
                 renderer.set_transfer(&table).expect("the transfer function");
                 let mut camera = Camera::from_arcball(scene.camera).expect("a camera");
                 if parallel {
-                    // As much of the plane through the center as the field of view shows.
+                    // Shows as much of the plane through the center as the field of view does.
                     let scale = scene.camera.dz * (0.5 * DEFAULT_FOV_Y_DEGREES.to_radians()).tan();
                     camera = camera.with_parallel_scale(scale).expect("a scale");
                 }

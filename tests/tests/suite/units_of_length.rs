@@ -1,4 +1,4 @@
-//! The same scene in any unit of length: the same prediction, from 1e-30 to 1e30.
+//! The same scene gives the same prediction in any unit of length, from 1e-29 to 1e29.
 
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, TransferFunction, TransferTable,
@@ -53,7 +53,7 @@ fn equal(found: [f32; 2], expected: [f32; 2], what: &str, unit: f32) {
     }
 }
 
-/// Every power of ten over which the smallest and the largest spacing are accepted.
+/// Every power of ten by which all spacings can be multiplied and are still accepted.
 fn units() -> impl Iterator<Item = f32> {
     (-29..=29).map(|power| 10f64.powi(power) as f32)
 }

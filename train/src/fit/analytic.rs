@@ -30,8 +30,8 @@ pub(super) fn fit_analytic(
     Ok((model, text))
 }
 
-/// The initial unit costs of a fit: those of a renderer that converts stored values, unless all frames are of
-/// the project's raycaster or its CPU version, which do not.
+/// The initial unit costs of a fit: those of a renderer that converts stored scalar values, unless all frames
+/// were drawn by the project's raycaster or its CPU version, which convert none.
 pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
     let own = |f: &&TimedFrame| {
         let manifest = context.tables.get(f.table).and_then(|t| t.manifest.as_ref());

@@ -2,9 +2,7 @@
 //!
 //! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one
 //!   dense layer on counts that gives seconds.
-//! * `linear`: ln seconds as a linear function of scene features, robust least squares. Stored as one dense
-//!   layer that gives log seconds.
-//! * `network`: PredNet by gradient descent.
+//! * `prednet`: PredNet by gradient descent.
 //! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
 //!   as dense layers that carry `log_estimated_seconds` past the network.
 
@@ -32,13 +30,13 @@ use std::borrow::Cow;
 
 /// Context of fitting and prediction: the data and the machine.
 pub struct FitContext<'a> {
-    /// The tables that the frames are of.
+    /// The tables that hold the frames.
     pub tables: &'a [Table],
-    /// Threads.
+    /// Threads that compute inputs and train networks.
     pub pool: &'a ThreadPool,
     /// Progress bar of the training; its message and position are set.
     pub bar: &'a ProgressBar,
-    /// Called after every step; true stops.
+    /// Called after every training step; training stops when it returns true.
     pub stop: &'a dyn Fn() -> bool,
 }
 
@@ -51,17 +49,17 @@ pub struct FittedModel {
     pub what: String,
     /// Settings of the fit.
     pub settings: serde_json::Value,
-    /// Every epoch of a network.
+    /// Epochs of the network, or of the first one of an ensemble; empty for other models.
     pub history: Vec<EpochRecord>,
     /// Result of the fit, in one line.
     pub outcome: String,
 }
 
-/// Seconds for rows of inputs, by the network in its final form: finite and positive, as from every
-/// predictor.
+/// Seconds for rows of inputs, by the model's network as a session runs it: finite and positive, as from
+/// every predictor.
 ///
 /// # Errors
-/// When the model holds no PredNet, or its answer for a row is no number.
+/// When the model holds no PredNet, or its output for a row is not finite.
 pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let parts = model.prednet().context("the model file holds no PredNet")?;
     rows_by_network(model, &PredNet::new(parts)?, rows, width)
@@ -70,7 +68,7 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
 /// As [`predict_rows`], with a network that was built from the model before.
 ///
 /// # Errors
-/// When its answer for a row is no number.
+/// When its output for a row is not finite.
 pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
     let rows = held(model, rows, width)?;

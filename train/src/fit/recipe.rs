@@ -112,7 +112,7 @@ pub struct Recipe {
     pub seed: u64,
     /// Model file with the VolumeNet that encodes volumes.
     pub volumenet: Option<PathBuf>,
-    /// Start from this model instead of random weights.
+    /// Model file whose weights training starts from; default: random weights.
     pub fine_tune: Option<PathBuf>,
     /// True if Gaussian lobes go in by ascending center.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -237,13 +237,13 @@ impl Recipe {
         ensure!(!training.frames.is_empty(), "there are no training frames");
         ensure!(
             (1..=MAX_ENSEMBLE).contains(&self.ensemble),
-            "an ensemble of {}; 1 to {MAX_ENSEMBLE} is accepted",
+            "the ensemble has {} networks; 1 to {MAX_ENSEMBLE} are accepted",
             self.ensemble
         );
         if let Some(side) = self.probe_side {
             ensure!(
                 (1..=MAX_PROBE_SIDE).contains(&side),
-                "a probe of {side} rays a side; 1 to {MAX_PROBE_SIDE} is accepted"
+                "the probe has {side} rays along each side; 1 to {MAX_PROBE_SIDE} are accepted"
             );
         }
         self.settings()?;
@@ -277,7 +277,7 @@ impl Recipe {
             .map(|n| n.trim().parse::<GroupKind>())
             .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
-        // The sizes of the other groups do not depend on the step.
+        // One lobe and one volume feature stand for any number: neither depends on the step.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
     }
 
@@ -285,7 +285,7 @@ impl Recipe {
         self.probe_side.unwrap_or(PROBE_SIDE)
     }
 
-    /// The layout of its inputs, and a new model file: with the VolumeNet, if one is named.
+    /// A new model file, with the VolumeNet if the recipe names one, and the layout of the inputs.
     ///
     /// # Errors
     /// For names that are not known, or when the VolumeNet's file cannot be read.
@@ -328,7 +328,7 @@ impl Recipe {
         Ok(settings)
     }
 
-    /// The recipe for a model file: with names of other files only, since their places are of this machine.
+    /// The recipe for a model file: other files by name only, since their folders differ between machines.
     fn portable(&self) -> Self {
         let name = |path: &Option<PathBuf>| path.as_ref().and_then(|p| p.file_name()).map(PathBuf::from);
         Self {

@@ -1,4 +1,4 @@
-//! A network by gradient descent, its progress shown.
+//! Training of a network by gradient descent, with a progress bar.
 
 use super::FitContext;
 use crate::gradient::{EpochRecord, Network, Progress, Samples, Settings, Standardization, Stop, train};

@@ -12,15 +12,15 @@ pub enum Loss {
     /// ((prediction − target) / target)² in seconds, scaled to a mean weight of 1. Only with the target
     /// `seconds`.
     Relative,
-    /// Half the squared error up to `delta` standard deviations, linear beyond, times two: equal to
-    /// [`Loss::SquaredError`] for small errors.
+    /// The Huber loss times two: equal to [`Loss::SquaredError`] for errors up to `delta` standard
+    /// deviations, linear beyond.
     Huber {
-        /// Where it turns linear, in standard deviations of the target.
+        /// Error above which the loss is linear, in standard deviations of the target.
         delta: f64,
     },
     /// The quantile loss: its minimum is the `quantile` of the target given the inputs.
     Pinball {
-        /// Between 0 and 1.
+        /// The quantile to be predicted, between 0 and 1.
         quantile: f64,
     },
 }
@@ -38,7 +38,7 @@ impl Loss {
         }
     }
 
-    /// The loss and its derivative with respect to the prediction. `weight` is the sample's.
+    /// The loss and its derivative with respect to the prediction, both times the frame's `weight`.
     #[inline]
     pub(crate) fn value_and_slope<T: Real>(self, prediction: T, target: T, weight: T) -> (T, T) {
         let error = prediction - target;

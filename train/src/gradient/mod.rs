@@ -1,8 +1,8 @@
 //! PredNet training and fine-tuning: mini-batch Adam with a cosine learning rate, gradient clipping and early
 //! stopping (paper, supplement "Implementation"), on a rayon pool that the caller gives.
 //!
-//! The result depends on the data, the settings and the seed, and not on the number of threads: the batch is
-//! cut into the same parts whatever the pool, and sums are taken in the same order.
+//! The result depends on the data, the settings and the seed, and not on the number of threads: for any pool,
+//! the batch is cut into the same parts, and sums are taken in the same order.
 
 mod loss;
 mod matmul;

@@ -11,11 +11,11 @@ use rayon::prelude::*;
 pub const ADAM_BETA1: f64 = 0.9;
 /// Adam's decay of the second moment (paper, supplement "Implementation").
 pub const ADAM_BETA2: f64 = 0.999;
-/// Added to the root of Adam's second moment.
+/// Number that is added to the root of Adam's second moment.
 pub const ADAM_EPSILON: f64 = 1e-8;
 
-/// Rows that one task works on at least. Tasks do not depend on the number of threads, so results do not
-/// either.
+/// Smallest number of rows of a task, if the batch has as many. Tasks do not depend on the number of threads,
+/// so results do not either.
 const ROWS_PER_TASK: usize = 64;
 const MAX_TASKS: usize = 16;
 const PARAMETERS_PER_TASK: usize = 8192;
@@ -245,7 +245,7 @@ pub(crate) fn predict<T: Real>(pool: &ThreadPool, network: &Network<T>, inputs: 
     })
 }
 
-/// Σ x² in eight running sums, so that it becomes vector code.
+/// Σ x² in eight running sums, so that the compiler vectorizes the loop.
 #[inline(always)]
 fn sum_of_squares<T: Real>(values: &[T]) -> f64 {
     let mut sums = [0.0f64; 8];

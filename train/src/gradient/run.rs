@@ -11,7 +11,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::ThreadPool;
 use std::ops::ControlFlow;
 
-/// The target of a frame of this time.
+/// The training target for the seconds of a frame.
 fn target_of(target: Target, seconds: f64) -> f64 {
     match target {
         Target::Seconds => seconds,
@@ -19,7 +19,7 @@ fn target_of(target: Target, seconds: f64) -> f64 {
     }
 }
 
-/// Seconds again.
+/// The seconds for a training target: the inverse of [`target_of`].
 fn seconds_of(target: Target, value: f64) -> f64 {
     match target {
         Target::Seconds => value,
@@ -27,7 +27,7 @@ fn seconds_of(target: Target, value: f64) -> f64 {
     }
 }
 
-/// Training frames.
+/// Frames for training or validation.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<'a> {
     /// One row per frame, [frames, width] by rows, as the model's input groups order them; not standardized.
@@ -65,8 +65,8 @@ impl Samples<'_> {
     }
 }
 
-/// Settings of a run. The default is the paper's, with batches of 256 and patience 50, which it does not
-/// state.
+/// Settings of a run. The defaults are those of the paper, except the batch size 256 and the patience 50,
+/// which the paper does not state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
@@ -144,7 +144,7 @@ pub struct Standardization {
 }
 
 impl Standardization {
-    /// From the training frames.
+    /// Standardization fitted to the training frames.
     pub fn fit(samples: Samples<'_>, width: usize, target: Target) -> Self {
         let n = samples.seconds.len().max(1) as f64;
         let mut mean = vec![0.0f64; width];
@@ -170,12 +170,12 @@ impl Standardization {
         }
     }
 
-    /// None: means 0, deviations 1.
+    /// The identity: means 0, deviations 1.
     pub(crate) fn identity(width: usize) -> Self {
         Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
     }
 
-    /// Standardization of a model where it has one, else none.
+    /// Standardization of a model; the identity where it has none.
     pub fn of(parts: &PredNetParts) -> Self {
         let mut out = Self::identity(parts.layers.first().map_or(0, |layer| layer.inputs));
         if let Some(Normalization { mean, std }) = &parts.input {
@@ -227,8 +227,8 @@ fn deviation(variance: f64, mean: f64) -> f32 {
 }
 
 /// Layer widths of a paper preset such as `12C256`: inputs → 256, 12 × (256 → 256), then halved down to 16,
-/// then 1 (paper, section "Architecture"). Any number of layers and any width of 32 or more that halves down
-/// to 16 is taken.
+/// then 1 (paper, section "Architecture"). Up to 1000 layers are accepted, and any power of two from 32 to
+/// 65 536 as width.
 ///
 /// # Errors
 /// For any other text.
@@ -252,14 +252,15 @@ pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
     Ok(widths)
 }
 
-/// One epoch's losses, in squared standard deviations of the target (or what the loss is made of).
+/// Losses of one epoch: of the squared error in squared standard deviations of the target, of other loss
+/// functions in their own units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpochRecord {
-    /// From 1.
+    /// Number of the epoch, from 1.
     pub epoch: usize,
-    /// Mean over the epoch's batches, each before its step.
+    /// Mean loss over the epoch's batches, each evaluated before its step.
     pub training_loss: f64,
-    /// On the validation frames after the epoch; the training loss where there are none.
+    /// Loss of the validation frames after the epoch; the training loss where there are none.
     pub validation_loss: f64,
     /// Learning rate of its last step.
     pub learning_rate: f64,
@@ -294,7 +295,7 @@ pub enum Stop {
     Early,
     /// The callback stopped it.
     Interrupted,
-    /// A loss was no longer finite: the learning rate is too high.
+    /// A loss or a gradient was not finite: the learning rate is too high.
     Diverged,
 }
 
@@ -311,9 +312,9 @@ pub struct Trained<T> {
     pub history: Vec<EpochRecord>,
     /// The epoch that the weights are from; 0 where they are those of the start.
     pub best_epoch: usize,
-    /// Their validation loss.
+    /// The validation loss of the weights.
     pub best_loss: f64,
-    /// Reason for its end.
+    /// Reason for the end of the run.
     pub stop: Stop,
 }
 
@@ -518,7 +519,7 @@ fn validate<T: Real>(pool: &ThreadPool, trainer: &Trainer<T>, judged: &Prepared<
         .then(|| trainer.validate(pool, &judged.inputs, &judged.targets, &judged.weights))
 }
 
-/// Fisher–Yates.
+/// Shuffles by the Fisher–Yates algorithm.
 fn shuffle(order: &mut [usize], rng: &mut ChaCha8Rng) {
     for i in (1..order.len()).rev() {
         // The bias of the remainder is below 2^-32 for any number of frames that fits in memory.

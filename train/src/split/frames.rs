@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::BTreeSet;
 
-/// Parts of a cross-validation at most.
+/// Largest number of folds of a cross-validation.
 pub const FOLDS: usize = 5;
 
 /// Frames with their seconds, owned.
@@ -26,7 +26,7 @@ impl<'a> TimedFrames<'a> {
         Self { frames, seconds }
     }
 
-    /// Borrowed.
+    /// The frames and their seconds, borrowed.
     pub fn timed(&self) -> Timed<'_> {
         Timed { frames: &self.frames, seconds: &self.seconds }
     }
@@ -38,14 +38,14 @@ impl<'a> TimedFrames<'a> {
         Self { frames, seconds }
     }
 
-    /// The frames that match, and the rest.
+    /// The frames that `wanted` accepts, and all others.
     pub fn parted(&self, wanted: impl Fn(&TimedFrame) -> bool) -> (Self, Self) {
         self.divided(|i| wanted(self.frames[i]))
     }
 
-    /// Groups for cross-validation, in at most [`FOLDS`] parts that are each held out together: ensemble
-    /// members, or volumes where there are fewer than three members; none where there are fewer than three
-    /// volumes.
+    /// Kind of the groups, and the groups in at most [`FOLDS`] folds for cross-validation. Groups are
+    /// ensemble members, or volumes where there are fewer than three members; there are no folds for fewer
+    /// than three volumes.
     pub fn folds(&self) -> (GroupBy, Vec<BTreeSet<String>>) {
         let by = self.groups_at_least(3);
         let groups: BTreeSet<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
@@ -89,7 +89,8 @@ impl<'a> TimedFrames<'a> {
         if members.len() < needed { GroupBy::Volume } else { GroupBy::Member }
     }
 
-    /// A tenth of the groups (at least one where there are three) and the rest: validation and training.
+    /// Validation and training frames: those of a random tenth of the groups (at least one), and all others.
+    /// With fewer than three groups, all frames are for training.
     pub fn hold_out(&self, by: GroupBy, seed: u64) -> (Self, Self) {
         let of_frame: Vec<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
         let mut groups: Vec<&String> = of_frame.iter().collect();
@@ -103,7 +104,7 @@ impl<'a> TimedFrames<'a> {
         self.divided(|i| groups.contains(&&of_frame[i]))
     }
 
-    /// `count` frames, chosen by the seed, and the rest.
+    /// `count` random frames, and all others.
     pub fn sample(&self, count: usize, seed: u64) -> (Self, Self) {
         let mut order: Vec<usize> = (0..self.frames.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));

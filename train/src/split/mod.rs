@@ -55,17 +55,17 @@ impl GroupBy {
 pub struct Split {
     /// Kind of the groups.
     pub by: GroupBy,
-    /// Learned from.
+    /// Groups whose frames the model is fitted to.
     pub training: BTreeSet<String>,
-    /// Decides when training stops.
+    /// Groups whose loss decides when training stops.
     pub validation: BTreeSet<String>,
-    /// Not used in training.
+    /// Groups that are not used in training.
     pub test: BTreeSet<String>,
 }
 
 impl Split {
-    /// Splits groups: those named for validation and testing; by default a random tenth for each (at least
-    /// one where there are three groups or more), by the seed.
+    /// Splits groups: `validation` and `test` name groups, all others are for training. Where both are empty
+    /// and there are at least three groups, a random tenth (at least one) is taken for each.
     ///
     /// # Errors
     /// For a name that is no group or is named twice, or when no training group is left.
@@ -137,18 +137,18 @@ impl Split {
 /// A part of a split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// Learned from.
+    /// Frames that the model is fitted to.
     Training,
-    /// Decides when training stops.
+    /// Frames whose loss decides when training stops.
     Validation,
-    /// Not used in training.
+    /// Frames that are not used in training.
     Test,
     /// The group is not part of the split.
     Unknown,
 }
 
 impl Part {
-    /// For reports.
+    /// The name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Training => "training",
