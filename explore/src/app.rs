@@ -1,4 +1,4 @@
-//! The window: opens it, handles its events, and decides the next work.
+//! The application: opens the window, handles its events, and decides the next work.
 
 mod commands;
 mod frame;
@@ -27,7 +27,8 @@ use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
 use winit::window::{Window, WindowId};
 
-/// Texture ids of the two pictures in the interface, whatever textures they have.
+/// Placeholders in the interface for the texture ids of the two pictures: that of the last planned frame, and
+/// that at full quality.
 pub(crate) const STEERED: TextureId = TextureId::User(u64::MAX);
 pub(crate) const FULL: TextureId = TextureId::User(u64::MAX - 1);
 
@@ -42,7 +43,7 @@ struct Pictures {
     steered_id: TextureId,
     full_id: TextureId,
     size: [u32; 2],
-    /// The used part of `steered`.
+    /// Size of the used part of `steered`, pixels.
     used: [u32; 2],
 }
 
@@ -72,7 +73,7 @@ struct App {
     proxy: EventLoopProxy<Wake>,
     state: State,
     refinement: Option<Refinement>,
-    /// True if the view is at full quality.
+    /// True if the picture of the view is at full quality.
     refined: bool,
     screenshot: Option<Screenshot>,
     script: Option<Script>,
@@ -89,7 +90,7 @@ struct App {
     /// Time of the request for the volume that is loading.
     asked: Option<Instant>,
     swapped: Instant,
-    /// Modes whose shaders are compiled.
+    /// Shading and skipping modes whose shaders are compiled.
     warm: HashSet<(Shading, Skipping)>,
     lost: Option<Instant>,
     failed: Option<anyhow::Error>,
@@ -152,7 +153,7 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         failed: None,
     };
     event_loop.run_app(&mut app).map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
-    // Messages of the validation layer, where it is on.
+    // Messages of the validation layer, if it is enabled.
     let said = app.device.as_ref().map(SharedDevice::validation_messages).unwrap_or_default();
     if let Some(error) = app.failed.take() {
         return Err(error);
@@ -278,7 +279,8 @@ impl App {
         self.script.is_some() && self.waiting == Waiting::Nothing
     }
 
-    /// Ends the window with an error, or recovers from it.
+    /// Handles an error: reopens a lost device, shows other errors; ends the window if that is not possible
+    /// or a script plays.
     fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
         let Err(error) = result else { return };
         let is_lost = self.device.as_ref().is_some_and(SharedDevice::is_lost);

@@ -1,4 +1,4 @@
-//! Eye and view direction, and their change by a person.
+//! Eye and view direction, and their change by the user.
 
 use anyhow::Result;
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
@@ -11,11 +11,11 @@ pub(crate) const DISTANCES: std::ops::RangeInclusive<f32> = 0.02..=200.0;
 /// lies before it. The picture does not depend on it.
 const ORTHOGRAPHIC_DISTANCE: f32 = 2.0;
 
-/// Place of a part of a volume in the whole, in the whole's scene space.
+/// Position and size of a part of a volume, in the scene space of the whole volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Placement {
     pub(crate) center: Vec3,
-    /// Bounding-sphere radius over the whole's.
+    /// Bounding-sphere radius of the part over that of the whole.
     pub(crate) radius: f32,
 }
 
@@ -26,11 +26,11 @@ impl Placement {
 /// The eye, in the scene space of the whole volume: angles and distance about a target point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Viewpoint {
-    /// As [`Arcball`]'s, degrees.
+    /// Angles as in [`Arcball`], degrees.
     pub(crate) rx: f32,
     pub(crate) ry: f32,
-    /// Distance from the target point, bounding-sphere radii. With an orthographic view, the distance from
-    /// which the field of view would show as much.
+    /// Distance from the target point, bounding-sphere radii. In an orthographic view, the distance at which
+    /// a perspective view would show the same height of the plane through the target point.
     pub(crate) distance: f32,
     /// The target point.
     pub(crate) target: Vec3,
@@ -101,12 +101,13 @@ impl Viewpoint {
         self.distance * (0.5 * self.fov_y.to_radians()).tan()
     }
 
-    /// Half of the visible height of an orthographic view.
+    /// Half of the visible height of an orthographic view, bounding-sphere radii; `None` for a perspective
+    /// view.
     pub(crate) fn parallel_scale(&self) -> Option<f32> {
         self.orthographic.then(|| self.half_height())
     }
 
-    /// Sets half of the visible height.
+    /// Sets half of the visible height at the target point, bounding-sphere radii.
     pub(crate) fn set_parallel_scale(&mut self, scale: f32) {
         self.zoom(scale / self.half_height());
     }
@@ -133,8 +134,8 @@ impl Viewpoint {
         })
     }
 
-    /// The pose about the volume's center; for a panned view, that of the eye. The pose of an orthographic
-    /// view has its direction, and stands before the volume.
+    /// The view as a pose about the volume's center. For a panned view, the pose has the position of the eye,
+    /// but looks at the center. For an orthographic view, it has the view direction and a fixed distance.
     pub(crate) fn arcball(&self) -> Arcball {
         if self.orthographic {
             return Arcball { rx: self.rx, ry: self.ry, dz: ORTHOGRAPHIC_DISTANCE };
@@ -155,13 +156,13 @@ impl Viewpoint {
         *self = Self { rx: pose.rx, ry: pose.ry, distance: pose.dz, target: Vec3::ZERO, ..*self };
     }
 
-    /// Turns about the target point, degrees.
+    /// Turns the eye about the target point, degrees.
     pub(crate) fn orbit(&mut self, right: f32, down: f32) {
         self.ry = (self.ry - right) % 360.0;
         self.rx = (self.rx + down).clamp(-90.0, 90.0);
     }
 
-    /// Moves the target point, in heights of the view at its distance.
+    /// Moves the picture right and down, in visible heights at the target point.
     pub(crate) fn pan(&mut self, right: f32, down: f32) {
         let height = 2.0 * self.half_height();
         let [x, y, _] = self.axes();
@@ -195,7 +196,7 @@ impl Viewpoint {
         self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
     }
 
-    /// Looks along an axis from the present distance.
+    /// Looks along an axis at the volume's center, from the current distance.
     pub(crate) fn look_along(&mut self, axis: Axis) {
         (self.rx, self.ry) = match axis {
             Axis::Front => (0.0, 0.0),
@@ -217,8 +218,8 @@ impl Viewpoint {
         self.fov_y = degrees;
     }
 
-    /// Projects a point of the scene, in halves of the image from its middle, x right and y up; `None` behind
-    /// the eye. `aspect` is width over height.
+    /// Projects a point of the scene into the image: x to the right and y up, both in [−1, 1] within the
+    /// image; `None` behind the eye. `aspect` is width over height.
     pub(crate) fn project(&self, point: Vec3, aspect: f32) -> Option<[f32; 2]> {
         let [x, y, z] = self.axes();
         if let Some(scale) = self.parallel_scale() {
@@ -245,7 +246,7 @@ mod tests {
         let view = Viewpoint { rx: 25.0, ry: 130.0, distance: 2.5, ..Default::default() };
         let arcball = Camera::from_arcball(Arcball { rx: 25.0, ry: 130.0, dz: 2.5 }).unwrap();
         assert_eq!(view.camera(Placement::WHOLE).unwrap(), arcball);
-        // Through the matrix it is the same but for rounding.
+        // A panned view is computed by another path and agrees up to rounding.
         let panned = Viewpoint { target: Vec3::splat(1e-9), ..view };
         close(panned.camera(Placement::WHOLE).unwrap().view(), arcball.view());
     }
@@ -261,7 +262,7 @@ mod tests {
         let mut view = Viewpoint::default();
         view.pan(0.25, 0.0);
         let [x, y] = view.project(Vec3::ZERO, 1.0).unwrap();
-        // A quarter of the height to the right is half of a half.
+        // A quarter of the height is 0.5 in image coordinates, which span a height of 2.
         assert!((x - 0.5).abs() < 1e-5 && y.abs() < 1e-5, "{x} {y}");
     }
 

@@ -4,8 +4,8 @@
 //! `{"points": [[scalar, opacity], …]}` or `{"lobes": [[center, width, height], …]}`; `colors` holds
 //! `[[scalar, red, green, blue], …]`. Scalars are normalized, 0 to 1.
 //!
-//! ParaView's: an array of presets of which the first is read; `RGBPoints` holds (scalar, red, green, blue)
-//! and `Points` (scalar, opacity, midpoint, sharpness) in the data's own scalars.
+//! ParaView's format: a preset, or an array of presets of which the first is read; `RGBPoints` holds (scalar,
+//! red, green, blue) and `Points` (scalar, opacity, midpoint, sharpness) in the data's own scalars.
 
 use crate::transfer::{Curve, Opacity};
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -20,7 +20,7 @@ const FORMAT: &str = "entire-transfer-1";
 /// Largest file that is read, bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// Number of points for a curved segment between two of ParaView's nodes.
+/// Number of linear pieces that replace a curved segment between two of ParaView's nodes.
 const BENT: usize = 16;
 
 #[derive(Serialize, Deserialize)]
@@ -38,10 +38,10 @@ enum FileOpacity {
     Lobes(Vec<[f32; 3]>),
 }
 
-/// Reads either kind of file. `range` holds the scalars that map to 0 and 1.
+/// Reads a file of either format. `range`: the scalars that map to 0 and 1.
 ///
 /// # Errors
-/// The error in the file.
+/// When the file cannot be read or is no transfer function; names the file.
 pub(crate) fn load(path: &Path, range: (f32, f32)) -> Result<Curve> {
     let shown = path.display();
     let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
@@ -90,10 +90,10 @@ pub(crate) fn to_own(curve: &Curve) -> Result<String> {
     Ok(serde_json::to_string_pretty(&file)? + "\n")
 }
 
-/// The curve as a preset of ParaView's; lobes become points.
+/// The curve as a preset of ParaView; lobes become points. `range`: the scalars that map to 0 and 1.
 pub(crate) fn to_paraview(curve: &Curve, range: (f32, f32)) -> Result<String> {
     let scalar = |s: f32| f64::from(range.0) + f64::from(s) * (f64::from(range.1) - f64::from(range.0));
-    let Opacity::Points(points) = curve.to_points().opacity else { bail!("lobes that stay lobes") };
+    let Opacity::Points(points) = curve.to_points().opacity else { bail!("lobes did not become points") };
     let opacity: Vec<f64> = points.iter().flat_map(|p| [scalar(p[0]), f64::from(p[1]), 0.5, 0.0]).collect();
     let colors: Vec<f64> = curve
         .colors
@@ -186,7 +186,7 @@ mod tests {
             let again = parse(&to_paraview(&points, (-50.0, 200.0)).unwrap(), (-50.0, 200.0)).unwrap();
             for i in 0..=50 {
                 let s = i as f32 / 50.0;
-                // Two points at one place make a step; a sample there may have either value.
+                // Two points at one scalar make a step; a sample there may have either opacity.
                 let step = name == "solid" && (s - histogram.quantile(0.5)).abs() < 0.01;
                 assert!(step || (again.opacity_at(s) - points.opacity_at(s)).abs() < 1e-4, "{name} at {s}");
                 let (a, b) = (again.color_at(s), points.color_at(s));

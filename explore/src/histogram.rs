@@ -5,7 +5,7 @@ use entire_core::scene::VolumeView;
 /// Bins over the normalized scalars.
 pub(crate) const BINS: usize = 256;
 
-/// Maximum number of voxels that are read.
+/// Approximate number of voxels that are read; of a larger volume, up to twice as many.
 const SAMPLED: u64 = 4_000_000;
 
 /// Counts of normalized values.
@@ -15,11 +15,12 @@ pub(crate) struct Histogram {
 }
 
 impl Histogram {
-    /// From every voxel, or from [`SAMPLED`] evenly spread ones.
+    /// Histogram of all voxels, or of every n-th voxel of a volume with more than about [`SAMPLED`].
     pub(crate) fn of(view: &VolumeView<'_>) -> Self {
         let [nx, ny, _] = view.shape().dims;
         let stride = (view.shape().voxels / SAMPLED).max(1);
-        // A stride that shares no factor with the rows walks through all of them.
+        // An odd stride has no common factor with row lengths that are powers of two, so all columns are
+        // read.
         let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };
         let mut counts = vec![0; BINS];
         let mut i = 0;
@@ -32,15 +33,15 @@ impl Histogram {
         Self { counts }
     }
 
-    /// Heights of the bars in 0…1, logarithmic.
+    /// Heights of the bars, 0 to 1, by the logarithm of the counts.
     pub(crate) fn heights(&self) -> Vec<f32> {
         let log = |n: u64| (n as f32 + 1.0).ln();
         let most = self.counts.iter().copied().map(log).fold(f32::MIN_POSITIVE, f32::max);
         self.counts.iter().map(|&n| log(n) / most).collect()
     }
 
-    /// The quantile of the voxels' values; those of the lowest bins count as background if enough others are
-    /// left.
+    /// The normalized value at quantile `share` of the voxels. The ten lowest bins are left out as background
+    /// if more than 0.5 % of the voxels are above them.
     pub(crate) fn quantile(&self, share: f32) -> f32 {
         let background = BINS / 25;
         let all: u64 = self.counts.iter().sum();

@@ -13,7 +13,7 @@ pub trait VolumeSource: Send + Sync {
     /// Its voxels.
     fn view(&self) -> VolumeView<'_>;
 
-    /// Notes about its reading, a sentence each.
+    /// Notes on how the file was read, one sentence each.
     fn notes(&self) -> &[String] {
         &[]
     }
@@ -51,7 +51,7 @@ pub trait Host: Send + Sync {
     /// Name and title of every controller.
     fn controllers(&self) -> Vec<(&'static str, &'static str)>;
 
-    /// Writes a file, whole or not at all: an earlier file stays until then.
+    /// Writes a file completely or not at all: an existing file stays until the new one is complete.
     ///
     /// # Errors
     /// Names the file that cannot be written.
@@ -67,7 +67,7 @@ pub trait Host: Send + Sync {
     fn calibration(&self, volume: &Path, shading: Shading) -> String;
 }
 
-/// Share of a file that has been read, shared between the reader and the window.
+/// Progress of reading a file, and a request to stop. The reader and the window use the same one.
 #[derive(Debug, Default)]
 pub struct Progress {
     done: AtomicU64,
@@ -76,7 +76,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Adds to the number of bytes to read.
+    /// Adds to the total number of bytes to read.
     pub fn expect(&self, bytes: u64) {
         self.total.fetch_add(bytes, Ordering::Relaxed);
     }
@@ -131,7 +131,7 @@ pub struct Options {
     pub termination: f32,
     /// Size of the window, pixels.
     pub size: (u32, u32),
-    /// Events to play instead of waiting for a person: JSON lines.
+    /// File of events to play instead of user input, JSON lines.
     pub script: Option<PathBuf>,
     /// File to which every frame is written as a row of CSV.
     pub log: Option<PathBuf>,

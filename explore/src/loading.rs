@@ -51,7 +51,7 @@ pub(crate) struct Loaded {
 }
 
 /// The stages of a load, for display.
-const STAGES: [&str; 4] = ["reading", "summing up", "uploading to the device", "first picture"];
+const STAGES: [&str; 4] = ["reading", "summarizing", "uploading to the device", "first picture"];
 
 /// A running load.
 pub(crate) struct Loading {
@@ -62,10 +62,10 @@ pub(crate) struct Loading {
 }
 
 impl Loading {
-    /// Starts a thread; it wakes the event loop at its end.
+    /// Starts a thread that loads the volume. It wakes the event loop when it ends.
     ///
     /// # Errors
-    /// When the system starts no thread.
+    /// When the thread cannot be started.
     pub(crate) fn start(
         job: Job,
         host: &Arc<dyn Host>,
@@ -108,7 +108,7 @@ impl Loading {
         (STAGES[stage.min(STAGES.len() - 1)], self.progress.share())
     }
 
-    /// The volume, once it is loaded.
+    /// The loaded volume or the error, once the load has ended.
     pub(crate) fn poll(&self) -> Option<Result<Box<Loaded>>> {
         self.result.try_recv().ok()
     }

@@ -1,4 +1,4 @@
-//! Every frame as a row of CSV.
+//! The frame log: every frame as a row of CSV.
 
 use crate::steering::FrameRecord;
 use anyhow::{Context, Result};
@@ -6,30 +6,34 @@ use std::fs::File;
 use std::io::{LineWriter, Write};
 use std::path::Path;
 
-/// Values besides a frame's record.
+/// Values of a row that are not in the frame's record.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Beside<'a> {
     pub(crate) controller: &'a str,
-    /// Number of shown frames from an event to its picture, which counts; 0 without an event.
+    /// Number of pictures that the window has shown since an input event, up to the first picture that
+    /// includes it; 0 without an event.
     pub(crate) input_frames: u64,
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Seconds of the frame before its plan, and of the interface on the device.
+    /// Seconds of the frame before its plan.
     pub(crate) before: f64,
+    /// Seconds of drawing and presenting the interface, until the device has finished.
     pub(crate) shown: f64,
-    /// Processor seconds of presentation, which are not part of the interface's.
+    /// Processor seconds of presentation, which the interface's seconds do not include.
     pub(crate) handing: f64,
 }
 
-/// A log file in the making.
+/// A log file that is being written.
 pub(crate) struct Log {
     /// Line-buffered, so that watchers see each row at once.
     out: LineWriter<File>,
 }
 
 impl Log {
+    /// Creates a log file with its header row.
+    ///
     /// # Errors
-    /// When the file cannot be made.
+    /// When the file cannot be written.
     pub(crate) fn create(path: &Path) -> Result<Self> {
         let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
         let mut out = LineWriter::new(file);
@@ -42,7 +46,7 @@ impl Log {
         Ok(Self { out })
     }
 
-    /// A frame.
+    /// Writes the row of a frame.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -74,7 +78,8 @@ impl Log {
         Ok(())
     }
 
-    /// Another timed activity: `kind`, total seconds, seconds of ray casting, and of the longest slice.
+    /// Writes the row of another timed activity: its kind, total seconds, seconds of ray casting, and seconds
+    /// of the longest slice.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -94,7 +99,7 @@ impl Log {
     }
 }
 
-/// Memory of this process in use; 0 if the system does not report it.
+/// Resident memory of this process, bytes; 0 if the system does not report it.
 pub(crate) fn resident_bytes() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm").ok();
     let pages = pages.and_then(|t| t.split_whitespace().nth(1)?.parse::<u64>().ok());

@@ -14,7 +14,7 @@ pub(crate) struct Recent {
 }
 
 impl Recent {
-    /// The saved list; empty where there is no state folder.
+    /// The saved list; empty if there is none.
     pub(crate) fn load() -> Self {
         let variable = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let folder = variable("XDG_STATE_HOME")
@@ -30,7 +30,8 @@ impl Recent {
         Self { file, paths }
     }
 
-    /// Puts a file first and stores the list by `write`. A failure is ignored: the list is a convenience.
+    /// Puts a file first and stores the list by `write`. A failure is ignored, since the list is only a
+    /// convenience.
     pub(crate) fn add(&mut self, path: &Path, write: impl FnOnce(&Path, &[u8]) -> Result<()>) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         self.paths.retain(|p| *p != path);

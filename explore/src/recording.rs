@@ -1,4 +1,4 @@
-//! A person's actions, frame by frame, to be played again.
+//! Recording of the user's views and transfer functions, frame by frame, as a path.
 
 use crate::camera::Viewpoint;
 use crate::transfer::{Curve, RecordedTransfer};
@@ -19,7 +19,7 @@ pub struct RecordedFrame {
     pub camera_switched: bool,
     /// The transfer function, if it differs from the frame before.
     pub transfer: Option<RecordedTransfer>,
-    /// True if it was replaced, not dragged.
+    /// True if the transfer function was replaced at once, not dragged.
     pub transfer_switched: bool,
 }
 
@@ -32,7 +32,7 @@ pub struct Recording {
     pub frames: Vec<RecordedFrame>,
 }
 
-/// A recording in the making.
+/// A recording that is in progress.
 #[derive(Debug)]
 pub(crate) struct Recorder {
     recording: Recording,
@@ -41,7 +41,8 @@ pub(crate) struct Recorder {
     pub(crate) panned: bool,
 }
 
-/// Degrees, and ratio of distances or scales, above which the camera has jumped.
+/// Thresholds above which the camera counts as jumped: degrees between two frames, and ratio of distances or
+/// scales.
 const JUMP: (f32, f32) = (20.0, 1.5);
 
 impl Recorder {
@@ -62,13 +63,14 @@ impl Recorder {
         let mut switched = false;
         let parallel_scale = view.parallel_scale();
         if let Some((before, scale, _)) = &self.last {
-            // Angles continue beyond a full turn, so that the way between two frames is the short one.
+            // Angles continue beyond a full turn, so that interpolation between two frames turns the short
+            // way.
             camera.ry += 360.0 * ((before.ry - camera.ry) / 360.0).round();
             let turned = (camera.ry - before.ry).abs().max((camera.rx - before.rx).abs());
             let moved = match (parallel_scale, *scale) {
                 (None, None) => camera.dz / before.dz,
                 (Some(now), Some(then)) => now / then,
-                // Another projection.
+                // The projection was switched.
                 _ => f32::INFINITY,
             };
             switched = turned > JUMP.0 || moved.max(1.0 / moved) > JUMP.1;

@@ -1,17 +1,17 @@
-//! Work in slices: a picture region by region, each slice within a budget.
+//! Drawing in slices: a picture is drawn region by region, each slice within a time budget.
 
 use anyhow::Result;
 use entire_core::scene::Frame;
 use entire_vk_raycaster::{Picture, Region, VulkanRaycaster};
 use std::time::Instant;
 
-/// Rows of a band.
+/// Height of a band, pixels.
 const BAND: u32 = 32;
 
-/// Columns of the smallest piece of a band.
+/// Width of a piece of a band, pixels. A piece is the smallest unit of work.
 const PIECE: u32 = 16;
 
-/// Largest ratio of a piece's time to that of the one before.
+/// Safety factor on the expected time of the next pieces.
 const CAUTION: f64 = 1.3;
 
 /// Progress of a picture: bands from top to bottom, each from left to right.
@@ -21,14 +21,14 @@ pub(crate) struct Cursor {
     height: u32,
     x: u32,
     y: u32,
-    /// Expected seconds of the next piece.
+    /// Expected seconds of the next piece: those per piece of the last region.
     piece: f64,
-    /// Seconds so far.
+    /// Seconds of the finished part.
     spent: f64,
 }
 
 impl Cursor {
-    /// `expected`: seconds of the whole picture.
+    /// A cursor at the beginning. `expected`: seconds of the whole picture.
     pub(crate) fn new(width: u32, height: u32, expected: f64) -> Self {
         let pieces = f64::from(width.div_ceil(PIECE)) * f64::from(height.div_ceil(BAND));
         let piece = if expected.is_finite() && expected > 0.0 { expected / pieces } else { 1e-3 };
@@ -39,7 +39,7 @@ impl Cursor {
         self.y >= self.height
     }
 
-    /// Finished part: columns × rows of whole bands, and the part of the current band.
+    /// The finished regions: all complete bands, and the left part of the current band.
     pub(crate) fn covered(&self) -> [Option<Region>; 2] {
         let part = |x, y, width, height| (width > 0 && height > 0).then_some(Region { x, y, width, height });
         [
@@ -54,16 +54,17 @@ impl Cursor {
         done as f64 / (f64::from(self.width) * f64::from(self.height))
     }
 
-    /// Expected seconds of the rest.
+    /// Expected seconds of the unfinished part.
     pub(crate) fn remaining(&self) -> f64 {
         let pieces = f64::from(self.width.div_ceil(PIECE)) * f64::from(self.height.div_ceil(BAND));
         let share = self.share();
-        // The estimate relies on the finished part the more, the larger it is.
+        // The finished part's mean time is weighted by its share, the last region's time by the remainder.
         let whole = share * (self.spent / share.max(1e-6)) + (1.0 - share) * self.piece * pieces;
         (1.0 - share) * whole
     }
 
-    /// Works for about `budget` seconds, and on at least one piece. `work` returns the seconds of a region.
+    /// Calls `work` for about `budget` seconds, and for at least one piece. `work` draws a region and returns
+    /// its seconds.
     ///
     /// # Errors
     /// Those of `work`.
@@ -93,7 +94,7 @@ impl Cursor {
     }
 }
 
-/// A picture at full quality in the making, on the device.
+/// A picture at full quality that is being drawn on the device.
 pub(crate) struct Refinement {
     pub(crate) frame: Frame,
     pub(crate) cursor: Cursor,
@@ -106,7 +107,7 @@ pub(crate) struct Refinement {
 }
 
 impl Refinement {
-    /// `expected`: seconds of the whole frame.
+    /// A refinement that has not begun to draw. `expected`: seconds of the whole frame.
     pub(crate) fn new(frame: Frame, expected: f64) -> Self {
         let cursor = Cursor::new(frame.width, frame.height, expected);
         Self { frame, cursor, begin: Instant::now(), longest: 0.0, cast: 0.0 }

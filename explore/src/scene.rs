@@ -112,7 +112,7 @@ impl Part {
     /// Copies the voxels of a part; the value range stays that of the whole volume.
     ///
     /// # Errors
-    /// For a part beyond the volume, or voxels of an unknown type.
+    /// For a part that is empty or reaches beyond the volume.
     pub(crate) fn new(view: &VolumeView<'_>, crop: Crop) -> Result<(Self, Placement)> {
         for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(view.shape().dims)) {
             ensure!(

@@ -1,4 +1,4 @@
-//! Pictures at full quality for files, made in slices.
+//! Screenshots: pictures at full quality in files, drawn in slices.
 
 use crate::host::Host;
 use crate::refine::Cursor;
@@ -7,7 +7,7 @@ use entire_core::scene::Frame;
 use entire_vk_raycaster::VulkanRaycaster;
 use std::path::PathBuf;
 
-/// A picture in the making.
+/// A screenshot that is being drawn.
 pub(crate) struct Screenshot {
     pub(crate) file: PathBuf,
     frame: Frame,
@@ -16,7 +16,7 @@ pub(crate) struct Screenshot {
 }
 
 impl Screenshot {
-    /// `expected`: seconds of the whole frame.
+    /// A screenshot that has not begun to draw. `expected`: seconds of the whole frame.
     pub(crate) fn new(file: PathBuf, frame: Frame, expected: f64) -> Self {
         let rgb = vec![0; frame.width as usize * frame.height as usize * 3];
         Self { file, frame, cursor: Cursor::new(frame.width, frame.height, expected), rgb }
@@ -45,7 +45,7 @@ impl Screenshot {
                 let start = ((region.y as usize + row) * width + region.x as usize) * 3;
                 let out = &mut rgb[start..start + 3 * region.width as usize];
                 for (out, pixel) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
-                    // Blends over black; premultiplied colors already are.
+                    // Colors are premultiplied: without alpha they are already blended over black.
                     out.copy_from_slice(&pixel[..3]);
                 }
             }

@@ -1,9 +1,9 @@
-//! Events from a file instead of a person: JSON lines, each an object with one action and the number of the
-//! drawn frame, counted from 0, before which it happens.
+//! Events from a file instead of user input: JSON lines, each an object with one action and the number of the
+//! drawn frame, counted from 0, before which it runs.
 //!
 //! | action | value |
 //! |---|---|
-//! | `camera` | `[rx, ry, dz]`: degrees, degrees, bounding-sphere radii; a cut |
+//! | `camera` | `[rx, ry, dz]`: degrees, degrees, bounding-sphere radii; counts as a jump |
 //! | `spin` | `[right, down]`: degrees per frame from here on |
 //! | `view` | `front`, `right`, `top`, `back`, `left` or `bottom` |
 //! | `orthographic` | true or false |
@@ -11,7 +11,7 @@
 //! | `pan` | `[right, down]` in heights of the view |
 //! | `preset` | the name of a preset |
 //! | `lobes` | `[[center, width, height], …]` |
-//! | `drag` | `[center, height]` per frame: the first lobe moves from here on |
+//! | `drag` | `[center, height]`, added to the first lobe in every frame from here on |
 //! | `controller` | its name |
 //! | `steering` | true or false |
 //! | `target` | seconds |
@@ -20,14 +20,14 @@
 //! | `open` | a volume file |
 //! | `screenshot` | `{"file": …, "size": [width, height]}`; the script waits for it |
 //! | `rest` | true: waits until the picture is at full quality |
-//! | `full_frame` | true: draws the view at full quality in one go, for the log |
+//! | `full_frame` | true: draws the view at full quality in one piece, for the log |
 //! | `crop` | `[[first, last], …]` voxels along x, y, z; null for all |
-//! | `span_data` | true: the transfer function spans the voxels' own range, not 0 … 255 |
-//! | `map` | true: counts where the samples go |
+//! | `span_data` | true: the transfer function spans the voxels' own range, not that of the file or type |
+//! | `map` | true: counts the samples per ray by cell of the image, and shows the map |
 //! | `save_transfer`, `load_transfer` | a file |
-//! | `undo` | true |
+//! | `undo` | true: undoes the last edit |
 //! | `record`, `save_recording` | true; a path file |
-//! | `lose_device` | true: the device counts as lost |
+//! | `lose_device` | true: simulates the loss of the device |
 //! | `quit` | true: closes the window |
 
 use anyhow::{Context, Result, ensure};
@@ -99,8 +99,10 @@ pub(crate) struct Script {
 }
 
 impl Script {
+    /// Reads a script.
+    ///
     /// # Errors
-    /// Names the line and its error.
+    /// Names the file, the line and its error.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let shown = path.display();
         let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
@@ -126,7 +128,7 @@ impl Script {
         Ok(Self { events, ..Self::default() })
     }
 
-    /// The next event that is due before a frame.
+    /// Takes the next action that is due before a frame.
     pub(crate) fn next(&mut self, frame: u64) -> Option<Action> {
         self.events.pop_front_if(|(at, _)| *at <= frame).map(|(_, action)| action)
     }

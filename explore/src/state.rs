@@ -14,7 +14,7 @@ use entire_core::scene::{COLOR_RAMP, Shading, Skipping};
 use entire_vk_raycaster::Region;
 use std::path::PathBuf;
 
-/// Requests of a person that the interface cannot meet itself.
+/// Requests of the user that the application carries out, not the interface.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Command {
     Open(PathBuf),
@@ -43,7 +43,7 @@ pub(crate) enum Command {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Changed {
     pub(crate) camera: bool,
-    /// The camera jumped.
+    /// The camera jumped to another view.
     pub(crate) cut: bool,
     pub(crate) transfer: bool,
     /// The transfer function was replaced.
@@ -58,7 +58,7 @@ impl Changed {
         *self != Self::default()
     }
 
-    /// True if it changed abruptly.
+    /// True if camera or transfer function changed abruptly.
     pub(crate) fn abrupt(&self) -> bool {
         self.cut || self.replaced
     }
@@ -67,7 +67,7 @@ impl Changed {
 /// A picture in the interface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shown {
-    /// The steered picture. Its texture coordinates are set after the frame's size was chosen.
+    /// The steered picture. Its texture coordinates are set once the frame's size is chosen.
     pub(crate) steered: TextureId,
     /// The picture at full quality, its size, and its finished regions.
     pub(crate) full: Option<(TextureId, [u32; 2], [Option<Region>; 2])>,
@@ -78,11 +78,11 @@ pub(crate) struct Shown {
 pub(crate) struct Rest {
     pub(crate) share: f64,
     pub(crate) remaining: f64,
-    /// Its seconds, once it is finished.
+    /// Seconds of the whole refinement, once it is finished.
     pub(crate) took: Option<f64>,
 }
 
-/// Handle that is dragged in the editor.
+/// A handle of the transfer function's editor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Handle {
     Point(usize),
@@ -90,7 +90,7 @@ pub(crate) enum Handle {
     Width(usize),
 }
 
-/// Text input.
+/// Contents of the text fields.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Texts {
     pub(crate) open: String,
@@ -107,7 +107,7 @@ pub(crate) struct State {
     pub(crate) shading: Shading,
     pub(crate) skipping: Skipping,
     pub(crate) termination: f32,
-    /// Opacity is shown by its cube root, so that small values can be set.
+    /// True if opacity is shown by its cube root, so that small values can be set.
     pub(crate) fine: bool,
     pub(crate) selected: Option<Handle>,
     pub(crate) dragged: Option<Handle>,
@@ -210,7 +210,7 @@ impl State {
         }
     }
 
-    /// Says something.
+    /// Shows a message.
     pub(crate) fn say(&mut self, text: impl Into<String>) {
         self.said = Some((text.into(), false));
     }
@@ -220,7 +220,7 @@ impl State {
         self.said = Some((format!("{error:#}"), true));
     }
 
-    /// Applies a preset.
+    /// Applies a preset. Returns false without a volume or for an unknown name.
     pub(crate) fn preset(&mut self, name: &str) -> bool {
         let Some(mut curve) = self.histogram.as_ref().and_then(|h| Curve::preset(name, h)) else {
             return false;

@@ -14,22 +14,23 @@ use std::sync::Arc;
 /// Number of frames in the graph.
 pub(crate) const REMEMBERED: usize = 300;
 
-/// Number of frames from which the other work of the next frame is estimated.
+/// Number of last frames from which the work besides ray casting of the next frame is estimated.
 const OTHER_WORK: usize = 15;
 
-/// The smallest share of the target for ray casting, whatever else the frame has to do.
+/// Smallest share of the target that is planned for ray casting, however long the other work takes.
 const LEAST_SHARE: f64 = 0.15;
 
-/// Up to this many times the finest step, only the step is coarsened, then step and image together.
+/// Ray step, in finest steps, up to which only the step is coarsened; beyond it, step and image size.
 const STEP_ALONE: f32 = 2.0;
 
 /// A drawn frame. Times are seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FrameRecord {
     pub(crate) number: u64,
-    /// From the first processed event to the presentation of the picture.
+    /// From the beginning of the frame to the end of its presentation, without a wait for the display's
+    /// refresh.
     pub(crate) seconds: f64,
-    /// Part of it for ray casting.
+    /// Ray casting, a part of `seconds`.
     pub(crate) cast: f64,
     /// Processor time of the thread that lays out and records the interface.
     pub(crate) interface: f64,
@@ -40,9 +41,9 @@ pub(crate) struct FrameRecord {
     pub(crate) step: f32,
     pub(crate) image_sample_distance: f32,
     pub(crate) reason: Reason,
-    /// True if something changed abruptly.
+    /// True if camera or transfer function changed abruptly.
     pub(crate) switched: bool,
-    /// Predicted time of the frame at full quality; NaN where unknown.
+    /// Predicted time of the frame at full quality; NaN if unknown.
     pub(crate) full: f64,
 }
 
@@ -52,11 +53,11 @@ pub(crate) struct Planned {
     pub(crate) plan: Plan,
     /// The frame with the plan's step and image size.
     pub(crate) frame: Frame,
-    /// Expected seconds of all other work of the frame, past and to come.
+    /// Seconds of the frame besides ray casting: those before the plan, and those expected after it.
     pub(crate) other: f64,
 }
 
-/// A session with its current inputs.
+/// A session, and the numbers of the volume and transfer function that it has.
 struct Loop {
     session: Session,
     volume: u64,
@@ -79,8 +80,9 @@ pub(crate) struct Steer {
     pub(crate) enabled: bool,
     /// Seconds.
     pub(crate) target: f64,
-    /// The coarsest step, and the largest number of pixels between rays.
+    /// The coarsest allowed step, reference steps.
     pub(crate) coarsest: f32,
+    /// The largest allowed number of pixels between rays.
     pub(crate) distance: f32,
     pub(crate) history: VecDeque<FrameRecord>,
     /// Prediction for the current frame at full quality, seconds: expected and bound.
@@ -125,8 +127,7 @@ impl Steer {
         }
     }
 
-    /// Sets a volume: the learned state is kept if the predictor takes the same inputs, which all do except
-    /// those with volume features.
+    /// Sets a volume and its predictors. Existing sessions keep their predictor and its correction.
     pub(crate) fn set_volume(&mut self, summary: VolumeSummary, steering: [Arc<dyn Steering>; 3]) {
         self.known = Some(Known { summary, steering, table: None });
         self.volume += 1;
@@ -140,7 +141,7 @@ impl Steer {
         }
     }
 
-    /// Announces a change that sessions cannot see.
+    /// Tells the next plan that the camera jumped.
     pub(crate) fn camera_cut(&mut self) {
         self.changes.camera = true;
     }
@@ -156,7 +157,7 @@ impl Steer {
         self.known.as_ref().map_or(String::new(), |k| k.steering[shading_index(shading)].title())
     }
 
-    /// The rays along each side of the probe, and the number of them that met the volume.
+    /// Number of rays along each side of the probe, and number of its rays that met the volume.
     pub(crate) fn probe(&self, shading: Shading) -> Option<(usize, u32)> {
         let running = self.loops.get(&(self.controller, shading_index(shading)))?;
         let features = running.session.features();
@@ -209,7 +210,8 @@ impl Steer {
         Ok(())
     }
 
-    /// Plans a frame of full size at the reference step. `spent`: seconds of the frame so far.
+    /// Plans a frame, which is given with the size of the view and the reference step. `spent`: seconds of
+    /// the frame so far.
     pub(crate) fn plan(&mut self, frame: &Frame, spent: f64) -> Result<Planned> {
         let rest = self.other_work();
         let other = spent + rest;
@@ -235,7 +237,7 @@ impl Steer {
         Ok(Planned { plan, frame: drawn, other })
     }
 
-    /// Gives the session the time of ray casting. `unusual`: the time includes other work.
+    /// Gives the session the seconds of ray casting, `cast`. `unusual`: true if they include other work.
     pub(crate) fn observe(
         &mut self,
         planned: &Planned,
@@ -249,7 +251,7 @@ impl Steer {
         Ok(())
     }
 
-    /// Stores a finished frame. `rest`: seconds of other work after the plan.
+    /// Stores a finished frame. `rest`: seconds after the plan without ray casting.
     pub(crate) fn remember(&mut self, record: FrameRecord, rest: f64) {
         if self.other.len() == OTHER_WORK {
             self.other.pop_front();
@@ -262,7 +264,7 @@ impl Steer {
     }
 }
 
-/// A frame's plan in words.
+/// A sentence on a frame's plan, its reason, and its expected and measured time.
 pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
     let ms = |seconds: f64| format!("{:.1} ms", seconds * 1e3);
     let drawn = if record.image_sample_distance > 1.01 {

@@ -1,4 +1,4 @@
-//! The transfer function as a person edits it: an opacity curve and a color map.
+//! The transfer function as the user edits it: an opacity curve and a color map.
 
 use crate::histogram::Histogram;
 use anyhow::Result;
@@ -20,7 +20,7 @@ pub(crate) type OpacityPoint = [f32; 2];
 /// A point of the color map: normalized scalar; red, green, blue.
 pub(crate) type ColorPoint = (f32, [f32; 3]);
 
-/// Source of opacity.
+/// Opacity as a function of the normalized scalar.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Opacity {
     /// Piecewise linear through points, ascending.
@@ -117,7 +117,7 @@ impl Curve {
         }
     }
 
-    /// True if the color map is that of Gaussian transfer functions.
+    /// True if the color map is the color ramp of the core, which Gaussian transfer functions use.
     fn has_ramp(&self) -> bool {
         self.colors == COLOR_RAMP
     }
@@ -160,7 +160,8 @@ impl Curve {
         Ok(TransferTable::new(rgba)?)
     }
 
-    /// For recordings: lobes if they define the curve, else a point for each entry of the table.
+    /// The curve for recordings: lobes if it consists of lobes in the core's color ramp, else a point for
+    /// each entry of the table.
     ///
     /// # Errors
     /// As [`Curve::table`].
@@ -191,7 +192,7 @@ impl Curve {
         }
     }
 
-    /// The same curve as points, so that it can be edited point by point.
+    /// The curve as points, so that it can be edited point by point. Points approximate lobes.
     pub(crate) fn to_points(&self) -> Self {
         let Opacity::Lobes(lobes) = &self.opacity else { return self.clone() };
         let mut at = vec![0.0, 1.0];

@@ -1,4 +1,4 @@
-//! Samples of a frame by cell of the image, counted by the raycaster.
+//! Map of the samples per ray by cell of the image, counted by the raycaster.
 
 use anyhow::Result;
 use entire_core::scene::Frame;
@@ -10,16 +10,17 @@ pub(crate) const CELLS: [u32; 2] = [24, 18];
 /// Pixels along the edge of a cell.
 const CELL_PIXELS: u32 = 8;
 
-/// Samples per ray in each cell.
+/// A map that is filled cell by cell.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct WorkMap {
+    /// Samples per ray in each cell, row by row; 0 if not counted yet.
     pub(crate) samples: Vec<f32>,
     next: u32,
     frame: Frame,
 }
 
 impl WorkMap {
-    /// For a frame's view, at full quality.
+    /// An empty map for the camera and modes of a frame, at the reference step.
     ///
     /// # Errors
     /// When the frame is invalid.
@@ -39,7 +40,7 @@ impl WorkMap {
         self.next == CELLS[0] * CELLS[1]
     }
 
-    /// Counts cells for about `budget` seconds, at least one.
+    /// Counts the samples of cells for about `budget` seconds, of at least one cell.
     ///
     /// # Errors
     /// Those of the raycaster.

@@ -37,11 +37,12 @@ def at(frame, **action):
     return json.dumps({"frame": frame, **action})
 
 
-# A point beside every window, so that no pointer and no hint is in a picture: Xvfb draws the pointer into its frame
-# buffer.
+# A point outside every window. With the pointer there, no picture contains the pointer (Xvfb draws it into its frame
+# buffer) or a hint.
 AWAY = (1390, 940)
 
-# Number of equal pictures in a row, 0.3 s apart: on a busy machine a slice of the refinement takes long.
+# Number of equal pictures in a row, 0.3 s apart, after which the view counts as still: on a busy machine a slice of the
+# refinement takes long.
 STILL = 7
 
 
@@ -68,7 +69,7 @@ class Person:
         self.settle()
 
     def view(self):
-        """The pixels of the view's middle."""
+        """The pixels of a part of the view."""
         return self.display.pixels((100, 120, 420, 320))
 
     def rests(self):
@@ -140,10 +141,10 @@ def a_person_explores(command, display, folder):
 
     person.key("r")
     start = person.settle()
-    # The editor is in the upper right corner, 340 points wide: an opacity handle is caught and pulled down, wherever it
-    # is along the curve. One edit is enough; it is checked once the editor's hint, which overlaps the view, is gone and
-    # the camera is back: with slow frames a whole pull falls into one frame, and the widget at its end is caught, which
-    # may be the view.
+    # The editor is in the upper right corner, 340 points wide. One of the drags down along its width catches an
+    # opacity handle. One edit is enough. It is checked after the editor's hint, which overlaps the view, is
+    # gone and the camera was reset: with slow frames a whole drag falls into one frame, and then the widget at its end
+    # gets it, which may be the view.
     def changed():
         person.key("r")
         return tools.mean_difference(start, person.settle()) > 0.2
@@ -153,10 +154,10 @@ def a_person_explores(command, display, folder):
         if person.differs(start) and changed():
             break
     else:
-        # There was no handle on that row: a new one is made.
+        # No drag caught a handle: a double click adds one.
         display.xdotool("mousemove", 900, 80, "click", "--repeat", 2, "--delay", 60, 1)
         assert changed(), "editing changed nothing"
-    # One edit, or a few if the picture came later than the next pull or a pull counted as a double click.
+    # There is one edit to undo, or a few if the picture came after the next drag or a drag counted as a double click.
     for _ in range(12):
         person.key("ctrl+z")
         back = person.settle()
@@ -171,7 +172,7 @@ def a_person_explores(command, display, folder):
         time.sleep(0.2)
     top = person.settle()
     assert tools.mean_difference(back, top) > 1, "keys switched nothing"
-    # From straight above a slab looks alike in both projections, but differs in size; from the side it differs.
+    # From above, a slab differs between the projections only in size, so a small difference is enough.
     person.key("5")
     parallel = person.settle()
     assert tools.mean_difference(top, parallel) > 0.1, "the orthographic view is the perspective one"
@@ -228,7 +229,8 @@ def screenshots_are_those_of_render(command, display, folder):
         tf = ",".join(str(v) for lobe in LOBES for v in lobe)
         arguments = ["--camera", ",".join(map(str, camera)), "--tf", tf, "--size", "x".join(map(str, size))]
         if parallel:
-            # As much as the window's field of view of 45° shows from there. The distance differs, which has no effect.
+            # The height that the window's field of view of 45° shows at this distance. A parallel projection does not
+            # depend on the distance itself, so another one is passed.
             scale = camera[2] * math.tan(math.radians(22.5))
             arguments[1] = "20,35,3.7"
             arguments += ["--parallel-scale", repr(scale)]

@@ -92,7 +92,7 @@ class Display:
 
 
 def write_png(path, width, height, rgb):
-    """Writes 8-bit RGB."""
+    """Writes a PNG file of 8-bit RGB."""
 
     def chunk(kind, body):
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
@@ -110,7 +110,7 @@ def write_png(path, width, height, rgb):
 
 
 def read_png(path):
-    """Reads 8-bit RGB or RGBA without interlacing: width, height, RGB bytes."""
+    """Reads a PNG file of 8-bit RGB or RGBA without interlacing; returns width, height, RGB bytes."""
     data = Path(path).read_bytes()
     at, body, head = 8, b"", None
     while at < len(data):
@@ -123,7 +123,7 @@ def read_png(path):
         at += 12 + length
     width, height, depth, color, _, _, interlace = head
     if depth != 8 or color not in (2, 6) or interlace:
-        raise ValueError(f"{path}: a kind of PNG that is not read here")
+        raise ValueError(f"{path}: only 8-bit RGB and RGBA without interlacing is read")
     n = 3 if color == 2 else 4
     raw, out, before = zlib.decompress(body), [], bytearray(n * width)
     for y in range(height):
@@ -155,14 +155,14 @@ def read_png(path):
 
 
 def largest_difference(a, b):
-    """Of two pictures (width, height, RGB)."""
+    """Largest difference of the color values of two pictures (width, height, RGB)."""
     if a[:2] != b[:2]:
         raise ValueError(f"the pictures have {a[:2]} and {b[:2]} pixels")
     return max((abs(x - y) for x, y in zip(a[2], b[2])), default=0)
 
 
 def mean_difference(a, b):
-    """Of two pictures (width, height, RGB)."""
+    """Mean absolute difference of the color values of two pictures (width, height, RGB)."""
     return sum(abs(x - y) for x, y in zip(a[2], b[2])) / max(1, len(a[2]))
 
 
@@ -178,7 +178,7 @@ def where_different(a, b):
 
 
 def write_volume(path, edge):
-    """A volume of bytes with some structure: a ball with rings in it."""
+    """Writes a cubic volume of bytes with some structure: a ball with rings in it."""
     low, high = edge // 2, edge
     def bump(i):
         return 90 * (1 - ((i - low) / low) ** 2) + (20 if i % 37 < 9 else 0)
@@ -202,7 +202,7 @@ def read_log(path):
 
 
 def run_script(command, display, lines, folder, arguments=(), seconds=600, validation=False):
-    """Plays a script in a window; returns the log. `command`: the `entire` command."""
+    """Plays a script in a window; returns the rows of its log, by kind. `command`: path of the program `entire`."""
     script, log = Path(folder) / "events.jsonl", Path(folder) / "frames.csv"
     script.write_text("\n".join(lines) + "\n")
     environment = {**display.environment, "XDG_STATE_HOME": str(Path(folder) / "state")}

@@ -7,12 +7,12 @@ use anyhow::Result;
 use entire_io::files::write_whole_with;
 use std::collections::HashMap;
 
-/// An image of the database.
+/// A finished image of the database.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// Measured times and result.
     pub answer: Answer,
-    /// Expected seconds when it was sent.
+    /// Expected seconds when its task was sent.
     pub predicted_s: f64,
 }
 

@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 pub struct Placeholders(pub Vec<(&'static str, String)>);
 
 impl Placeholders {
-    /// The accepted names in braces.
+    /// Names of all placeholders.
     pub const NAMES: [&'static str; 14] = [
         "volume",
         "volume_name",
@@ -63,7 +63,7 @@ fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
 /// Checks the placeholders of an argument.
 ///
 /// # Errors
-/// Names the unknown placeholder, and the accepted ones.
+/// Names the unknown placeholder and the accepted ones, or the single brace.
 pub fn check(argument: &str, names: &[&str]) -> Result<()> {
     for part in parts(argument)? {
         if let Part::Name(name) = part

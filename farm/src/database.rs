@@ -30,8 +30,8 @@ impl<'a> Database<'a> {
     /// workers have finished since the last driver ended.
     ///
     /// # Errors
-    /// When it was begun before and `resume` is not set, another driver is running, or a file cannot be read
-    /// or written.
+    /// When the database was begun before and `resume` is not set, another driver is running, or a file
+    /// cannot be read or written.
     pub fn open(job: &'a Job, options: &Options) -> Result<Self> {
         let state = job.state();
         for folder in ["spool", "orders", "cancel", "logs", "parts", "quarantine"] {
@@ -96,8 +96,10 @@ impl<'a> Database<'a> {
         Ok(new)
     }
 
-    /// Prints a note on pictures in the journal that no longer belong to the job, removes those of changed
-    /// files, and stores the files' identities. `then` are the earlier identities.
+    /// Compares the input files with those of the last run. Removes the pictures of changed files, prints
+    /// notes on them and on other pictures without a task, and stores the files' identities in the journal.
+    /// `then`: the identities of the last run, by [`Job::shown`]; `gone`: ids in the journal that are no task
+    /// of the job.
     fn compare_inputs(
         &mut self,
         then: Option<BTreeMap<String, Vec<Identity>>>,
@@ -158,7 +160,11 @@ impl<'a> Database<'a> {
         self.run
     }
 
-    /// Adds answers that workers wrote to the spool and no driver to the journal.
+    /// Adds the answers in the spool to the journal if their tasks are not finished and their images are
+    /// complete. Then empties the folders of spool, orders, cancellations and images in progress.
+    ///
+    /// # Errors
+    /// When a file cannot be read or written.
     pub fn take_over(&mut self) -> Result<()> {
         let state = self.job.state();
         let folder = state.join("spool");
@@ -208,7 +214,8 @@ impl<'a> Database<'a> {
         !whole || std::fs::read(&path).is_ok_and(|bytes| crc32fast::hash(&bytes) == answer.crc32)
     }
 
-    /// Missing or damaged images are rendered again.
+    /// Removes tasks with missing or damaged images from the finished ones, so that they are rendered again.
+    /// Compares the sizes of the files, with `whole` also their checksums.
     fn check_images(&mut self, whole: bool) -> Result<()> {
         let missing: Vec<u32> =
             self.done.iter().filter(|(_, row)| !self.is_there(&row.answer, whole)).map(|(t, _)| *t).collect();
@@ -224,7 +231,8 @@ impl<'a> Database<'a> {
         Ok(())
     }
 
-    /// The plan of the remaining tasks, corrected by the finished ones; no task is queued in it yet.
+    /// The plan of the remaining tasks, corrected by the times of the finished ones. No task is queued in it
+    /// yet. `base`: ln of the base seconds of every task.
     pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
         let mut planner = planner(self.job, base, setting);
         for (task, row) in &self.done {
@@ -293,7 +301,7 @@ fn tells_loads(job: &Job) -> bool {
     !matches!(job.renderer, super::job::Renderer::Command { .. })
 }
 
-/// The plan of a job for an engine with this many slots.
+/// A plan of a job, without queued tasks. `base`: ln of the base seconds of every task.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
     let has_model = job.predict.model.is_some() || job.predict.list.is_some();

@@ -9,7 +9,7 @@ use std::collections::BinaryHeap;
 
 /// Maximum number of tasks in a bundle.
 const MOST: usize = 4096;
-/// A bundle's time over its overhead, at most and at least.
+/// Maximum and minimum of a bundle's expected seconds over the seconds of its overhead and loading.
 const WORTH: (f64, f64) = (50.0, 3.0);
 /// Minimum number of bundles into which the remaining work per slot is cut.
 const CUTS: f64 = 4.0;
@@ -20,15 +20,15 @@ pub struct Ask<'a> {
     pub held: Option<usize>,
     /// True if it keeps a volume from one bundle to the next.
     pub keeps: bool,
-    /// Seconds to load another volume.
+    /// Seconds to load a volume.
     pub load: &'a dyn Fn(usize) -> f64,
     /// Overhead of a bundle, seconds.
     pub overhead: f64,
     /// Slots that share the work.
     pub slots: usize,
-    /// Limit of a bundle's expected seconds, unless it is a single task.
+    /// Limit of the expected seconds of a bundle of several tasks; not applied if `blind`.
     pub limit: f64,
-    /// True if task times are unknown: bundles are then a share of the number of tasks.
+    /// True if task times are unknown: the size of a bundle is then a share of the number of waiting tasks.
     pub blind: bool,
 }
 
@@ -89,7 +89,7 @@ pub enum Order {
 }
 
 impl Dispatcher {
-    /// For tasks with these expected seconds and volumes; none is queued yet.
+    /// A dispatcher for tasks with these expected seconds and volumes; no task is queued yet.
     pub fn new(seconds: Vec<f32>, volume: Vec<u32>, volumes: usize, order: Order) -> Self {
         let n = seconds.len();
         Self {
@@ -166,7 +166,7 @@ impl Dispatcher {
         let place = lane.partition_point(|t| self.key(*t) <= key);
         lane.insert(place, task);
         self.lanes[v] = lane;
-        // The task may be longer than the entry says.
+        // The task may be longer than the heap's entry of its volume says.
         self.listed[v] = false;
         self.push_front(v);
     }
@@ -184,7 +184,7 @@ impl Dispatcher {
         new
     }
 
-    /// Updates expected seconds.
+    /// Replaces the expected seconds of all tasks and sorts the waiting ones.
     pub fn reorder(&mut self, seconds: Vec<f32>) {
         self.seconds = seconds;
         self.sort();
@@ -195,7 +195,8 @@ impl Dispatcher {
         let by_number = self.arrival || self.uniform;
         self.lanes.par_iter_mut().zip(&mut self.work).for_each(|(lane, work)| {
             let waiting = lane.iter().filter(|t| waits[**t as usize]);
-            // A sort key of a task, the longest last: positive seconds sort as their bits.
+            // A sort key of a task, the longest last. The bits of positive floats have the order of the
+            // floats.
             let key = |t: u32| {
                 let bits = if by_number { 0 } else { seconds[t as usize].to_bits() };
                 u64::from(bits) << 32 | u64::from(u32::MAX - t)
@@ -260,7 +261,8 @@ impl Dispatcher {
         }
     }
 
-    /// The next bundle for a node; `None` if no remaining task is worth its while.
+    /// The next bundle for a node; `None` if no task waits, or if the other nodes would finish the waiting
+    /// tasks before this node has loaded their volume.
     pub fn next(&mut self, ask: &Ask<'_>) -> Option<Vec<u32>> {
         if self.pending == 0 {
             return None;
@@ -268,7 +270,7 @@ impl Dispatcher {
         self.asked += 1;
         let slots = ask.slots.max(1) as f64;
         let total = self.work();
-        // With many tasks this changes slowly, so it is updated rarely.
+        // With many tasks `loading` changes slowly, so only every 64th request updates it.
         if self.pending < 10_000 || self.looked == 0 || self.asked - self.looked >= 64 {
             self.looked = self.asked;
             let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && ask.held != Some(*v));
@@ -345,9 +347,11 @@ impl Dispatcher {
 
     /// The volume that a node works on if loading is expensive.
     ///
-    /// A node keeps its volume. It leaves early only for a volume without a node that would take as long as
-    /// all remaining work. When its volume is finished it joins where most work per node is left, unless the
-    /// nodes there would finish before it had loaded.
+    /// A node keeps its volume while tasks on it wait. It leaves early only if another node keeps that
+    /// volume, for a volume without a node that would take one node longer than its own volume takes the
+    /// others, and longer than an equal share of all waiting work. When its volume is finished, it takes a
+    /// volume without a node, or else the one with the most work per node, unless the nodes there would
+    /// finish before it has loaded.
     fn choose(&self, ask: &Ask<'_>, share: f64) -> Option<usize> {
         let held = ask.held.filter(|v| self.counts[*v] > 0);
         let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && held != Some(*v));

@@ -47,8 +47,8 @@ fn bundles_are_as_large_as_their_sending_is_worth_and_shrink_at_the_end() {
     while let Some(bundle) = d.next(&Ask { overhead: 0.5, ..ask(None, &load, 4) }) {
         sizes.push(bundle.len());
     }
-    // At most 50 times half a second (249 tasks and a rounding error); at the end according to the remaining
-    // work.
+    // A bundle takes at most 50 times its overhead, 25 s (249 tasks and a rounding error); at the end its
+    // size depends on the remaining work.
     assert!((249..=250).contains(&sizes[0]) && sizes.iter().sum::<usize>() == 10_000, "{sizes:?}");
     assert!(*sizes.last().unwrap() <= 15 && sizes[sizes.len() - 2] >= 4, "{sizes:?}");
     assert!(sizes.windows(2).all(|w| w[1] <= w[0]), "{sizes:?}");

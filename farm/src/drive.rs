@@ -20,11 +20,11 @@ use std::time::{Duration, Instant};
 const ETA_EVERY: Duration = Duration::from_millis(1000);
 /// Interval between writings of the database's table during a run.
 const TABLE_EVERY: Duration = Duration::from_secs(30);
-/// Number of times that an engine is restarted without a finished task in between.
+/// Maximum number of restarts of an engine without a finished task in between.
 const RESTARTS: u32 = 3;
-/// Level of the upper bounds that become time requests.
+/// Quantile of a bundle's seconds that its time request covers.
 const UPPER: f64 = 0.99;
-/// In a preview one of this many views comes first.
+/// Interval of the views that a preview renders first.
 const PREVIEW: usize = 8;
 
 /// Result of a run.
@@ -44,7 +44,8 @@ pub struct Summary {
     pub said: Vec<(f64, f64, [f64; 3])>,
 }
 
-/// Tasks in the order of stages: with a preview, its tasks first.
+/// The wanted tasks, in stages that run one after another. With `preview`, the first stage has every eighth
+/// view at the smallest size and the coarsest step; else all tasks are one stage.
 pub fn stages(job: &Job, preview: bool, wanted: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
     let all = (0..job.len() as u32).filter(|t| wanted(*t));
     if !preview {
@@ -68,7 +69,7 @@ struct Drive<'a, 'b> {
     loaded: HashSet<(usize, usize)>,
     failures: HashMap<u32, u32>,
     losses: HashMap<u32, u32>,
-    /// The current task of a bundle's worker.
+    /// The task that each bundle's worker has begun last.
     at: HashMap<u64, u32>,
     predicted: HashMap<u64, HashMap<u32, f64>>,
     busy: f64,
@@ -85,7 +86,7 @@ struct Drive<'a, 'b> {
 /// Runs a job to its end.
 ///
 /// # Errors
-/// When the engine cannot be used, the disk is full, Ctrl-C is pressed; finished tasks stay finished.
+/// When the engine cannot be used, the disk is full, or Ctrl-C is pressed; finished tasks stay finished.
 pub fn run(
     database: &mut Database<'_>,
     base: Vec<f32>,
@@ -183,12 +184,12 @@ impl Drive<'_, '_> {
             self.send()?;
             ensure!(
                 self.planner.running() > 0 || self.planner.is_over(),
-                "{} tasks wait and no slot takes one; please report it with the job file",
+                "{} tasks wait and no slot takes one; please report this with the job file",
                 self.planner.pending()
             );
             let events = self.engine.poll(Duration::from_millis(100))?;
             let refit = self.take(events)?;
-            // New work first, then the disk: finished tasks are safe in the spool until then.
+            // Sends new bundles before it flushes the journal: until then the spool keeps the finished tasks.
             self.send()?;
             self.database.journal.flush()?;
             if refit {
@@ -230,7 +231,7 @@ impl Drive<'_, '_> {
         }
         let interrupted = interrupt::requested(&stop) || self.full.is_some();
         if interrupted {
-            show.note("finishing the images at hand; Ctrl-C again ends at once");
+            show.note("finishing the images in progress; Ctrl-C again ends at once");
             self.engine.cancel()?;
             let patience = Instant::now();
             while self.planner.running() > 0 && patience.elapsed() < Duration::from_secs(600) {
@@ -300,7 +301,8 @@ impl Drive<'_, '_> {
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l) {
-                // It is a single task: bundles of more stay far below the limit.
+                // The tasks of a bundle take at most half of this, unless it has one task or times are
+                // unknown.
                 let why = format!(
                     "it is expected to take {:.0} s, and the engine runs nothing longer than {limit:.0} s",
                     sent.expected_s
@@ -329,7 +331,7 @@ impl Drive<'_, '_> {
         waits
     }
 
-    /// Processes events. True if expected times have changed.
+    /// Processes events. Returns true if the model got new measured times.
     fn take(&mut self, events: Vec<Event>) -> Result<bool> {
         let before = self.planner.learner().observed();
         for event in events {
@@ -461,7 +463,8 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// The engine has ended: its bundles are lost, except for answers that workers wrote.
+    /// Starts an engine in place of one that has ended. Its bundles are lost, except for the answers in the
+    /// spool.
     fn restart(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<()> {
         let open: Vec<u64> = self.predicted.keys().copied().collect();
         for bundle in open {
@@ -488,7 +491,8 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// Measures a bundle's overhead where slots have no names: the time in which they were not busy.
+    /// Measures the overhead per bundle if bundles are not bound to slots: the time in which slots were not
+    /// busy.
     fn measure_overhead(&mut self, now: f64) {
         let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
         if self.planner.pending() == 0 {
@@ -498,7 +502,7 @@ impl Drive<'_, '_> {
         if self.idle_from.is_some() || self.over < 2 * slots {
             return;
         }
-        // Running bundles are half done on average.
+        // Work of the running bundles so far: they are half done on average.
         let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
         let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
         self.planner.set_overhead((idle / self.over as f64).clamp(0.001, 60.0));

@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Number of tasks that are drawn one by one for the expected end; larger jobs are sampled.
+/// Maximum number of tasks whose times are drawn for the expected end; of more tasks, an even sample is
+/// drawn.
 const DRAWN: usize = 4096;
 /// Number of draws of the expected end.
 const DRAWS: usize = 400;
@@ -29,13 +30,14 @@ struct UnderWay<'a> {
 }
 
 impl Planner {
-    /// Seconds until all is done: 5, 50 and 95 percent of draws.
+    /// Seconds until all tasks are done: quantiles 0.05, 0.5 and 0.95 of the draws.
     ///
     /// A running task takes at least the time it has run: its time is drawn from longer ones, and a draw of
-    /// the model is weighted by the probability that all running tasks still run. Without this, the finished
-    /// tasks of the first round, which are its shortest, would stand for all.
+    /// the model is weighted by the probability that all running tasks still run. Without this, the estimate
+    /// would rely on finished tasks only, and at first only short tasks are finished.
     pub fn eta(&self, now: f64) -> [f64; 3] {
-        // The most recent times are of tasks that took long, and must be included.
+        // The times since the last fit tend to be those of long tasks: without them the end would be too
+        // early.
         if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
             let mut copy = self.clone();
             copy.learner.refit();
@@ -48,7 +50,7 @@ impl Planner {
         if self.setting.order == Order::Arrival {
             tasks.sort_unstable();
         } else {
-            // Longest first, then by number; positive seconds sort as their bits do.
+            // Longest first, then by number. The bits of positive floats have the order of the floats.
             let key = |t: u32| u64::from(!self.dispatcher.seconds(t).to_bits()) << 32 | u64::from(t);
             let mut keys: Vec<u64> = tasks.iter().map(|t| key(*t)).collect();
             keys.par_sort_unstable();
@@ -104,7 +106,7 @@ impl Planner {
         let whole: f64 = r.sent.predicted_s.iter().map(|s| f64::from(*s)).sum();
         let slot = r.sent.slot;
         let sent_speed = slot.map_or(1.0, |s| self.learner.speed(s));
-        // The load goes with the first task.
+        // Loading comes before the first task; no load is left once a task is done.
         let load = if r.busy > 0.0 { 0.0 } else { (r.sent.expected_s - whole / sent_speed).max(0.0) };
         UnderWay {
             running: r,
@@ -168,14 +170,15 @@ fn busy(under_way: &[UnderWay<'_>], slots: usize, mut rest: impl FnMut(&UnderWay
         if let Some(slot) = busy.get_mut(u.slot.unwrap_or(k)) {
             *slot += rest;
         } else if let Some(least) = busy.iter_mut().min_by(|a, b| f64::total_cmp(a, b)) {
-            // More bundles than slots: the rest wait their turn.
+            // More bundles than slots: this one runs on the slot that is free first.
             *least += rest;
         }
     }
     busy
 }
 
-/// 5, 50 and 95 percent of ends with weights e^w. If few would count, all weights are flattened.
+/// Quantiles 0.05, 0.5 and 0.95 of pairs of an end and its log weight. If the effective number of draws is
+/// below [`COUNTING`], the log weights are scaled towards 0.
 fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     let most = ends.iter().map(|e| e.1).fold(f64::NEG_INFINITY, f64::max);
     let weights = |power: f64| -> Vec<f64> { ends.iter().map(|e| (power * (e.1 - most)).exp()).collect() };
@@ -201,7 +204,8 @@ fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     })
 }
 
-/// End of a queue: tasks in order, each to the first free slot.
+/// Seconds until a queue is done: tasks in order, each to the first free slot. `times`: seconds at speed 1;
+/// `busy`: seconds until each slot is free.
 pub fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
     let mut last = busy.iter().copied().fold(0.0, f64::max);
     let mut free: BinaryHeap<Reverse<(Time, usize)>> =

@@ -32,9 +32,9 @@ pub struct VolumeFile {
     pub time: u32,
     /// Absolute path.
     pub path: PathBuf,
-    /// Its size and that of its data files.
+    /// Size of the file and of its data files, bytes.
     pub bytes: u64,
-    /// Options of reading it.
+    /// Options of reading the file.
     pub reading: Reading,
     /// Identities of the volume file and of the data files that its header names.
     pub files: Vec<Identity>,
@@ -64,8 +64,9 @@ pub struct Place {
     pub step: usize,
 }
 
-/// A checked job. Its tasks are all combinations; a task is a number. A task's id is a hash of all inputs of
-/// its picture: it stays when the job grows, and changes when an input file changes.
+/// A checked job. Its tasks are all combinations of volume files, cameras, transfer functions, sizes and
+/// steps, numbered from 0. A task's id is a hash of all inputs of its picture: it stays the same when the job
+/// grows, and changes when an input file changes.
 #[derive(Clone, Debug)]
 pub struct Job {
     /// The database's name.
@@ -84,7 +85,7 @@ pub struct Job {
     pub sizes: Vec<[u32; 2]>,
     /// Steps.
     pub steps: Vec<f32>,
-    /// Who renders.
+    /// The renderer.
     pub renderer: Renderer,
     /// Source of expected times.
     pub predict: Predict,
@@ -229,8 +230,8 @@ impl Job {
         Place { volume: rest / c, camera: rest % c, transfer, size, step }
     }
 
-    /// A task's id: 64 bits of the inputs of its picture and its renderer. Path and name of a volume count
-    /// only if the renderer gets them.
+    /// A task's id: a 64-bit hash of the inputs of its picture and of the renderer's settings. Name and time
+    /// step of a volume are included only if the renderer gets them; the folder of its files is not.
     pub fn id(&self, task: usize) -> u64 {
         let at = self.place(task);
         self.id_with(self.hashes[0][at.volume], at)
@@ -262,7 +263,8 @@ impl Job {
         volume * each..(volume + 1) * each
     }
 
-    /// The ids of tasks with earlier identities of volumes' files (by [`Job::shown`]), volume by volume.
+    /// Returns a function from a volume to the ids that its tasks have with earlier identities of its files.
+    /// `then`: these identities, by [`Job::shown`].
     pub fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
         let mut volumes = self.volumes.clone();
         for (i, volume) in volumes.iter_mut().enumerate() {
@@ -317,7 +319,7 @@ impl Job {
     }
 }
 
-/// Parameters that a renderer gets with a volume's file.
+/// True for each parameter that the renderer gets besides the path of the volume file.
 struct Told {
     name: bool,
     time: bool,
@@ -336,8 +338,8 @@ impl Told {
     }
 }
 
-/// Hashes of the volumes, for the ids of their tasks. Identical files differ only by their order: their
-/// pictures are the same.
+/// Hashes of the volumes, for the ids of their tasks. Volumes with equal inputs have the same pictures; a
+/// count of the equal ones so far makes their hashes different.
 fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     let mut same: HashMap<String, usize> = HashMap::new();
     let text = |v: &VolumeFile| {

@@ -27,11 +27,11 @@ pub struct JobFile {
     pub steps: Vec<f32>,
     /// Volumes to render.
     pub volumes: Vec<VolumesEntry>,
-    /// From where.
+    /// Views.
     pub cameras: Vec<CamerasEntry>,
     /// The transfer functions.
     pub transfer: Vec<TransferEntry>,
-    /// By whom.
+    /// The renderer.
     pub renderer: Renderer,
     /// Source of expected times.
     #[serde(default)]
@@ -60,9 +60,9 @@ pub struct VolumesEntry {
     /// True if the files are time steps of one volume.
     #[serde(default)]
     pub series: bool,
-    /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for the voxels' own.
+    /// Scalar range that maps to 0 … 1: two numbers, or `"data"` for minimum and maximum of the voxels.
     pub range: Option<RangeEntry>,
-    /// Array to read from a VTK file with several.
+    /// Name of the array to read from a VTK file with several arrays.
     pub array: Option<String>,
     /// Fill values, which mark voxels without data: `"none"`, or numbers separated by commas.
     #[serde(default)]
@@ -115,7 +115,7 @@ pub enum CamerasEntry {
     SemiSphere {
         /// Views on each sphere.
         views: u32,
-        /// Radii, bounding-sphere radii.
+        /// Distances, bounding-sphere radii.
         distances_radii: Vec<f32>,
     },
     /// Poses one by one: rotation about x and y in degrees, distance in bounding-sphere radii.
@@ -141,7 +141,7 @@ pub struct TransferEntry {
     pub points: Option<Vec<[f32; 5]>>,
 }
 
-/// Who renders.
+/// A renderer of images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Renderer {
@@ -176,7 +176,7 @@ pub enum Renderer {
         /// Time limit in seconds; then the program is ended and the task counts as failed.
         timeout_s: Option<f64>,
     },
-    /// A persistent ParaView script, run by `pvbatch`: as `session`.
+    /// A persistent ParaView script, run by `pvbatch`. It uses the protocol of `session`.
     Pvbatch {
         /// The script.
         script: PathBuf,
@@ -219,8 +219,9 @@ pub struct Predict {
     pub model: Option<PathBuf>,
     /// A task list with `task` (an id) and `predicted_s`.
     pub list: Option<PathBuf>,
-    /// True if the analytic model predicts from the volumes where no model is given. Without it, expected
-    /// times are proportional to pixels over step until tasks have been measured.
+    /// True if the analytic model predicts the times where no model or list is given; default: true for the
+    /// project's raycaster. If false, expected times are proportional to pixels over step until tasks have
+    /// been measured.
     pub analytic: Option<bool>,
     /// Rays along each side of the probe of the analytic model.
     pub probe_side: Option<usize>,
@@ -232,7 +233,7 @@ pub struct Predict {
 pub struct Retry {
     /// Number of failures after which a task is quarantined.
     pub attempts: u32,
-    /// Number of losses with its worker after which a task is quarantined.
+    /// Number of workers lost during a task after which it is quarantined.
     pub losses: u32,
 }
 

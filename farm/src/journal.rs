@@ -1,5 +1,5 @@
-//! The journal: results line by line, appended and flushed to the disk before anything relies on them. One
-//! writer at a time, by a lock on a file beside it.
+//! The journal: results line by line, appended and flushed to the disk before anything relies on them. Its
+//! one writer holds a lock on a file beside it.
 
 use super::record::Entry;
 use anyhow::{Context, Result, bail};
@@ -70,7 +70,7 @@ impl Journal {
         let before = self.file.metadata()?.len();
         let written = self.file.write_all(&self.waiting).and_then(|()| self.file.sync_data());
         if let Err(error) = written {
-            // No partial line stays.
+            // Removes a partly written line.
             let _ = self.file.set_len(before);
             return Err(error).with_context(|| {
                 format!("cannot write the journal {}; make room and go on with --resume", self.path.display())
@@ -81,7 +81,7 @@ impl Journal {
     }
 }
 
-/// Calls `each` for every whole line; returns the length of the whole lines.
+/// Calls `each` for every complete line; returns the length of these lines, bytes.
 fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
     let mut reader = BufReader::new(file);
     let (mut line, mut good, mut number) = (Vec::new(), 0u64, 0usize);

@@ -2,10 +2,10 @@
 //!
 //! ln(seconds / base) of a task is modeled as x·β + u + ε: x are features of the task (logarithms of base,
 //! pixels, step and distance, the view direction, its transfer function), u is a volume effect, ε an error of
-//! the task. β and u have normal priors; their variances and that of ε are estimated from the data (REML-like
-//! updates, a mixed model as of Laird and Ware 1982). The posterior is exact for given variances: volumes are
-//! eliminated by a Schur complement, so a job may have any number of them. Nodes have speeds, which are
-//! shrunk means of the residuals.
+//! the task. β and u have normal priors; the variances of u and ε are estimated from the data by updates
+//! similar to REML (a mixed-effects model as of Laird and Ware 1982). The posterior is exact for given
+//! variances. Volumes are eliminated by a Schur complement, so a job may have any number of them. Nodes have
+//! speeds, which are shrunk means of the residuals.
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
@@ -21,30 +21,31 @@ use rayon::prelude::*;
 /// Number of features of a task before its transfer function: a constant, ln base, ln pixels, ln step, ln
 /// distance, shares of the view direction along x and y and their squares.
 const FIXED: usize = 9;
-/// Prior standard deviations of these features' coefficients.
+/// Prior standard deviations of the coefficients of these features.
 const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
-/// That of the constant, without a model or list of base times.
+/// Prior standard deviation of the constant without a model or list of base times.
 pub const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
-/// That of the constant, with a model or list, perhaps of another machine.
+/// Prior standard deviation of the constant with a model or list, which may be of another machine.
 pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
-/// That of each transfer function.
+/// Prior standard deviation of the coefficient of each transfer function.
 const PRIOR_TRANSFER: f64 = 0.3;
-/// Number of transfer functions with their own coefficient.
+/// Maximum number of transfer functions; with more of them, none has a coefficient.
 const MAX_TRANSFERS: usize = 64;
-/// Prior standard deviations of the residual, volumes and nodes, and their weight in observations.
+/// Prior standard deviation of the residual and of the volume effects, and the weight of these priors as a
+/// number of observations.
 const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
-/// That of volumes, with a model or list: the largest of shipped models on frames of held-out volumes
-/// (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside, none-earlier and
-/// none-steps-members of `data/timings` gave 0.03 to 0.07).
+/// Prior standard deviation of the volume effects with a model or list: the largest of shipped models on
+/// frames of held-out volumes (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside,
+/// none-earlier and none-steps-members of `data/timings` gave 0.03 to 0.07).
 const VOLUME_SD_WITH_MODEL: f64 = 0.07;
-/// With a model or list, the prior standard deviation of the coefficient of ln base: twice the largest slope
-/// of ln(measured / base) over ln base on the same tables.
+/// Prior standard deviation of the coefficient of ln base with a model or list: twice the largest slope of
+/// ln(measured / base) over ln base on the tables of [`VOLUME_SD_WITH_MODEL`].
 const SLOPE_SD_WITH_MODEL: f64 = 0.04;
-/// With a model or list, long tasks scatter less than short ones: decrease of ln of a residual's standard
-/// deviation per unit of ln base (the same tables: 0.14 to 0.26), and the distance from the mean up to which
-/// it applies.
+/// Decrease of ln of the residual's standard deviation per unit of ln base, with a model or list: long tasks
+/// scatter less than short ones (0.14 to 0.26 on the tables of [`VOLUME_SD_WITH_MODEL`]). The second number
+/// is the distance of ln base from its mean up to which the decrease applies.
 const SCATTER_SLOPE_WITH_MODEL: (f64, f64) = (0.2, 4.0);
-/// Residuals are clipped at this many standard deviations: one hung task must not affect the others.
+/// Number of standard deviations at which residuals are clipped: one hung task must not affect the others.
 const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
@@ -65,7 +66,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// With another prior standard deviation of the constant, the common factor of the base seconds.
+    /// Sets the prior standard deviation of the constant, which is ln of a common factor of the base seconds.
     pub fn with_constant(self, sd: f64) -> Self {
         Self { constant: sd, ..self }
     }
@@ -125,7 +126,7 @@ impl Shape {
         Self::new(base, volume, row, transfer, terms, job.volumes.len(), job.transfers.len())
     }
 
-    /// Tasks with no known feature but the volume.
+    /// Tasks whose volume is the only known feature.
     pub fn of_volumes(base_seconds: &[f64], volume: &[usize]) -> Self {
         let base = base_seconds.iter().map(|s| s.max(1e-9).ln() as f32).collect();
         let volumes = volume.iter().max().map_or(1, |v| v + 1);
@@ -261,8 +262,8 @@ impl Learner {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
 
-    /// Factor by which a task's own error is below the average: its standard deviation is the model's over
-    /// this.
+    /// Divisor of the residual's standard deviation for a task: over 1 for tasks longer than the average; 1
+    /// without a model or list.
     fn calm(&self, task: usize) -> f64 {
         if !self.shape.has_model() {
             return 1.0;
@@ -306,7 +307,7 @@ impl Learner {
         (0..self.shape.len()).into_par_iter().with_min_len(4096).map(|t| self.seconds(t) as f32).collect()
     }
 
-    /// Adds an observed time. True if the model was refitted: expected seconds have changed.
+    /// Adds an observed time. Returns true if the model was refitted, which changes the expected seconds.
     pub fn observe(&mut self, task: usize, node: usize, seconds: f64) -> bool {
         if !(seconds.is_finite() && seconds > 0.0) {
             return false;
@@ -332,7 +333,7 @@ impl Learner {
         let nodes = self.seen.iter().map(|s| s.node as usize + 1).max().unwrap_or(0);
         self.nodes.resize(nodes, 0.0);
         let mut x = vec![0.0; d];
-        // Two rounds: nodes' speeds and clipping depend on the fit and vice versa.
+        // Three rounds: the fit depends on the nodes' speeds and on the clipping, and both depend on the fit.
         for round in 0..if self.seen.is_empty() { 1 } else { 3 } {
             let clip = HUBER * self.sigma2.sqrt();
             let (mut xtx, mut xty, mut yy) = (vec![0.0; d * d], vec![0.0; d], 0.0);
@@ -415,7 +416,8 @@ impl Learner {
                 self.effects[v] = (sums_y[v] - dot(&sums[v])) / s2 / precisions[v];
             }
             if n > 0.0 {
-                // Effective parameters: for β the trace of (precision⁻¹ · data), for volumes their shrinkage.
+                // Effective number of parameters: for β the trace of (precision⁻¹ · precision of the data),
+                // for each volume its shrinkage factor.
                 let mut used = 0.0;
                 for k in 0..d {
                     let mut unit = vec![0.0; d];
@@ -460,7 +462,8 @@ impl Learner {
         if self.nodes.len() < 2 {
             return;
         }
-        // Variance of nodes beyond their tasks' own errors. One time per node does not determine it.
+        // Variance of the nodes' speeds beyond the errors of their tasks. One time per node is not enough to
+        // separate the two.
         let of_nodes: f64 =
             sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
         let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);
@@ -491,7 +494,8 @@ impl Learner {
             .collect();
         let stride = n.div_ceil(KEPT).max(1);
         self.residuals = errors.iter().step_by(stride).map(|e| *e as f32).collect();
-        // Drift of the machine: variance of means of consecutive eighths beyond their tasks' own errors.
+        // Drift of the machine: the variance of the mean residuals of consecutive eighths of the tasks,
+        // beyond the variance that the errors of the tasks explain.
         const PARTS: usize = 8;
         self.drift = 0.0;
         if n >= 4 * PARTS {
@@ -504,8 +508,8 @@ impl Learner {
                 .collect();
             let variance = means.iter().map(|m| m * m).sum::<f64>() / (PARTS - 1) as f64;
             let expected = self.sigma2 / size as f64;
-            // Means of independent tasks scatter as χ² with 7 degrees of freedom: only the excess over its 95
-            // % quantile counts as drift.
+            // For independent tasks, the sum of the squared means over their variance has a χ² distribution
+            // with 7 degrees of freedom: there is drift only if it exceeds the 95 % quantile.
             const LIKELY: f64 = 14.07 / (PARTS - 1) as f64;
             if variance > LIKELY * expected {
                 self.drift = (variance - expected).sqrt();
@@ -542,14 +546,14 @@ impl Learner {
         (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp()
     }
 
-    /// As [`Learner::drawn_seconds`], for a task that has run for `seconds`; and the draw's probability of
-    /// that.
+    /// As [`Learner::drawn_seconds`], for a task that has run for `seconds` and is not finished. Returns a
+    /// longer time, and the probability in this draw that the task takes longer than `seconds`.
     pub fn drawn_beyond(&self, draw: &Draw, task: usize, seconds: f64, rng: &mut ChaCha8Rng) -> (f64, f64) {
         let log =
             f64::from(self.shape.base[task]) + self.log_of(&draw.beta, &draw.effects, task) + draw.drift;
         let calm = self.calm(task);
         let least = (seconds.ln() - log) * calm;
-        // Floor of the probability that the model does not explain.
+        // Lower bound on the returned probability, since a task may hang for reasons outside the model.
         const LEAST: f64 = 1e-3;
         let probable = if self.residuals.len() >= 50 {
             let beyond = self.residuals.iter().filter(|r| f64::from(**r) > least).count();
@@ -563,7 +567,7 @@ impl Learner {
                 return (drawn, probable.max(LEAST));
             }
         }
-        // Far beyond all residuals: its present time and half its scatter.
+        // No draw was longer than `seconds`: half a standard deviation is added to it.
         (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 
@@ -585,7 +589,7 @@ impl Learner {
         sums[((level * DRAWS as f64) as usize).min(DRAWS - 1)]
     }
 
-    /// As [`Learner::draw`], with effects only for the volumes of these tasks.
+    /// As [`Learner::draw`], but draws only the effects of the volumes of every `stride`-th task of `tasks`.
     fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
         let d = self.beta.len();
         let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();

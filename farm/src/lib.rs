@@ -1,10 +1,10 @@
 //! Render farms: image databases that are planned, rendered on an engine, corrected by measured times, and
 //! recorded so that no result is lost.
 //!
-//! [`list`] has task lists and static assignments (`entire schedule`). The rest is `entire farm`: a job file
-//! becomes tasks ([`job`]), tasks get expected times ([`predict`], [`learn`], [`load`]), a planner sends them
-//! in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), the journal records
-//! the results ([`journal`], [`spool`]). The simulator ([`simulate`]) uses the same planner.
+//! [`list`] has task lists and static assignments (`entire schedule`). The other modules are `entire farm`: a
+//! job file becomes tasks ([`job`]), tasks get expected times ([`predict`], [`learn`], [`load`]), a planner
+//! sends them in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), the
+//! journal records the results ([`journal`], [`spool`]). The simulator ([`simulate`]) uses the same planner.
 
 pub mod cinema;
 pub mod command;

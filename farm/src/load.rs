@@ -1,7 +1,7 @@
-//! Loading times of volumes: an affine law of their size, for a node's first reading (cold) and later ones
-//! (warm), and measured times per volume.
+//! Loading times of volumes: an affine function of their size, for a node's first reading (cold) and later
+//! ones (warm), combined with the measured times of each volume.
 
-/// Assumed bytes per second before any measurement.
+/// Assumed rates of loading before any measurement, cold and warm, bytes per second.
 const BEFORE: [f64; 2] = [200e6, 1000e6];
 
 /// The model of loading times.
@@ -15,15 +15,15 @@ pub struct Loads {
 }
 
 impl Loads {
-    /// For volumes of these sizes. A renderer that does not report loading times loads within its tasks: its
-    /// loads are zero.
+    /// A model for volumes of these sizes in bytes. `has_model` is false for a renderer that does not report
+    /// loading times: it loads within its tasks, so loading takes zero seconds.
     pub fn new(bytes: Vec<f64>, has_model: bool) -> Self {
         let seen = vec![[(0.0, 0); 2]; bytes.len()];
         let laws = if has_model { BEFORE.map(|rate| (0.0, 1.0 / rate)) } else { [(0.0, 0.0); 2] };
         Self { bytes, seen, laws, fixed: None }
     }
 
-    /// Loads with known times.
+    /// Loading times that are known, seconds by volume.
     pub fn known(seconds: Vec<f64>) -> Self {
         Self { fixed: Some(seconds.clone()), ..Self::new(seconds, false) }
     }
@@ -37,7 +37,8 @@ impl Loads {
         let slot = &mut self.seen[volume][kind];
         slot.0 += seconds;
         slot.1 += 1;
-        // Weighted least squares through per-volume means; a rate without an offset where sizes are alike.
+        // Weighted least squares on the mean times of the volumes. If sizes are about equal, or slope or
+        // offset would be negative, a slope without an offset.
         let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (bytes, seen) in self.bytes.iter().zip(&self.seen) {
             let (sum, count) = (seen[kind].0, f64::from(seen[kind].1));
@@ -59,7 +60,7 @@ impl Loads {
         };
     }
 
-    /// Expected seconds.
+    /// Expected seconds to load a volume.
     pub fn seconds(&self, volume: usize, warm: bool) -> f64 {
         if let Some(fixed) = &self.fixed {
             return fixed[volume];
@@ -67,12 +68,13 @@ impl Loads {
         let kind = usize::from(warm);
         let (offset, slope) = self.laws[kind];
         let law = offset + slope * self.bytes[volume];
-        // The mean of a volume's own measurements and one value of the law.
+        // The mean of the volume's own measurements and the value of the affine function, counted as one
+        // more.
         let (sum, n) = self.seen[volume][kind];
         (sum + law) / f64::from(n + 1)
     }
 
-    /// The laws: seconds, and seconds per byte, cold and warm.
+    /// Offset in seconds and slope in seconds per byte of the affine functions, cold and warm.
     pub fn laws(&self) -> [(f64, f64); 2] {
         self.laws
     }

@@ -6,13 +6,16 @@ use std::path::PathBuf;
 
 /// Sorts paths by text, and by value where they contain numbers.
 ///
-/// A number is digits of any count, with a fraction where exactly one point stands between digits (`0.25`,
-/// but `1.2.3` is three numbers) and an exponent where one follows (`1e-3`, `2.5E+4`; without a sign and a
-/// fraction only if neither part begins with a zero, so that `s01e02` is two numbers) and no letter or digit
-/// comes after it. `+` before it is its sign. `-` is its sign after anything but letters and digits (`t_-1`);
-/// after a letter where another name has a number there without it (`t-1` beside `t0`); else it is a hyphen
-/// (`run-1`, `2024-01-05`). Equal numbers (`1`, `01`, `1.0`) are ordered by the rest of the name, then by
-/// text.
+/// A number is a sequence of digits of any length, with the following additions:
+/// - A fraction, if exactly one point is between digits: `0.25`; `1.2.3` is three numbers.
+/// - An exponent, if no letter or digit follows it: `1e-3`, `2.5E+4`. After an integer, an exponent without a
+///   sign is recognized only if neither is padded with zeros: `s01e02` is two numbers.
+/// - The sign `+` before it.
+/// - The sign `-` before it, after any character except a letter or a digit (`t_-1`), and after a letter if
+///   another name has a number there without it (`t-1` and `t0`). Otherwise `-` is a hyphen (`run-1`,
+///   `2024-01-05`).
+///
+/// Equal numbers (`1`, `01`, `1.0`) are ordered by the rest of the name, then by text.
 pub fn sort(paths: &mut Vec<PathBuf>) {
     let texts: Vec<String> = paths.iter().map(|p| p.to_string_lossy().into_owned()).collect();
     let mut keys: Vec<Vec<Token>> = texts.iter().map(|t| tokens(t)).collect();
@@ -42,7 +45,9 @@ struct Token {
 }
 
 impl Token {
-    /// Moves a sign at the text's end to the number, if it is a sign.
+    /// Moves `+` or `-` from the end of the text to the number, if it is the number's sign. `after_number`:
+    /// true if the previous token has a number; `is_there`: true if another name has a number after the given
+    /// text.
     fn take_sign(&mut self, after_number: bool, is_there: impl Fn(&str) -> bool) {
         let Some(number) = &mut self.number else { return };
         let mut rest = self.text.chars();
@@ -63,7 +68,7 @@ impl Token {
     }
 }
 
-/// 0.DIGITS · 10^point, exactly.
+/// A number as 0.DIGITS · 10^point, exact.
 #[derive(Debug, PartialEq, Eq)]
 struct Number {
     negative: bool,
@@ -105,13 +110,14 @@ fn digits(text: &str) -> &str {
     &text[..text.bytes().position(|b| !b.is_ascii_digit()).unwrap_or(text.len())]
 }
 
-/// A point and the digits after it, at the start of a text.
+/// The digits after a point at the start of a text; empty if there are none.
 fn fraction(text: &str) -> &str {
     text.strip_prefix('.').map_or("", digits)
 }
 
-/// An exponent at the start of a text: its length and value. After an integer without a fraction, one without
-/// a sign counts only if neither is padded with zeros.
+/// Length and value of an exponent at the start of a text. `fraction`: true if the number before it has a
+/// fraction. Otherwise, an exponent without a sign counts only if neither it nor the number (`padded`) is
+/// padded with zeros.
 fn exponent(text: &str, fraction: bool, padded: bool) -> Option<(usize, i64)> {
     let rest = text.strip_prefix(['e', 'E'])?;
     let unsigned = rest.strip_prefix(['+', '-']);
@@ -146,7 +152,7 @@ fn tokens(text: &str) -> Vec<Token> {
                 end = &end[1 + fraction(end).len()..];
                 parts += 1;
             }
-            // The first part of several, or a number with its own fraction.
+            // Two or more points make a version; one point makes a fraction.
             parts = if parts > 1 { parts + 1 } else { 0 };
         }
         let (mut part, mut length, mut power) = ("", whole.len(), 0);
@@ -173,7 +179,7 @@ fn tokens(text: &str) -> Vec<Token> {
 mod tests {
     use super::*;
 
-    /// Sorts the names from their reversed order.
+    /// Checks that names in reversed order are sorted into the given order.
     fn stays(names: &[&str]) {
         let want: Vec<PathBuf> = names.iter().map(PathBuf::from).collect();
         let mut paths: Vec<PathBuf> = want.iter().rev().cloned().collect();

@@ -1,6 +1,6 @@
 //! Export as an OpenJD job template (Open Job Description, `jobtemplate-2023-09`): one task per bundle, for
-//! farms that read such templates. `entire farm --resume` takes over the images that their workers have
-//! rendered.
+//! farms that read such templates. `entire farm --resume` adds the images that their workers have rendered to
+//! the database.
 
 use super::engine::{Bundle, Places};
 use super::job::Job;
@@ -24,7 +24,7 @@ pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize) -> Vec<Vec<u32>> {
     let (mut sum, mut volume) = (f64::INFINITY, usize::MAX);
     for task in sorted {
         let seconds = planner.expected(task);
-        // Cuts where the bundle's time is closer to the target.
+        // Starts a new bundle where the time of the last one is closer to the target without this task.
         if sum + 0.5 * seconds > target || shape.volume(task as usize) != volume {
             out.push(Vec::new());
             (sum, volume) = (0.0, shape.volume(task as usize));
@@ -51,7 +51,7 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
     let longest = bundles.iter().map(|b| b.upper_s).fold(1.0, f64::max).ceil() as u64;
     let text =
         |p: &Path| p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()));
-    // A path's default must lie below the template; otherwise the submitter names the folder.
+    // OpenJD accepts a default path only below the template's folder; otherwise the submitter gives the path.
     let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = std::fs::canonicalize(folder)
         .with_context(|| format!("cannot find the folder {}", folder.display()))?;

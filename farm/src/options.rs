@@ -1,4 +1,4 @@
-//! Options of a run.
+//! Options of `entire farm` that concern database and driver.
 
 /// Options of a run.
 #[derive(Clone, Debug, Default)]
@@ -7,14 +7,14 @@ pub struct Options {
     pub resume: bool,
     /// True to retry quarantined tasks.
     pub retry_quarantined: bool,
-    /// True to read existing images and compare them with their checksums.
+    /// True to compare existing images with their checksums, not only their sizes.
     pub verify: bool,
-    /// True to render a coarse subset first.
+    /// True to render first every eighth view at the smallest size and the coarsest step.
     pub preview: bool,
     /// Order in which tasks are sent.
     pub order: crate::dispatch::Order,
-    /// True to take all tasks as equally long throughout, for comparison.
+    /// True to take all tasks as equally long in the whole run, for comparison.
     pub uniform: bool,
-    /// Overhead of a bundle, seconds, instead of the engine's own figure.
+    /// Initial estimate of a bundle's overhead, seconds; default: the engine's.
     pub overhead: Option<f64>,
 }

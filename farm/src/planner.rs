@@ -10,7 +10,8 @@ use std::collections::{BTreeMap, HashSet, VecDeque};
 mod eta;
 pub use eta::queue_end;
 
-/// Share of the work during which some tasks are sent for learning, and their interval: one in four.
+/// Share of finished tasks up to which some requests are answered with a task for learning, and the interval
+/// of these requests.
 const EXPLORED: (f64, u32) = (0.1, 4);
 
 /// State of a task.
@@ -18,7 +19,7 @@ const EXPLORED: (f64, u32) = (0.1, 4);
 pub enum State {
     /// Not part of this run.
     Idle,
-    /// It waits.
+    /// It waits to be sent.
     Waits,
     /// It was sent.
     Sent,
@@ -33,12 +34,12 @@ pub enum State {
 pub struct Setting {
     /// Slots that work at once.
     pub slots: usize,
-    /// True if slots have names and each keeps its volume; else bundles go to any free slot and each loads
-    /// its volume.
+    /// True if each bundle is sent to a given slot, which keeps its volume; else a bundle runs on any free
+    /// slot and loads its volume.
     pub bound: bool,
     /// Overhead of a bundle on its slot, seconds.
     pub overhead: f64,
-    /// Limit of a bundle's seconds.
+    /// Longest time request of a bundle, seconds.
     pub limit: Option<f64>,
     /// Order in which tasks are sent.
     pub order: Order,
@@ -108,7 +109,7 @@ pub struct Straggler {
     pub task: u32,
     /// The slot, if known.
     pub slot: Option<usize>,
-    /// Seconds since it was sent.
+    /// Seconds since its first task began, or since it was sent if that is not known.
     pub elapsed_s: f64,
     /// Expected seconds.
     pub expected_s: f64,
@@ -141,12 +142,12 @@ impl Planner {
         }
     }
 
-    /// Keeps the given order, as for uniform costs.
+    /// Takes all tasks as equally long: they are sent in the order of the job.
     pub fn set_uniform(&mut self) {
         self.dispatcher.set_uniform();
     }
 
-    /// Adds tasks, which come after earlier ones.
+    /// Adds tasks, which are sent after those of earlier stages.
     pub fn add_stage(&mut self, tasks: Vec<u32>) {
         for &t in &tasks {
             self.states[t as usize] = State::Waits;
@@ -176,7 +177,7 @@ impl Planner {
         }
     }
 
-    /// Gives a task up.
+    /// Records that a task was given up.
     pub fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
         if let Some(r) = bundle.and_then(|b| self.running.get_mut(&b)) {
             r.open.retain(|t| *t != task);
@@ -204,7 +205,7 @@ impl Planner {
         self.loads.observe(volume, warm, seconds);
     }
 
-    /// Number of finished tasks, and of all in this run.
+    /// Number of finished tasks and of all tasks, both including those that earlier runs have finished.
     pub fn progress(&self) -> (usize, usize) {
         (self.done, self.wanted)
     }
@@ -219,7 +220,7 @@ impl Planner {
         self.running.len()
     }
 
-    /// True if all tasks are finished.
+    /// True if no task waits and no bundle runs.
     pub fn is_over(&self) -> bool {
         self.pending() == 0 && self.running.is_empty()
     }
@@ -239,7 +240,7 @@ impl Planner {
         f64::from(self.dispatcher.seconds(task))
     }
 
-    /// Updates the queue to corrected times.
+    /// Sorts the queue by the corrected times, if they have changed.
     pub fn refresh(&mut self) {
         if self.stale {
             self.stale = false;
@@ -247,7 +248,7 @@ impl Planner {
         }
     }
 
-    /// The next bundle for a slot, or for any free one.
+    /// The next bundle for a slot, or for any free slot; `now`: seconds.
     pub fn next(&mut self, slot: Option<usize>, now: f64) -> Option<Sent> {
         self.refresh();
         self.next_stage();
@@ -288,7 +289,7 @@ impl Planner {
         Some(sent)
     }
 
-    /// Numbers bundles from here on, so that they differ from those of an earlier run.
+    /// Sets the number of the next bundle, so that numbers differ from those of an earlier run.
     pub fn number_from(&mut self, bundle: u64) {
         self.bundles = self.bundles.max(bundle);
     }
@@ -300,7 +301,7 @@ impl Planner {
         }
     }
 
-    /// Records a finished task. False if it was finished before.
+    /// Records a finished task. Returns false if it was finished before.
     pub fn done(&mut self, bundle: u64, task: u32, node: usize, seconds: f64, load: f64) -> bool {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.open.retain(|t| *t != task);
@@ -359,7 +360,8 @@ impl Planner {
         self.running.get(&bundle).and_then(|r| r.sent.slot)
     }
 
-    /// Bundles that take longer than the expected 99.9 % quantile.
+    /// Bundles that take over a second longer than the 99.9 % quantile of their expected time, the longest
+    /// first.
     pub fn stragglers(&self, now: f64) -> Vec<Straggler> {
         let spread = 3.0 * self.learner.log_sd().hypot(0.05);
         let mut out: Vec<Straggler> = self

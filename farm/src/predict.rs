@@ -19,7 +19,7 @@ use entire_steer::predict::{AnalyticModel, Inputs, Predictor, load};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Assumed nanoseconds per pixel and reference step before any measurement.
+/// Assumed time per pixel at a step of one reference step before any measurement, nanoseconds.
 const NANOSECONDS: f64 = 1000.0;
 
 /// Source of base seconds, for display.
@@ -31,7 +31,7 @@ pub fn source(job: &Job) -> String {
             format!("the model {}{seconds}", model.display())
         }
         (_, Some(list)) => format!("the list {}", list.display()),
-        _ if looks(job) => "the analytic model, its costs learned from the first tasks".into(),
+        _ if looks(job) => "the analytic model, its scale fitted to the first tasks".into(),
         _ => "pixels over step, corrected by the first tasks".into(),
     }
 }
@@ -51,7 +51,7 @@ pub fn base(job: &Job) -> Result<Vec<f32>> {
     if job.predict.model.is_some() || looks(job) {
         return of_views(job);
     }
-    // Size and step repeat for every transfer function.
+    // Size and step are the innermost dimensions of the task number, so the values repeat.
     let one = job.sizes.len() * job.steps.len();
     let round: Vec<f32> = (0..one)
         .map(|task| {
@@ -85,19 +85,19 @@ fn of_list(job: &Job, list: &Path) -> Result<Vec<f32>> {
     Ok(out)
 }
 
-/// Prints a note if a model predicts other seconds than those of tasks.
+/// Prints a note if a model predicts seconds of another clock than wall time, by which tasks are measured.
 fn note_clock(path: &Path, model: &Model) {
     if let Some(clock) = entire_io::clock::of(model).filter(|c| *c != Clock::Wall) {
         note(&format!(
-            "{} predicts {} seconds and tasks take wall time: expected times are off by a factor until tasks have \
-             been timed",
+            "{} predicts {} seconds, but tasks are measured by wall time: expected times are off by a factor \
+             until tasks have been measured",
             path.display(),
             clock.name()
         ));
     }
 }
 
-/// Base seconds from volumes, transfer functions and views.
+/// ln of the base seconds of every task, predicted from volumes, transfer functions and views.
 fn of_views(job: &Job) -> Result<Vec<f32>> {
     let (shade, skip, termination) = match &job.renderer {
         own @ Renderer::Entire { .. } => {
@@ -127,7 +127,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         None => None,
     };
     let per_volume = job.len() / job.volumes.len();
-    let bar = progress_bar("looking at volumes");
+    let bar = progress_bar("predicting tasks");
     bar.set_length(job.volumes.len() as u64);
     let mut out = Vec::with_capacity(job.len());
     for (index, file) in job.volumes.iter().enumerate() {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The number of the current run.
+/// The number of the current run of a database with the state folder `state`; `None` before the first run.
 pub fn run_number(state: &Path) -> Option<u64> {
     std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
 }
@@ -23,7 +23,7 @@ pub struct Order {
     pub volume_name: String,
     /// Time step.
     pub time: u32,
-    /// Options of reading it.
+    /// Options of reading the volume file.
     #[serde(default)]
     pub reading: Reading,
     /// Rotation about x and y in degrees, distance in bounding-sphere radii.
@@ -42,7 +42,7 @@ pub struct Order {
     pub image: String,
     /// Expected seconds.
     pub predicted_s: f64,
-    /// Identities of the volume's files: the picture must be of these.
+    /// Identities of the volume's files. If the files differ after the picture was drawn, the task fails.
     #[serde(default)]
     pub files: Vec<Identity>,
 }
@@ -118,16 +118,16 @@ pub enum Entry {
         format: String,
         /// The job's name.
         job: String,
-        /// When, UTC.
+        /// Date and time of the start, UTC, ISO 8601.
         date: String,
         /// Engine that runs the tasks.
         engine: String,
         /// Number of slots.
         slots: usize,
-        /// Time, seconds since 1970.
+        /// Time of the start, seconds since 1970.
         at: f64,
     },
-    /// Identities of the volumes' files from here on, by path.
+    /// Identities of the volumes' files, by path. They hold until the next such line.
     Inputs {
         /// The files.
         files: BTreeMap<String, Vec<Identity>>,
@@ -143,21 +143,21 @@ pub enum Entry {
     Failed {
         /// Its id.
         task: String,
-        /// Why.
+        /// Reason of the failure.
         error: String,
     },
     /// A task was lost with its worker.
     Lost {
         /// Its id.
         task: String,
-        /// Why.
+        /// Reason of the loss.
         why: String,
     },
-    /// Gives a task up.
+    /// A task was given up.
     Quarantined {
         /// Its id.
         task: String,
-        /// Why.
+        /// Reason, such as its last failure.
         error: String,
         /// Path of its log, relative to the database.
         log: String,
@@ -168,7 +168,7 @@ pub enum Entry {
         at: f64,
         /// Share of finished tasks.
         share: f64,
-        /// The end at 5, 50 and 95 percent, seconds since 1970.
+        /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds since 1970.
         ends: [f64; 3],
     },
 }
@@ -176,7 +176,7 @@ pub enum Entry {
 /// The journal's format.
 pub const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
 
-/// The format of journals without the inputs of pictures.
+/// The format of journals that do not record the input files of pictures.
 pub const BARE_JOURNAL_FORMAT: &str = "entire-farm-journal-1";
 
 /// Seconds since 1970.

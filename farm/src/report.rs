@@ -99,7 +99,9 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     page.write(file)
 }
 
-/// A task's lane: its node, and the first free one of it if several tasks overlap.
+/// Assigns each task to a lane of the Gantt chart: the first lane of its node that is free when the task
+/// begins. Returns the lane of each task, and the names of the lanes: the node's, with a dot for all but its
+/// first lane.
 fn lanes(done: &[(Answer, f64)]) -> (Vec<usize>, Vec<String>) {
     let mut order: Vec<usize> = (0..done.len()).collect();
     order.sort_by(|a, b| done[*a].0.begin.total_cmp(&done[*b].0.begin));
@@ -199,7 +201,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let busy = vec![0.0; slots];
     let seconds: Vec<f64> = tasks.iter().map(|(a, _)| a.seconds).collect();
     let mut order: Vec<usize> = (0..tasks.len()).collect();
-    // Without predictions all orders are equivalent: the mean of some.
+    // Without predictions no order is better than another: the mean of 32 random orders.
     let any: f64 = (0..32u64)
         .map(|seed| {
             let mut order = order.clone();
@@ -222,7 +224,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     for (name, end) in [
         ("lower bound: no order is faster", bound),
         ("queue, longest predicted first", longest),
-        ("queue, any order (mean of 32)", any),
+        ("queue, random order (mean of 32)", any),
         ("assigned beforehand, all tasks taken as equal", dealt),
         ("this run, with loading, bundles and corrections", took),
     ] {

@@ -30,6 +30,7 @@ pub(super) struct Session {
     command: Vec<String>,
     limit: Option<Duration>,
     running: Option<Running>,
+    /// True if the program was started for the last task.
     fresh: bool,
     /// True if the program ended during the last task.
     ended: bool,
@@ -73,9 +74,9 @@ impl Session {
         Ok(Running { child, input, lines })
     }
 
-    /// Renders a task to `out`. If the program was started for it and reports its own seconds, the start
-    /// counts as loading. If the program ends after it has answered other tasks, it may have run out of
-    /// something: a new one gets the task once more.
+    /// Renders a task to `out`. If the program was started for this task and reports the seconds of the
+    /// frame, its start counts as loading. If a program that has answered other tasks ends during this one,
+    /// it may have run out of memory: a new process gets the task once more.
     ///
     /// # Errors
     /// When the program cannot be started, ends, answers with an error or not in time.

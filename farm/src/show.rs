@@ -1,4 +1,4 @@
-//! Progress display of a farm: a bar with rate and end on a terminal, else a line at intervals.
+//! Progress display of a farm: a bar with rate and expected end on a terminal, else a line at intervals.
 
 use entire_io::progress::templated_bar;
 use entire_io::quiet::is_quiet;
@@ -6,9 +6,9 @@ use indicatif::ProgressBar;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// Interval between lines where there is no terminal.
+/// Interval between lines of progress without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// Maximum number of nodes in the display.
+/// Number of nodes up to which the display shows their activity.
 const NODES: usize = 8;
 
 /// Contents of the display.
@@ -24,7 +24,7 @@ pub struct View {
     pub rate: f64,
     /// Seconds since the run began.
     pub elapsed: f64,
-    /// The end at 5, 50 and 95 percent, seconds since the run began.
+    /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds since the run began.
     pub eta: [f64; 3],
     /// Activity of the nodes.
     pub nodes: Vec<String>,
@@ -111,7 +111,7 @@ fn text(view: &View) -> String {
     out
 }
 
-/// Seconds as people read them: `8.5 s`, `3:07 min`, `2:05 h`, `3.5 days`.
+/// Text of a duration in seconds: `8.5 s`, `3:07 min`, `2:05 h`, `3.5 days`.
 pub fn duration(seconds: f64) -> String {
     let s = seconds.round() as u64;
     match seconds {
@@ -123,10 +123,10 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Reads `90s`, `30m`, `2h`, `1.5d`.
+/// Seconds of a duration such as `90s`, `30m`, `2h` or `1.5d`.
 ///
 /// # Errors
-/// When it is no such text.
+/// When the text is no such duration, or not positive.
 pub fn parse_duration(text: &str) -> Result<f64, String> {
     let wrong = || format!("{text:?} is no duration; accepted are 90s, 30m, 2h or 1.5d");
     let unit = text.chars().last().ok_or_else(wrong)?;

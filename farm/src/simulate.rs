@@ -1,5 +1,5 @@
-//! An event simulator of farms: the planner of real engines, on tasks with given true times. Bundles have
-//! latency, volumes are loaded, nodes differ in speed and fail.
+//! A discrete-event simulator of farms: the planner of real engines, on tasks with given true times. Bundles
+//! have latency, volumes are loaded, nodes differ in speed and fail.
 
 use super::planner::{Planner, Time};
 use rand_chacha::ChaCha8Rng;
@@ -24,7 +24,7 @@ pub struct World {
     pub latency: f64,
     /// Engine seconds per bundle; bundles are sent one after another.
     pub dispatch: f64,
-    /// True if slots have names and keep their volume.
+    /// True if each bundle is sent to a given slot, which keeps its volume.
     pub bound: bool,
     /// Failures of a slot per hour; its bundle is lost.
     pub failures_per_hour: f64,
@@ -52,14 +52,14 @@ pub struct Ran {
 pub struct Said {
     /// Time of the estimate, seconds from the beginning.
     pub at: f64,
-    /// The end at 5, 50 and 95 percent, seconds from the beginning.
+    /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds from the beginning.
     pub end: [f64; 3],
 }
 
 /// Result of a simulated run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// End of the last task.
+    /// End of the last task, seconds from the beginning.
     pub makespan: f64,
     /// Tasks in the order in which they ended.
     pub ran: Vec<Ran>,
@@ -69,7 +69,7 @@ pub struct Outcome {
     pub loads: usize,
     /// Bundles that were lost.
     pub lost: usize,
-    /// Estimates of the end when these shares of the true work were done.
+    /// Estimates of the end, one for each share of `ask_at` of [`simulate`].
     pub said: Vec<Said>,
 }
 
@@ -89,7 +89,8 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
     let mut events: Vec<Option<Event>> = Vec::new();
     let mut unused: Vec<usize> = Vec::new();
     let mut order = 0u32;
-    // The low half of the key is the event's place, the high half keeps equal times in order.
+    // The low 32 bits of the key are the event's index. The high 32 bits are a counter, which keeps events of
+    // equal times in order.
     let mut push = |heap: &mut BinaryHeap<Reverse<(Time, u64)>>,
                     events: &mut Vec<Option<Event>>,
                     unused: &mut Vec<usize>,

@@ -75,7 +75,7 @@ fn slow_nodes_are_learned_and_get_less() {
 
 #[test]
 fn the_end_is_foretold() {
-    // Predictions with errors by a factor and per volume are corrected after a tenth.
+    // Base times that err by a common factor and by volume are corrected after a tenth of the work.
     let (mut hits, mut errors) = (0, Vec::new());
     for seed in 0..20u64 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -137,7 +137,7 @@ fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
 
 #[test]
 fn on_many_nodes_the_end_is_not_foretold_by_what_is_done_first() {
-    // The first finished tasks are those that took less than expected, on nodes that seem fast.
+    // The first finished tasks are those that took less than expected; their nodes seem fast.
     let (mut hits, mut later, n) = (0, 0.0, 60);
     for seed in 0..n {
         let ([low, middle, high], end) = foretold(seed, 16 + 16 * (seed as usize % 2));

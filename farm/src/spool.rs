@@ -7,7 +7,8 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// The whole lines of a spool file; none if it does not exist. Partial lines of a killed worker are skipped.
+/// The complete lines of a spool file; none if it does not exist. Partial lines of a killed worker are
+/// skipped.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -56,7 +57,7 @@ impl Spool {
         Self { folder: state.join("spool"), open: HashMap::new() }
     }
 
-    /// Reads a bundle's file from now on.
+    /// Starts to read a bundle's file, from its beginning.
     pub fn follow(&mut self, bundle: u64) {
         self.open.entry(bundle).or_default();
     }
@@ -88,7 +89,7 @@ impl Spool {
     }
 }
 
-/// The last line of a log that is not blank.
+/// The last line of a log that is not blank, cut to 300 characters. Reads at most the first MiB of the log.
 pub(crate) fn tail(log: &Path) -> String {
     let mut bytes = Vec::new();
     if let Ok(file) = File::open(log) {

@@ -17,11 +17,11 @@ pub struct Offer {
     pub nodes: usize,
     /// The end at 5, 50 and 95 percent, seconds.
     pub end: [f64; 3],
-    /// Node hours at the median.
+    /// Node hours up to the median end.
     pub node_hours: f64,
 }
 
-/// Forecast for a number of nodes: `plan` gives a plan for that many.
+/// Forecast for a number of nodes. `plan` makes a plan for a number of nodes.
 pub fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
     let end = plan(nodes).eta(0.0);
     Offer { nodes, end, node_hours: nodes as f64 * end[1] / 3600.0 }
@@ -48,7 +48,7 @@ pub fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) ->
     Some(best)
 }
 
-/// The texts of a dry run.
+/// The text that a dry run prints. `deadline`: seconds; `price`: of a node hour.
 ///
 /// # Errors
 /// Never in practice.
@@ -83,8 +83,8 @@ pub fn text(
         bytes as f64 / 1e6
     );
     if planner.learner().observed() == 0 && job.predict.model.is_none() && job.predict.list.is_none() {
-        out += "nothing was measured yet: the times below are rough; let it run for a moment, end it with \
-                Ctrl-C, and ask again\n";
+        out += "no task has been measured: the times below are rough; let the job run for a moment, end it \
+                with Ctrl-C, and repeat the dry run\n";
     }
     let mut columns = vec![
         Column::number("nodes"),
@@ -121,7 +121,7 @@ pub fn text(
             Some(o) => {
                 let money = price.map_or(String::new(), |p| format!(", price {:.2}", o.node_hours * p));
                 out += &format!(
-                    "cheapest for {}: {} nodes, done after {} ({} at worst, 95 %), {:.2} node hours{money}\n",
+                    "cheapest for {}: {} nodes, done after {} (95 % quantile {}), {:.2} node hours{money}\n",
                     duration(deadline),
                     o.nodes,
                     duration(o.end[1]),
@@ -131,8 +131,8 @@ pub fn text(
             }
             None => {
                 out += &format!(
-                    "no number of nodes up to {} is done within {}: the longest task and its volume alone \
-                     take that long\n",
+                    "no number of nodes up to {} is done within {} (95 % quantile); the longest task and the \
+                     loading of its volume may take that long\n",
                     MOST.min(all - done),
                     duration(deadline)
                 );

@@ -1,5 +1,5 @@
 //! A worker: renders the tasks of bundles, one after another. It writes each image as a whole and then the
-//! answer to the spool; both survive the worker.
+//! answer to the spool. If the worker is killed, both stay.
 
 use super::command::{Placeholders, fill};
 use super::job::{Renderer, draw_settings};
@@ -23,7 +23,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-/// Renderer of tasks in this process.
+/// The renderer of a worker.
 enum Painter {
     /// The raycaster, with its loaded volume.
     Own(Box<Own>),
@@ -40,7 +40,7 @@ struct Own {
     transfer: Option<entire_io::path::Transfer>,
 }
 
-/// A painter's report on an image.
+/// Times of an image, seconds.
 struct Painted {
     load_s: f64,
     render_s: Option<f64>,
@@ -55,7 +55,7 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// A worker of the database with this state folder.
+    /// A worker of the database with the state folder `state`.
     ///
     /// # Errors
     /// When the renderer's description cannot be read, or no renderer can be opened.
@@ -122,8 +122,8 @@ impl Worker {
         Ok(())
     }
 
-    /// Does the bundle that `orders/NUMBER.json` describes and writes the answers to `spool/NUMBER.jsonl`.
-    /// Tasks that the spool lists as done are not done again.
+    /// Renders the bundle that `orders/NUMBER.json` describes and writes the answers to `spool/NUMBER.jsonl`.
+    /// Tasks that the spool lists as done are not rendered again.
     ///
     /// # Errors
     /// When the description cannot be read or the spool cannot be written.
@@ -182,7 +182,8 @@ impl Worker {
         let (painted, png) = match &mut self.painter {
             Painter::Own(own) => own.paint(order)?,
             program => {
-                // A separate folder, so that a killed program that still writes does no harm.
+                // A folder for this image only: a program that is still writing after it was killed cannot
+                // overwrite another image.
                 let parts = self.state.join("parts");
                 let folder = tempfile::Builder::new().prefix("p").tempdir_in(&parts);
                 let folder =
@@ -207,7 +208,7 @@ impl Worker {
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
             bail!(
-                "{} changed while the farm was running: {what}; go on with --resume when it is whole",
+                "{} changed while the farm was running: {what}; go on with --resume when it is complete",
                 order.volume.display()
             );
         }
@@ -337,7 +338,7 @@ fn append(spool: &mut File, line: &Line) -> Result<()> {
     spool.write_all(&text).context("cannot write the spool; make room and go on with --resume")
 }
 
-/// Answers on standard output. A closed output is no error, since the spool has the answers.
+/// Writes a line to standard output. A closed output is no error, since the spool has the answers.
 fn say(line: &Line) {
     if let Ok(text) = serde_json::to_string(line) {
         let mut out = std::io::stdout().lock();

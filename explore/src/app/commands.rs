@@ -1,4 +1,4 @@
-//! Commands of a person or a script.
+//! Commands of the user or a script.
 
 use super::{App, Waiting};
 use crate::camera::Axis;
@@ -20,7 +20,8 @@ use winit::dpi::PhysicalSize;
 use winit::event_loop::ActiveEventLoop;
 
 impl App {
-    /// Carries out the interface's commands. Errors of files are shown, not returned.
+    /// Carries out a command of the interface. Errors in reading or writing transfer functions and recordings
+    /// are shown, not returned.
     pub(super) fn obey(&mut self, command: Command) -> Result<()> {
         match command {
             Command::Open(path) => self.load(path)?,
@@ -92,7 +93,7 @@ impl App {
     fn save_recording(&mut self, file: &Path) -> Result<()> {
         let recorder = self.state.recorder.take().context("nothing was recorded")?;
         if recorder.frames() == 0 {
-            bail!("nothing was recorded: no frame was drawn since");
+            bail!("nothing was recorded: no frame was drawn since the recording began");
         }
         self.host.save_recording(file, &recorder.finish())
     }
@@ -111,7 +112,7 @@ impl App {
 
     fn crop(&mut self, crop: Option<Crop>) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
-        // A crop to the whole volume is none.
+        // A part that is the whole volume is not cropped.
         let all = scene.facts.dims.map(|n| [0, n - 1]);
         self.start(Job {
             path: scene.path.clone(),
@@ -138,7 +139,8 @@ impl App {
         })
     }
 
-    /// Plays events that are due before the next frame; false once the window must close.
+    /// Plays the script's events that are due before the next frame. Returns false once the window must
+    /// close.
     ///
     /// # Errors
     /// For an event that cannot be carried out.

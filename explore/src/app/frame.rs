@@ -1,4 +1,4 @@
-//! One frame: layout, plan, ray casting, presentation, and its time.
+//! One frame: layout, plan, ray casting, presentation, and the measurement of its time.
 
 use super::{App, FULL, Pictures, STEERED, Waiting};
 use crate::loading::{Loaded, warm};
@@ -18,12 +18,14 @@ use winit::event_loop::ActiveEventLoop;
 /// Interval in frames between predictions of the full-quality time.
 const FULL_EVERY: u64 = 4;
 
-/// A cast frame.
+/// A frame whose volume was drawn, with its times.
 struct Drawn {
     planned: Planned,
+    /// Seconds of ray casting.
     cast: f64,
     /// Seconds of the frame before its plan.
     before: f64,
+    /// True if camera or transfer function changed abruptly.
     switched: bool,
 }
 
@@ -154,7 +156,7 @@ impl App {
         Ok(())
     }
 
-    /// Makes pictures of the view's size.
+    /// Makes pictures of the view's size, unless there are some. Returns true if they are new.
     fn prepare_pictures(&mut self) -> Result<bool> {
         let size = self.state.viewport;
         if self.pictures.as_ref().is_some_and(|p| p.size == size) {
@@ -280,13 +282,14 @@ fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
     presenter.as_ref().is_some_and(crate::present::Presenter::waits_for_display)
 }
 
-/// Assigns textures to the interface's pictures, and the used part to the steered one. After a `cast` the
-/// refined picture is outdated; a complete one (`refined`) hides the steered one. Hidden meshes are dropped:
-/// an empty mesh is still drawn, and its texture must have been drawn before.
+/// Replaces the placeholders [`STEERED`] and [`FULL`] by the texture ids of the pictures, and shows only the
+/// used part of the steered one. Removes pictures that must not be shown: the one at full quality after a
+/// `cast`, which makes it outdated; the steered one if the other is complete (`refined`); and any that was
+/// never drawn.
 fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);
-        // Pixels beyond the part in use must not be blended in.
+        // The interpolation at the edge must not read pixels beyond the used part.
         if pictures.used == pictures.size { 1.0 } else { (used - 0.5) / all }
     });
     primitives.retain(|primitive| {

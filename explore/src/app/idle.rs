@@ -1,4 +1,4 @@
-//! Work between frames: refinement at rest, screenshots, counts, the next volume of a series.
+//! Work between frames: refinement at rest, screenshots, the map of samples, the next volume of a series.
 
 use super::{App, FULL, STEERED, Waiting};
 use crate::loading::Job;
@@ -18,12 +18,12 @@ const REST: Duration = Duration::from_millis(150);
 /// Interval between updates of a progress display.
 const SHOW_EVERY: Duration = Duration::from_millis(250);
 
-/// The share of the target for which a slice is planned: the rest is for slices that cost more than the one
-/// before.
+/// Share of the target for which a slice is planned; the remainder is for slices that cost more than
+/// expected.
 const SLICE_SHARE: f64 = 0.75;
 
 impl App {
-    /// Works for at most one slice; returns the time of the next call.
+    /// Works for at most one slice; returns the time at which the event loop continues.
     pub(super) fn idle(&mut self) -> Result<ControlFlow> {
         if self.is_scripted() || self.state.changed.any() || !self.state.commands.is_empty() {
             self.redraw();
@@ -76,14 +76,14 @@ impl App {
         SLICE_SHARE * self.state.steer.target
     }
 
-    /// Redraws the interface, unless it was drawn a moment ago.
+    /// Requests a redraw of the interface if `at_once` is true or the last one is [`SHOW_EVERY`] ago.
     fn show_now_and_then(&self, at_once: bool) {
         if at_once || self.last_paint.elapsed() > SHOW_EVERY {
             self.redraw();
         }
     }
 
-    /// The view at full quality.
+    /// The frame of the view at full quality.
     pub(super) fn full_frame(&self, [width, height]: [u32; 2]) -> Result<Frame> {
         let placement = self.scene.as_ref().map_or(crate::camera::Placement::WHOLE, |s| s.placement);
         Ok(Frame {

@@ -22,7 +22,7 @@ use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
 /// Maximum number of registered pictures.
 const MOST_PICTURES: u32 = 16;
 
-/// Time limit of the device for the interface, nanoseconds.
+/// Time limit of a wait for the device or for a swapchain image, nanoseconds.
 const LONGEST_WAIT: u64 = 60_000_000_000;
 
 /// The instance extensions for windows of a display.
@@ -40,13 +40,13 @@ pub(crate) fn surface_extensions(display: &impl HasDisplayHandle) -> Result<Vec<
 /// Times of presenting a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Presented {
-    /// True if it was shown; false where the window had just changed its size.
+    /// True if the frame was shown; false if the window had just changed its size.
     pub(crate) shown: bool,
-    /// Seconds of waiting for the display to take a picture.
+    /// Seconds of waiting for a swapchain image.
     pub(crate) display: f64,
-    /// Seconds of drawing the interface on the device.
+    /// Seconds of drawing and presenting the interface, until the device has finished.
     pub(crate) device: f64,
-    /// Processor seconds of this thread for presentation. Software drivers copy the picture pixel by pixel.
+    /// Processor seconds of this thread in the call that presents the image; software drivers copy it there.
     pub(crate) handing: f64,
 }
 
@@ -171,14 +171,14 @@ impl Presenter {
         Ok(id)
     }
 
-    /// Removes a picture. No frame that shows it may be running; none is between calls.
+    /// Removes a picture. The device must not be drawing it; after [`Presenter::show`] it is not.
     pub(crate) fn remove_picture(&mut self, id: TextureId) {
         if let Some(egui) = &mut self.egui {
             egui.remove_user_texture(id);
         }
         if let Some(set) = self.sets.remove(&id) {
-            // SAFETY: the set is of this pool, which frees single sets, and nothing is running that uses it.
-            // A failure could only be a lost device.
+            // SAFETY: the set is of this pool, which frees single sets, and the device does not use it. The
+            // call can fail only if the device is lost.
             let _ = unsafe { self.device.device().free_descriptor_sets(self.descriptors, &[set]) };
         }
     }
@@ -220,7 +220,7 @@ impl Presenter {
         self.swapchain.as_ref().is_some_and(|s| s.waits)
     }
 
-    /// Longest side of a texture.
+    /// Longest side of a texture, pixels.
     pub(crate) fn max_texture_side(&self) -> usize {
         self.device.max_image_side() as usize
     }
@@ -273,8 +273,8 @@ impl Presenter {
         let failed = |call: &'static str| move |r| device.error(call, r);
         let d = device.device();
         let extent = swapchain.extent;
-        // SAFETY: nothing is running: the fence of the frame before was waited for. The command buffer, the
-        // framebuffer and the render pass are alive, recording begins before and ends after what is recorded.
+        // SAFETY: the device has finished the previous frame, whose fence was waited for. The command buffer,
+        // the framebuffer and the render pass are alive, and all commands are recorded between begin and end.
         unsafe {
             let begin =
                 vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
@@ -296,7 +296,7 @@ impl Presenter {
             .wait_dst_stage_mask(&stages)
             .command_buffers(&buffers)
             .signal_semaphores(&signals)];
-        // SAFETY: as above; the queue is nobody else's meanwhile, the semaphores are of this frame, and the
+        // SAFETY: as above; the queue is locked during the call, the semaphores are of this frame, and the
         // fence is unsignaled.
         unsafe {
             d.cmd_end_render_pass(self.commands);
@@ -317,7 +317,7 @@ impl Presenter {
     }
 }
 
-/// The error in drawing the interface.
+/// Converts an error of the interface's renderer.
 fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
     match e {
         RendererError::Vulkan(result) => device.error("drawing the interface", *result).into(),
@@ -328,12 +328,13 @@ fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
 impl Drop for Presenter {
     fn drop(&mut self) {
         let d = self.device.device();
-        // SAFETY: the queue is nobody else's meanwhile; a failure means a lost device, which runs nothing.
+        // SAFETY: the queue is locked during the call. If the call fails, the device is lost and runs
+        // nothing.
         let _ = self.device.with_queue(|queue| unsafe { d.queue_wait_idle(queue) });
         self.egui = None;
         self.swapchain = None;
-        // SAFETY: everything was made from this device and instance, nothing runs that uses it, each is
-        // destroyed once, and null handles are ignored.
+        // SAFETY: every object was made from this device and instance, is not in use, and is destroyed once;
+        // null handles are ignored.
         unsafe {
             d.destroy_descriptor_pool(self.descriptors, None);
             d.destroy_descriptor_set_layout(self.set_layout, None);

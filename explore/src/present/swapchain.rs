@@ -4,11 +4,11 @@ use anyhow::Result;
 use ash::vk;
 use entire_vk_raycaster::SharedDevice;
 
-/// Resources of one picture of the display.
+/// Resources of one swapchain image.
 struct Frame {
     view: vk::ImageView,
     framebuffer: vk::Framebuffer,
-    /// Signaled once the picture is drawn.
+    /// Signaled once the image is drawn.
     drawn: vk::Semaphore,
 }
 
@@ -22,16 +22,16 @@ pub(super) struct Swapchain {
     /// The requested size, which the surface may have limited.
     pub(super) asked: [u32; 2],
     pub(super) format: vk::SurfaceFormatKHR,
-    /// True if pictures wait for the display's refresh.
+    /// True if presentation waits for the display's refresh.
     pub(super) waits: bool,
-    /// True if the surface has changed since.
+    /// True if the surface has changed since the swapchain was made.
     pub(super) stale: bool,
     device: SharedDevice,
 }
 
 impl Swapchain {
-    /// A swapchain in place of an old one; `None` if the surface takes no picture (a minimized window).
-    /// Nothing may be running.
+    /// A swapchain in place of an old one, which the device must not be using; `None` if the surface has no
+    /// area (a minimized window).
     pub(super) fn new(
         device: &SharedDevice,
         surface_functions: &ash::khr::surface::Instance,
@@ -91,7 +91,7 @@ impl Swapchain {
             .present_mode(mode)
             .clipped(true)
             .old_swapchain(old.as_ref().map_or(vk::SwapchainKHR::null(), |s| s.handle));
-        // SAFETY: every value was taken from what the surface says it takes.
+        // SAFETY: the surface supports every value of the create info.
         let handle =
             unsafe { functions.create_swapchain(&info, None) }.map_err(failed("vkCreateSwapchainKHR"))?;
         let mut this = Self {
@@ -122,7 +122,7 @@ impl Swapchain {
         let subpasses = [vk::SubpassDescription::default()
             .pipeline_bind_point(vk::PipelineBindPoint::GRAPHICS)
             .color_attachments(&color)];
-        // The picture belongs to the surface until the stage at which the acquisition is waited for.
+        // The image may be written only from the stage on that waits for its acquisition.
         let dependencies = [vk::SubpassDependency {
             src_subpass: vk::SUBPASS_EXTERNAL,
             dst_subpass: 0,
@@ -181,7 +181,7 @@ impl Swapchain {
         Ok(Some(this))
     }
 
-    /// True if the display takes written values as linear and encodes them.
+    /// True if the device encodes the linear values that are written as sRGB.
     pub(super) fn is_srgb(&self) -> bool {
         matches!(self.format.format, vk::Format::B8G8R8A8_SRGB | vk::Format::R8G8B8A8_SRGB)
     }
@@ -194,9 +194,10 @@ impl Swapchain {
         self.frames[index as usize].drawn
     }
 
-    /// The next picture to draw into; `None` if the surface has changed.
+    /// Index of the next image to draw into; `None` if the surface has changed. `acquired` is signaled once
+    /// the image may be written; `longest`: time limit, nanoseconds.
     pub(super) fn acquire(&mut self, acquired: vk::Semaphore, longest: u64) -> Result<Option<u32>> {
-        // SAFETY: the semaphore is unsignaled: the frame that waited for it is done.
+        // SAFETY: the semaphore is unsignaled, since the previous frame, which waited for it, is done.
         let found =
             unsafe { self.functions.acquire_next_image(self.handle, longest, acquired, vk::Fence::null()) };
         match found {
@@ -212,12 +213,12 @@ impl Swapchain {
         }
     }
 
-    /// Presents a drawn picture.
+    /// Presents an image once its drawing is finished.
     pub(super) fn present(&mut self, index: u32) -> Result<()> {
         let (waits, chains, indices) = ([self.drawn(index)], [self.handle], [index]);
         let info =
             vk::PresentInfoKHR::default().wait_semaphores(&waits).swapchains(&chains).image_indices(&indices);
-        // SAFETY: the queue is nobody else's meanwhile, and a submission signals the semaphore.
+        // SAFETY: the queue is locked during the call, and a submission signals the semaphore.
         let done = self.device.with_queue(|queue| unsafe { self.functions.queue_present(queue, &info) });
         match done {
             Ok(suboptimal) => self.stale |= suboptimal,
@@ -228,7 +229,8 @@ impl Swapchain {
     }
 }
 
-/// Eight bits, encoded by the device if it can: the pictures are sampled decoded.
+/// An 8-bit sRGB format, since the interface's pictures are sampled as linear values; else an 8-bit format
+/// without encoding, or the first one.
 fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     let wanted = [
         vk::Format::B8G8R8A8_SRGB,
@@ -242,7 +244,8 @@ fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     wanted.into_iter().find_map(at).or(formats.first()).copied().unwrap_or_default()
 }
 
-/// A mode that does not wait for the display if there is one, so that a frame's time is its own work.
+/// A mode that does not wait for the display's refresh, if there is one, so that a frame's time contains only
+/// work.
 fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
     [vk::PresentModeKHR::MAILBOX, vk::PresentModeKHR::IMMEDIATE]
         .into_iter()
@@ -253,8 +256,8 @@ fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
 impl Drop for Swapchain {
     fn drop(&mut self) {
         let d = self.device.device();
-        // SAFETY: the queue is nobody else's meanwhile; a failure means a lost device, which runs nothing.
-        // Each object of the device is destroyed once, and null handles are ignored.
+        // SAFETY: the queue is locked during the call. If the call fails, the device is lost and runs
+        // nothing. Each object of the device is destroyed once, and null handles are ignored.
         unsafe {
             let _ = self.device.with_queue(|queue| d.queue_wait_idle(queue));
             for frame in &self.frames {

@@ -7,7 +7,7 @@ use egui::{
 };
 use entire_core::GaussianLobe;
 
-/// Distance in points at which the mouse catches a handle.
+/// Distance in points below which the mouse catches a handle.
 const REACH: f32 = 9.0;
 
 /// Maximum number of points or lobes in the editor.
@@ -67,7 +67,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
     });
 }
 
-/// Mapping of values to the screen.
+/// Mapping between values and screen positions.
 #[derive(Clone, Copy)]
 struct Axes {
     rect: Rect,
@@ -238,7 +238,7 @@ fn move_handle(opacity: &mut Opacity, handle: Handle, [s, y]: [f32; 2]) {
     }
 }
 
-/// The bar of colors.
+/// The color bar.
 fn colors(ui: &mut Ui, state: &State) {
     let (response, painter) = ui.allocate_painter(Vec2::new(ui.available_width(), 12.0), Sense::hover());
     let rect = response.rect.shrink2(Vec2::new(4.0, 1.0));
@@ -318,7 +318,7 @@ mod tests {
                 assert!((s - s2).abs() < 1e-5 && (o - o2).abs() < 1e-5);
             }
         }
-        // A thousandth is a tenth of the height.
+        // Opacity 0.001 is drawn at a tenth of the height.
         let fine = Axes { rect, fine: true };
         assert!((fine.place(0.0, 0.001).y - 110.0).abs() < 1e-3);
     }

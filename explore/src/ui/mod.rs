@@ -8,7 +8,7 @@ mod view;
 use crate::state::State;
 use egui::{Align, CentralPanel, Frame, Layout, Panel, ScrollArea, Ui};
 
-/// Lays out everything once.
+/// Lays out the whole interface once.
 pub(crate) fn show(ui: &mut Ui, state: &mut State) {
     keys(ui, state);
     Panel::top("bar").show(ui, |ui| bar(ui, state));
@@ -38,7 +38,7 @@ fn bar(ui: &mut Ui, state: &mut State) {
             }
             if !state.recent.paths.is_empty() {
                 ui.separator();
-                ui.weak("Opened before");
+                ui.weak("Recent files");
             }
             for path in state.recent.paths.clone() {
                 if ui.button(path.display().to_string()).clicked() {
@@ -90,7 +90,7 @@ fn keys(ui: &Ui, state: &mut State) {
     }
     let pressed = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
     let with_command = |key| ui.input_mut(|i| i.consume_key(Modifiers::COMMAND, key));
-    // A slow frame may contain several presses.
+    // A slow frame may contain several presses of a key.
     let times = |modifiers, key| ui.input_mut(|i| i.count_and_consume_key(modifiers, key));
     for _ in 0..times(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z) + times(Modifiers::COMMAND, Key::Y) {
         state.changed.transfer |= state.edited.redo();
@@ -105,7 +105,8 @@ fn keys(ui: &Ui, state: &mut State) {
         let file = state.texts.screenshot.trim().into();
         state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
     }
-    // As in modeling programs: 1, 2, 3 from the front, the right and the top, from the other side with Ctrl.
+    // As in modeling programs: 1, 2, 3 look from the front, the right and the top, with Ctrl from the
+    // opposite side.
     let axes = [Key::Num1, Key::Num2, Key::Num3].into_iter().cycle().zip(Axis::ALL);
     for (i, (key, axis)) in axes.enumerate() {
         if if i < 3 { pressed(key) } else { with_command(key) } {

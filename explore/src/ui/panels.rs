@@ -46,7 +46,7 @@ fn steering(ui: &mut Ui, state: &mut State) {
         ui.label("and");
         let distance = DragValue::new(&mut steer.distance).range(1.0..=16.0).speed(0.1).max_decimals(1);
         state.changed.settings |= ui.add(distance).changed();
-        ui.label("pixels per ray");
+        ui.label("pixel spacing");
     });
     if let Some((seconds, upper)) = steer.full {
         let bound =

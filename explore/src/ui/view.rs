@@ -12,7 +12,7 @@ const TURN: f32 = 0.35;
 /// Speed of flight, bounding-sphere radii per second.
 const SPEED: f32 = 0.7;
 
-/// The edges of a box, by the numbers of its corners.
+/// The edges of a box, by the indices of its corners.
 const EDGES: [[usize; 2]; 12] =
     [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
 
@@ -61,7 +61,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
 
 fn picture(painter: &Painter, rect: Rect, shown: &Shown) {
     let unit = Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0));
-    // The choice between the two pictures is made when it is known that a frame is cast.
+    // The application removes one of the two pictures once it is known whether a frame is drawn.
     painter.image(shown.steered, rect, unit, Color32::WHITE);
     let Some((full, [width, height], covered)) = shown.full else { return };
     for region in covered.into_iter().flatten() {
@@ -153,7 +153,7 @@ fn axes(painter: &Painter, facts: &Facts, place: &impl Fn(Vec3) -> Option<Pos2>)
     }
 }
 
-/// The probe's rays: a grid over the rectangle around the volume.
+/// Draws the probe's rays: a grid over the rectangle around the volume.
 fn probe(painter: &Painter, facts: &Facts, state: &State, place: &impl Fn(Vec3) -> Option<Pos2>, rect: Rect) {
     let Some((side, hits)) = state.probe else { return };
     let mut around = Rect::NOTHING;
@@ -179,7 +179,7 @@ fn probe(painter: &Painter, facts: &Facts, state: &State, place: &impl Fn(Vec3) 
     painter.text(around.left_top(), Align2::LEFT_BOTTOM, text, FontId::proportional(12.0), color);
 }
 
-/// Samples per ray, cell by cell.
+/// Draws the map of samples per ray.
 fn work(painter: &Painter, state: &State, rect: Rect) {
     let Some(map) = &state.work else { return };
     let most = map.samples.iter().copied().fold(1.0, f32::max);
@@ -201,7 +201,8 @@ fn work(painter: &Painter, state: &State, rect: Rect) {
     painter.text(at, Align2::LEFT_BOTTOM, text, FontId::proportional(12.0), Color32::WHITE);
 }
 
-/// The line below the picture: its resolution, and the expected time to full quality.
+/// Draws the line at the bottom of the picture: its time and resolution, or the expected time to full
+/// quality.
 fn caption(painter: &Painter, state: &State, rect: Rect) {
     let text = match (&state.rest, state.steer.history.back()) {
         (Some(rest), _) if rest.took.is_some() => {

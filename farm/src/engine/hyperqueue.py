@@ -1,8 +1,8 @@
 """Runs bundles on HyperQueue: commands come in on standard input, events go out on standard output, a JSON
 object per line. Started by `entire farm --engine hyperqueue`; ends when its input is closed.
 
-The Python side of HyperQueue changes no priority after submission and tells no times, so few bundles wait at
-once and workers write their own seconds."""
+HyperQueue's Python package cannot change priorities after submission and reports no times. So only few bundles
+wait at once, and workers measure their own seconds."""
 
 import datetime
 import json
@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 
-# Output of libraries must not get between the events.
+# Standard output is for events only: what libraries print there goes to standard error.
 events = os.fdopen(os.dup(1), "w", buffering=1)
 os.dup2(2, 1)
 
@@ -31,7 +31,7 @@ except ImportError as error:
 
 
 class Seen(Exception):
-    """Ends a blocking wait: its first callback has the states."""
+    """Raised by a callback to end a blocking wait: the first callback already has the states."""
 
 
 def states(client, ids):

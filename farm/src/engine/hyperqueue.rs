@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 /// The script that talks to HyperQueue.
 const SCRIPT: &str = include_str!("hyperqueue.py");
-/// Initial estimate of the worker seconds per bundle: a process, a device.
+/// Initial estimate of a bundle's overhead on its worker, seconds: start of a process, opening of a device.
 const OVERHEAD: f64 = 0.05;
 /// Time limit for the start of the server and its workers.
 const START: Duration = Duration::from_secs(60);
@@ -21,13 +21,13 @@ const START: Duration = Duration::from_secs(60);
 /// Options of HyperQueue.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The Python with the package.
+    /// The Python interpreter that has the package.
     pub python: String,
     /// Number of one-processor workers to start; with a server, the assumed number of its workers.
     pub workers: usize,
     /// The folder of a running server; default: a new one is started.
     pub server_dir: Option<String>,
-    /// Processors of each bundle.
+    /// Number of processors per bundle.
     pub cpus: u32,
     /// Time limit of the workers, seconds.
     pub worker_limit: Option<f64>,
@@ -42,7 +42,7 @@ pub struct HyperQueue {
     input: Option<ChildStdin>,
     lines: Receiver<String>,
     spool: Spool,
-    /// Running bundles, and true if their end was written to the spool.
+    /// Bundles that were sent and have not ended; the value is not used.
     open: std::collections::BTreeMap<u64, bool>,
     priority: i32,
 }
@@ -82,7 +82,7 @@ impl HyperQueue {
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn().with_context(|| {
-            format!("cannot start {:?}; say which Python has HyperQueue with --python", options.python)
+            format!("cannot start {:?}; name the Python that has HyperQueue with --python", options.python)
         })?;
         let out = child.stdout.take().context("the script has no standard output")?;
         let input = child.stdin.take();
@@ -109,8 +109,8 @@ impl HyperQueue {
                 Ok(line) => match serde_json::from_str(&line) {
                     Ok(Said::Ready(_)) => return Ok(()),
                     Ok(Said::Missing(error)) => bail!(
-                        "{} has no HyperQueue ({error}); install it (pip install hyperqueue) or say which \
-                         Python has it with --python",
+                        "{} has no HyperQueue ({error}); install it (pip install hyperqueue) or name \
+                         the Python that has it with --python",
                         self.options.python
                     ),
                     Ok(Said::Down(error)) => bail!("HyperQueue did not start: {error}"),
@@ -141,7 +141,8 @@ impl Engine for HyperQueue {
     }
 
     fn limit(&self) -> Option<f64> {
-        // A request as long as a worker's limit never runs, since the worker is older than the request.
+        // A bundle that requests a worker's whole time limit never starts, since some of that time has
+        // passed.
         self.options.worker_limit.map(|l| 0.98 * l - 1.0)
     }
 
@@ -155,7 +156,7 @@ impl Engine for HyperQueue {
             let number = bundle.sent.bundle;
             self.places.write_order(bundle, self.run)?;
             self.priority -= 1;
-            // Without a limit of the workers a request has no effect.
+            // A time request has no effect on workers without a time limit.
             let request = self.limit().map(|limit| bundle.upper_s.min(limit).max(0.0));
             all.push(json!({
                 "bundle": number,
@@ -176,7 +177,7 @@ impl Engine for HyperQueue {
     }
 
     fn cancel(&mut self) -> Result<()> {
-        // The Python package cannot cancel: bundles find a marker file and end at once.
+        // The Python package cannot cancel: workers find a marker file before their next task and end.
         self.open.keys().for_each(|b| self.places.cancel(*b));
         Ok(())
     }
@@ -198,7 +199,8 @@ impl Engine for HyperQueue {
                 }
             }
         }
-        // Events first, then the spool, which has all answers written before.
+        // The spool is read after the script's events, so that it has all answers of the bundles that have
+        // ended.
         for (bundle, line) in self.spool.poll()? {
             if matches!(line, Line::End { .. }) {
                 self.open.remove(&bundle);

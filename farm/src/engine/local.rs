@@ -11,9 +11,9 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-/// Initial estimate of the slot seconds per bundle: a pipe, a flush.
+/// Initial estimate of a bundle's overhead on its slot, seconds: a line through a pipe and a flush.
 const OVERHEAD: f64 = 0.005;
-/// Maximum number of workers that end one after another without an answer.
+/// Maximum number, per slot, of workers that end one after another without an answer.
 const STILLBORN: u32 = 3;
 
 /// The engine.
@@ -30,7 +30,7 @@ pub struct Local {
 struct Worker {
     child: Child,
     input: Option<ChildStdin>,
-    /// Number of this slot's process, to distinguish its lines from those of the one before.
+    /// Number of this slot's process, to tell its lines from those of the previous process.
     generation: u64,
     bundle: Option<u64>,
     at: Option<String>,
@@ -68,7 +68,7 @@ impl Local {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(log);
-        // Several workers share the processors with any renderer.
+        // The renderers of all workers share the processors.
         for name in ["RAYON_NUM_THREADS", "LP_NUM_THREADS", "OMP_NUM_THREADS"] {
             if std::env::var_os(name).is_none() {
                 command.env(name, &threads);
@@ -176,7 +176,7 @@ impl Engine for Local {
             worker.bundle = Some(bundle.sent.bundle);
             worker.since = Instant::now();
             if let Some(input) = &mut worker.input {
-                // If it has ended, the reader reports it and the bundle counts as lost.
+                // If the worker has ended, the reading thread reports that, and the bundle counts as lost.
                 let _ = input.write_all(&line).and_then(|()| input.flush());
             }
         }
@@ -219,7 +219,7 @@ impl Engine for Local {
 
 impl Drop for Local {
     fn drop(&mut self) {
-        // Workers end when their input is closed; hanging ones are ended.
+        // Workers end when their input is closed; those that have not after 2 s are killed.
         for worker in &mut self.workers {
             worker.input = None;
         }

@@ -22,7 +22,8 @@ pub struct Bundle {
     pub sent: Sent,
     /// The orders of its tasks.
     pub orders: Vec<Order>,
-    /// Its time request: 99 % upper bound on its seconds.
+    /// Its time request: 99 % upper bound on its seconds; infinite for workers of this machine, which need
+    /// none.
     pub upper_s: f64,
 }
 
@@ -46,16 +47,16 @@ pub trait Engine {
     fn name(&self) -> &'static str;
     /// Number of bundles that run at once.
     fn slots(&self) -> usize;
-    /// True if a bundle belongs to a certain slot, whose worker stays and keeps its volume.
+    /// True if each bundle is sent to a given slot, whose persistent worker keeps its volume.
     fn bound(&self) -> bool;
     /// Initial estimate of a bundle's overhead on its slot, seconds.
     fn overhead(&self) -> f64;
-    /// Longest time request of the engine, seconds.
+    /// Longest time request that the engine accepts, seconds; `None` for no limit.
     fn limit(&self) -> Option<f64> {
         None
     }
-    /// Number of bundles that wait inside the engine, so that no slot waits for the driver. The rest waits in
-    /// the planner, which binds late.
+    /// Number of bundles that wait inside the engine, so that no slot waits for the driver. All other tasks
+    /// wait in the planner, where their order can still change.
     fn waiting(&self) -> usize {
         0
     }
@@ -78,10 +79,10 @@ pub trait Engine {
     /// # Errors
     /// When the engine refuses.
     fn cancel(&mut self) -> Result<()>;
-    /// Events so far; waits at most `wait` for one.
+    /// Events since the last call; waits at most `wait` for one.
     ///
     /// # Errors
-    /// When the engine cannot be asked.
+    /// When the engine does not answer.
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>>;
     /// Activity of each slot, for display; empty where it is unknown.
     fn nodes(&self) -> Vec<String> {
@@ -89,7 +90,7 @@ pub trait Engine {
     }
 }
 
-/// Folders and programs, for engines.
+/// Paths that engines use.
 #[derive(Clone, Debug)]
 pub struct Places {
     /// The state folder of the database.
@@ -99,7 +100,10 @@ pub struct Places {
 }
 
 impl Places {
-    /// The worker's command for a bundle.
+    /// The command line of the worker for a bundle.
+    ///
+    /// # Errors
+    /// When a path is not UTF-8.
     pub fn worker(&self, bundle: u64) -> Result<Vec<String>> {
         use anyhow::Context;
         let text = |p: &PathBuf| {

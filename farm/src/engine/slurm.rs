@@ -11,11 +11,11 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Initial estimate of the node seconds per bundle.
+/// Initial estimate of a bundle's overhead on its node, seconds.
 const OVERHEAD: f64 = 0.6;
-/// Interval between looks at the queue; the spool is read at every poll.
+/// Interval between queries of the queue; the spool is read at every poll.
 const LOOK: Duration = Duration::from_millis(500);
-/// Seconds of a time request for start and end of the worker.
+/// Time that a request adds for start and end of the worker, seconds.
 const GRACE: f64 = 15.0;
 
 /// Options of Slurm.
@@ -38,7 +38,7 @@ pub struct Slurm {
     slots: usize,
     limit: Option<f64>,
     spool: Spool,
-    /// Job and state of each running bundle.
+    /// Job of each bundle that was sent and has not ended.
     open: BTreeMap<u64, Job>,
     looked: Option<Instant>,
 }
@@ -48,7 +48,7 @@ struct Job {
     id: u64,
     state: String,
     nodes: String,
-    /// Number of looks at the queue without the job.
+    /// Number of consecutive queries in which the job was not queued or running.
     gone: u32,
 }
 
@@ -94,7 +94,8 @@ fn words(words: &[&str]) -> Vec<String> {
     words.iter().map(|w| (*w).to_owned()).collect()
 }
 
-/// `days-hours:minutes:seconds`, or fewer of them, as sinfo prints limits; `None` for no limit.
+/// Seconds of a limit as sinfo prints it, `days-hours:minutes:seconds` or fewer of these; `None` for no
+/// limit.
 fn parse_limit(text: &str) -> Option<f64> {
     let (days, rest) = text.split_once('-').map_or((0.0, text), |(d, r)| (d.parse().unwrap_or(0.0), r));
     let parts: Vec<f64> = rest.split(':').map(str::parse).collect::<std::result::Result<_, _>>().ok()?;
@@ -102,7 +103,7 @@ fn parse_limit(text: &str) -> Option<f64> {
     Some(86400.0 * days + seconds)
 }
 
-/// A time request in sbatch's format; Slurm counts whole minutes.
+/// A time request in sbatch's format, whole minutes, with [`GRACE`] added.
 fn request(seconds: f64) -> String {
     (((seconds + GRACE) / 60.0).ceil().max(1.0) as u64).to_string()
 }
@@ -119,15 +120,16 @@ impl Slurm {
         names.sort_unstable();
         names.dedup();
         let slots = options.nodes.unwrap_or(names.len());
-        ensure!(slots > 0, "sinfo lists no node; say how many bundles may run at once with --nodes");
+        ensure!(slots > 0, "sinfo lists no node; give the number of bundles that run at once with --slots");
         let limits = ask("sinfo", &words(&["-h", "-o", "%l"]), None)?;
         let longest = limits.lines().map(|l| parse_limit(l.trim()));
-        // One partition without a limit is enough: bundles may run there.
+        // The longest limit of all partitions; none if a partition has no limit.
         let limit = longest.collect::<Option<Vec<f64>>>().map(|l| l.into_iter().fold(0.0, f64::max));
         let limit = options.limit.or(limit.filter(|l| *l > 0.0)).map(|l| l - GRACE);
         ensure!(
             limit.is_none_or(|l| l > 0.0),
-            "the longest time request is {} s, of which start and end take {GRACE} s; give more",
+            "the longest time request is {} s, of which start and end take {GRACE} s; raise it with \
+             --time-limit",
             limit.unwrap_or(0.0) + GRACE
         );
         let text = places.state.to_string_lossy().into_owned();
@@ -145,7 +147,7 @@ impl Slurm {
         while self.queue()?.iter().any(|j| alive(&state_of(j))) {
             ask("scancel", &[format!("--name={}", self.name)], None)?;
             if clock.elapsed() > Duration::from_secs(60) {
-                bail!("jobs named {} of a run before do not leave Slurm's queue; see scancel", self.name);
+                bail!("jobs {} of an earlier run stay in Slurm's queue; cancel them with scancel", self.name);
             }
             std::thread::sleep(Duration::from_millis(300));
         }
@@ -158,7 +160,7 @@ impl Slurm {
         Ok(queue.jobs.into_iter().filter(|j| j.name == self.name).collect())
     }
 
-    /// Bundles whose jobs have left the queue, and the way they ended.
+    /// Queries the queue. Returns the bundles whose jobs have left it, each with the reason.
     fn look(&mut self) -> Result<Vec<(u64, String)>> {
         let queue: BTreeMap<u64, (String, String)> = self
             .queue()?
@@ -174,7 +176,7 @@ impl Slurm {
                     job.gone = 0;
                 }
                 found => {
-                    // Its last lines may be delayed by the file system.
+                    // The file system may delay the last lines of its spool.
                     job.gone += 1;
                     if job.gone >= 3 {
                         let state = found.map_or("GONE", |f| f.0.as_str());
@@ -187,7 +189,7 @@ impl Slurm {
     }
 }
 
-/// Newer versions list states, older ones name one.
+/// The state of a job: newer versions of Slurm give a list of states, older ones a single state.
 fn state_of(job: &Queued) -> String {
     match &job.job_state {
         serde_json::Value::Array(all) => all.first().and_then(|s| s.as_str()).unwrap_or_default().to_owned(),
@@ -257,10 +259,10 @@ impl Engine for Slurm {
     }
 
     fn reprioritize(&mut self, bundles: &[u64]) -> Result<bool> {
-        // Users may only lower their priority (raise nice); only administrators may set one.
+        // Users may only lower the priority of their jobs, by a larger nice value.
         for (place, bundle) in bundles.iter().enumerate() {
             if let Some(job) = self.open.get(bundle).filter(|j| j.state == "PENDING") {
-                // A running job needs no priority.
+                // This fails if the job has started, which then needs no priority.
                 let _ = ask(
                     "scontrol",
                     &words(&["update", &format!("JobId={}", job.id), &format!("Nice={}", 10 * place)]),
@@ -284,7 +286,7 @@ impl Engine for Slurm {
             lost = self.look()?;
             self.looked = Some(Instant::now());
         }
-        // The spool after the queue: a finished bundle keeps its answers.
+        // The spool is read after the queue, so that it has all answers of the jobs that have ended.
         let mut out = Vec::new();
         for (bundle, line) in self.spool.poll()? {
             if matches!(line, Line::End { .. }) {

@@ -14,13 +14,12 @@ pub struct AffinityTask {
     pub load: f64,
 }
 
-/// Simulates a queue in which a node keeps its last volume and searches the next `window` tasks of the order
-/// for one on it; otherwise it takes the first. A window of 1 is [`super::simulate_queue`] with loading
-/// times.
+/// Simulates a queue in which a node keeps its last volume: it takes the first task on that volume among the
+/// next `window` tasks of the order, or the next task if there is none. A window of 1 is
+/// [`super::simulate_queue`] with loading times.
 ///
 /// # Errors
-/// For unusable times or speeds, a window of 0, or an order that is not
-/// a permutation of the tasks.
+/// For unusable times or speeds, a window of 0, or an order that is not a permutation of the tasks.
 pub fn simulate_affinity(
     order: &[usize],
     tasks: &[AffinityTask],

@@ -3,8 +3,8 @@
 use anyhow::Result;
 use entire_steer::schedule::{assign_longest_first, longest_first};
 
-/// No schedule without preemption ends before this: all work over all speed, and for every k the k longest
-/// tasks over the k fastest nodes.
+/// Lower bound on the makespan of any schedule without preemption, seconds: the maximum of all work over the
+/// speed of all nodes and, for every k, the k longest tasks over the speed of the k fastest nodes.
 ///
 /// # Errors
 /// As [`assign_longest_first`].

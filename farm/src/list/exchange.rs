@@ -8,7 +8,8 @@ const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the longest load.
 const LEAST_GAIN: f64 = 1.0e-6;
 
-/// Change of one round: tasks of the node that finishes last, and of another.
+/// Change of one round: the task that the node that ends last gives to another node, and the task that it
+/// takes from that node.
 struct Change {
     give: usize,
     to: usize,
@@ -61,7 +62,7 @@ pub fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64]) -> R
     Ok(())
 }
 
-/// The change with the shortest longest load of node `last` and another.
+/// The change after which the longer of the two loads, of node `last` and of the other node, is shortest.
 fn best_change(
     last: usize,
     times: &[f64],
@@ -72,7 +73,7 @@ fn best_change(
     let mut best: Option<Change> = None;
     for &give in &held[last] {
         for to in (0..loads.len()).filter(|&n| n != last) {
-            // The time to give back so that both end together.
+            // Seconds of the task to take back so that both nodes would end together.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
             let even = times[give] - (loads[last] - loads[to]) / (own + other);
             let above = held[to].partition_point(|&t| times[t] < even);

@@ -26,12 +26,12 @@ pub struct Timeline {
 }
 
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
-/// `times` are the true ones; prediction only determines the order. Arrival order is `0..n`,
-/// predicted-longest-first comes from [`longest_first`]. Every dispatch costs `dispatch` seconds of the node.
+/// `times` are the true ones; predictions determine only the order. Arrival order is `0..n`;
+/// [`longest_first`] gives the order of predicted times, longest first. Every dispatch costs `dispatch`
+/// seconds of the node.
 ///
 /// # Errors
-/// For unusable times, speeds or dispatch cost, or an order that is not
-/// a permutation of the tasks.
+/// For unusable times, speeds or dispatch cost, or an order that is not a permutation of the tasks.
 pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: f64) -> Result<Timeline> {
     check(times, speeds)?;
     check_order(order, times.len())?;
@@ -51,13 +51,13 @@ pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: 
     Ok(Timeline { spans, makespan })
 }
 
-/// Times must be finite and not negative, speeds finite and positive.
+/// Checks that times are finite and not negative, and speeds finite and positive.
 pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     ensure!(!speeds.is_empty(), "there are no nodes; at least one is needed");
     if let Some((node, speed)) = speeds.iter().enumerate().find(|(_, s)| !(s.is_finite() && **s > 0.0)) {
         bail!("the speed of node {node} is {speed}; it must be finite and positive");
     }
-    // Only the check of the times is needed here, not the order.
+    // Checks the times; the order is not used.
     longest_first(times)?;
     Ok(())
 }

@@ -148,7 +148,7 @@ proptest! {
         let line = simulate_queue(&order, &times, &speeds, dispatch).unwrap();
         let bound = lower_bound(&times, &speeds).unwrap();
         prop_assert!(line.makespan >= bound * (1.0 - 1e-12));
-        // Every task once, no node in two places, none idle while tasks wait.
+        // Every task runs once; no node runs two tasks at once, or is idle before its last task.
         let mut seen = vec![false; times.len()];
         for s in &line.spans {
             prop_assert!(!std::mem::replace(&mut seen[s.task], true));
