@@ -25,9 +25,9 @@
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
  * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const`
- * handle may run at the same time on several threads with the same handle; all other calls need the handle
- * for themselves. In other words: share models, volumes and transfer functions once they are made; give every
- * render loop a session of its own.
+ * handle may run at the same time on several threads with the same handle; all other calls need exclusive use
+ * of their handles. In other words: share models, volumes and transfer functions once they are made; give
+ * every render loop a session of its own.
  *
  * Names. Functions are entire_<noun>_<what they do>. A function that only reads is named after its result,
  * without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
@@ -37,8 +37,8 @@
  *
  * Structs by value. Each starts with `size_t struct_size`, set to its sizeof (the entire_<struct>_init
  * functions do it, and set defaults). Later versions only add fields at the end: older programs continue to
- * work with newer libraries, and a newer program works with an older library as long as it leaves the fields
- * that are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
+ * work with newer libraries, and a newer program works with an older library as long as the fields that the
+ * library does not know are zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
  * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
  * change.
  *
@@ -59,9 +59,10 @@
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
  *
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
- * not allocate, lock or call the system when they succeed and no log callback is set; entire_model_predict
- * as long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time, further ones
- * allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same bits.
+ * not allocate, lock or call the system when they succeed and no log callback is set. For
+ * entire_model_predict this holds while at most ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the
+ * same time; further calls allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same
+ * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
  * with its place in the error text; the handle then refuses every call but free.

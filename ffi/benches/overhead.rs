@@ -8,8 +8,9 @@ use entire_core::nn::PredNet;
 use std::ffi::{CString, c_char, c_void};
 use std::time::Instant;
 
-/// Calls per run; runs of C and Rust alternate, so that a disturbance affects both.
+/// Number of calls per run.
 const CALLS: usize = 2000;
+/// Number of runs in each language. Runs of Rust and C alternate, so that a disturbance affects both.
 const RUNS: usize = 301;
 
 unsafe extern "C" {

@@ -42,7 +42,7 @@ if [[ $features ]]; then arguments+=(--features "$features"); fi
 if [[ $build ]]; then "$cargo" build --quiet "${arguments[@]}"; fi
 
 # System libraries that a program with the static library needs: those of Rust's standard library, which rustc lists for
-# any static library. The crates of this one add none.
+# any static library. The crates of libentire need no others.
 empty=$(mktemp -d)
 native=$("${RUSTC:-rustc}" --crate-name empty --crate-type staticlib --print native-static-libs -o "$empty/libempty.a" - 2>&1 </dev/null \
     | sed -n 's/^note: native-static-libs: //p' | tail -n 1)
@@ -64,8 +64,8 @@ upwards() { # as many ".." as the path has parts
 # A panic inside the library becomes a result code and is never printed; yet the standard library brings the code that
 # prints a backtrace (DWARF reading, decompression, demangling), a third of a small statically linked program. All of it
 # is reached through the one function that prints a backtrace's frames. Here that function is replaced by an empty one,
-# so that the linker's --gc-sections drops the rest. If tools or code differ from the expected ones, the library is left
-# unchanged.
+# so that the linker's --gc-sections drops what only it calls. If tools or code differ from the expected ones, the
+# library is left unchanged.
 without_symbolizer() { # without_symbolizer ARCHIVE
     local archive=$1 work found object section bytes
     work=$(mktemp -d)
@@ -74,7 +74,7 @@ without_symbolizer() { # without_symbolizer ARCHIVE
         cd "$work" && ar x whole.a 2>/dev/null
         found=$(grep -l 'BacktraceLock.*DisplayBacktrace.*Display3fmt' ./*.o) && [[ $(wc -l <<<"$found") == 1 ]] || exit 1
         object=$(basename "$found")
-        # Into files: grep -q ends early, and readelf would fail with the closed pipe.
+        # Through files, not pipes: grep -q ends early, and readelf would fail at the closed pipe.
         readelf -hW "$object" >header && grep -q 'X86-64' header || exit 1
         readelf -SW "$object" >sections || exit 1
         section=$(grep -o ' \.text\.[^ ]*BacktraceLock[^ ]*DisplayBacktrace[^ ]*Display3fmt ' sections | tr -d ' ')

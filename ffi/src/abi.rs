@@ -31,13 +31,13 @@ const LARGEST_STRUCT: usize = 1 << 16;
 
 /// A by-value struct whose first field is `struct_size: usize`, the size in the caller's header.
 ///
-/// # Safety `repr(C)`, first field `struct_size: usize`, no padding that matters, and every bit pattern of
-/// every field is a value (integers, floats, pointers).
+/// # Safety
+/// The type is `repr(C)`, its first field is `struct_size: usize`, no padding matters, and every bit pattern
+/// of every field is a value (integers, floats, pointers).
 pub(crate) unsafe trait ByValue: Copy {
-    /// Its name in messages.
+    /// Name of the struct in messages.
     const NAME: &'static str;
-    /// Size of the struct in its first release; smaller ones never existed. Structs that have grown since
-    /// define it.
+    /// Size in bytes of the struct in its first release. A struct that has grown since then defines it.
     const FIRST_SIZE: usize = size_of::<Self>();
     /// Default values: those of fields that the caller's older struct lacks, and those that `_init` writes.
     fn defaults() -> Self;
@@ -122,8 +122,8 @@ pub(crate) unsafe fn write_struct<T: ByValue>(at: *mut T, value: &T) -> Result<(
     Ok(())
 }
 
-/// Fills a struct of `size` bytes with its defaults, zero beyond what this library knows, and sets its
-/// `struct_size`.
+/// Fills a struct of `size` bytes with its defaults, and bytes beyond the fields that this library knows with
+/// zeros; sets its `struct_size` to `size`.
 ///
 /// # Safety
 /// `at` is NULL or valid for writes of `size` bytes.
@@ -158,7 +158,8 @@ pub(crate) unsafe fn slice<'a, T>(at: *const T, len: usize, what: &str) -> Resul
 
 /// The caller's output array. Its contents are not read here and may be any numbers.
 ///
-/// # Safety `at` is NULL or valid for reads and writes of `len` elements, by nobody else, for as long as the
+/// # Safety
+/// `at` is NULL or valid for reads and writes of `len` elements, which nothing else accesses as long as the
 /// result lives.
 pub(crate) unsafe fn slice_mut<'a, T: Number>(
     at: *mut T,

@@ -6,11 +6,12 @@ use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_steer::control::{FrameBudget, PassShare};
 
-/// Time of a window's frame. Zeros at first; the words are the library's.
+/// Divides the time of a window's frame among the passes that draw volumes in it. Set all words to zero
+/// before the first call; only the library reads and changes them.
 ///
 /// For each frame, in this order: entire_budget_begin, then entire_budget_share before and entire_budget_drew
-/// after each pass that draws a volume (several volumes, two eyes, several renderers), then entire_budget_end. One
-/// thread at a time.
+/// after each pass that draws a volume (several volumes, two eyes, several renderers), then
+/// entire_budget_end. One thread at a time.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_budget {
@@ -18,8 +19,8 @@ pub struct entire_budget {
     pub words: [u32; 14],
 }
 
-/// State of one volume in a window's frames, which may draw it several times. Zeros at first; the words are the
-/// library's.
+/// State of one volume in a window's frames, which may draw it several times. Set all words to zero before
+/// the first call; only the library reads and changes them.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_pass {
@@ -74,9 +75,10 @@ pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget, volumes
     })
 }
 
-/// Seconds for the next pass if the whole frame may take `target` seconds, as the target of
-/// entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality, so that
-/// all are coarsened alike; together they leave out what the window's last frames took besides.
+/// Computes the seconds that the next pass may take if the whole frame may take `target` seconds: the target
+/// for entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality,
+/// so that all are coarsened alike. Their sum is `target` less the median time that the last five frames took
+/// outside of the passes, and at least a fifth of `target`.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -95,8 +97,8 @@ pub unsafe extern "C" fn entire_budget_share(
     })
 }
 
-/// Adds a pass that took `seconds`, and would have taken about `full_seconds` at full quality: `seconds` times
-/// entire_plan.step / the finest step, times the square of entire_plan.image_sample_distance.
+/// Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` times
+/// entire_plan.step, divided by the finest step, times the square of entire_plan.image_sample_distance.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -117,8 +119,9 @@ pub unsafe extern "C" fn entire_budget_drew(
     })
 }
 
-/// Ends a frame of the window that took `seconds` in all. `usual` is 0 if it included work that most frames do
-/// not: reading a volume, compiling a shader. Such work counts if the frame before included it too.
+/// Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included work that
+/// most frames do not: reading a volume, compiling a shader. Such work counts only if the previous frame
+/// included it too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -11,7 +11,7 @@ use std::mem::{MaybeUninit, size_of};
 use std::path::Path;
 use std::ptr::{null, null_mut};
 
-/// The toy model of the C tests.
+/// Bytes of the small model that the C tests use.
 fn toy() -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden/toy_model/toy.safetensors");
     std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
@@ -143,8 +143,8 @@ fn a_session_follows_a_volume_from_step_to_step() {
     let (first, size) = ([0, 0, 2usize], [5, 7, 1usize]);
     let mut frame = init(entire_frame_init);
     (frame.width, frame.height) = (32, 32);
-    // SAFETY: live handles, used by this thread alone, and room for every output; borrowed voxels are handed over
-    // anew after they were written to.
+    // SAFETY: live handles, used by this thread alone, and room for every output; borrowed voxels are handed
+    // over anew after they were written to.
     unsafe {
         let session = made(|out| entire_session_new(null(), null(), out));
         ok(entire_session_set_volume(session, borrowed));

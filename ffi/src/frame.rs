@@ -11,14 +11,14 @@ use std::mem::size_of;
 
 /// Kind of a frame's camera: one of the two `ENTIRE_CAMERA_*` numbers.
 pub type entire_camera = u32;
-/// By entire_frame.arcball.
+/// Camera given by entire_frame.arcball.
 pub const ENTIRE_CAMERA_ARCBALL: entire_camera = 1;
-/// By entire_frame.view, volume_center and volume_radius.
+/// Camera given by entire_frame.view, volume_center and volume_radius.
 pub const ENTIRE_CAMERA_VIEW: entire_camera = 2;
 
 /// Projection of a camera: one of the two `ENTIRE_PROJECTION_*` numbers.
 pub type entire_projection = u32;
-/// By entire_frame.fov_y; rays leave the eye.
+/// Perspective, with the field of view entire_frame.fov_y; rays start at the eye.
 pub const ENTIRE_PROJECTION_PERSPECTIVE: entire_projection = 1;
 /// Orthographic, with the height entire_frame.parallel_scale; rays start in the plane through the eye and run
 /// along the view direction.
@@ -39,7 +39,7 @@ pub type entire_skipping = u32;
 pub const ENTIRE_SKIPPING_NONE: entire_skipping = 1;
 /// Transparent blocks are skipped.
 pub const ENTIRE_SKIPPING_BLOCKS: entire_skipping = 2;
-/// As blocks, with a distance map, so that a run of empty blocks costs one skip.
+/// As ENTIRE_SKIPPING_BLOCKS, with a distance map, so that a run of empty blocks costs one skip.
 pub const ENTIRE_SKIPPING_DISTANCE: entire_skipping = 3;
 
 /// A frame to draw. Fill with entire_frame_init, then set what differs.
@@ -82,8 +82,8 @@ pub struct entire_frame {
     /// ENTIRE_PROJECTION_PERSPECTIVE (default) or ENTIRE_PROJECTION_PARALLEL.
     pub projection: entire_projection,
     /// Half of the height that a parallel projection shows: world units with ENTIRE_CAMERA_VIEW (VTK's
-    /// ParallelScale), bounding-sphere radii with ENTIRE_CAMERA_ARCBALL. From 1e-6 to 1e6 radii; default NaN,
-    /// to be set with ENTIRE_PROJECTION_PARALLEL.
+    /// ParallelScale), bounding-sphere radii with ENTIRE_CAMERA_ARCBALL. From 1e-6 to 1e6 radii; default NaN.
+    /// Must be set with ENTIRE_PROJECTION_PARALLEL.
     pub parallel_scale: f32,
 }
 
@@ -146,7 +146,7 @@ no_padding!(entire_frame {
     projection,
     parallel_scale
 });
-// Arrays hold it, so its size never changes.
+// Callers pass arrays of entire_setting, so its size never changes.
 const _: () = assert!(size_of::<entire_setting>() == 20);
 
 /// Fills a frame with its defaults; `struct_size` is sizeof(entire_frame).
@@ -198,7 +198,7 @@ impl entire_frame {
                 let radius = radius.ok_or_else(|| {
                     Failure::new(
                         ENTIRE_NOT_READY,
-                        "volume_radius is NaN and no volume is set that would know it; set the volume first",
+                        "volume_radius is NaN and no volume is set to take it from; set the volume first",
                     )
                 })?;
                 let view = Mat4::from_cols_array(&self.view);

@@ -21,8 +21,9 @@ const TEXT_BYTES: usize = 2048;
 thread_local! {
     /// True if the last call of this thread failed; its text is in `TEXT`.
     static FAILED: Cell<bool> = const { Cell::new(false) };
-    /// Stored in place: a thread-local value with a destructor is registered at its first use, for which the
-    /// C library allocates memory and ends the process if there is none.
+    /// Text of this thread's last failure. An array, since it has no destructor: a thread-local value with a
+    /// destructor is registered at its first use, for which the C library allocates memory and ends the
+    /// process if there is none.
     static TEXT: RefCell<[u8; TEXT_BYTES]> = const { RefCell::new([0; TEXT_BYTES]) };
     /// Number of open guards on this thread, for the panic hook.
     static DEPTH: Cell<u32> = const { Cell::new(0) };
@@ -30,9 +31,9 @@ thread_local! {
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
-/// Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty
-/// after a call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
-/// At most 2047 bytes; entire_<noun>_last_error has the whole text of a handle's failure.
+/// The error text of the calling thread's last call: what was wrong and what to do; empty if that call
+/// succeeded. Never NULL; valid until the thread's next call of any function but this one. At most 2047
+/// bytes; entire_<noun>_last_error gives the whole text of a handle's failure.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_last_error() -> *const c_char {
     if FAILED.try_with(Cell::get).unwrap_or(false) {
@@ -82,7 +83,7 @@ pub(crate) unsafe fn reading<H: Handle>(
     }
 }
 
-/// Runs a body that changes a handle; success forgets the handle's last error.
+/// Runs a body that changes a handle; success clears the handle's last error.
 ///
 /// # Safety
 /// `handle` is NULL or a live handle of this library that no other thread is using.

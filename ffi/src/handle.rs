@@ -16,7 +16,7 @@ pub(crate) struct Status {
 }
 
 impl Status {
-    /// True if an earlier call panicked half-way through this handle.
+    /// True if an earlier call on this handle panicked.
     #[inline]
     pub(crate) fn is_unusable(&self) -> bool {
         self.unusable.load(Ordering::Acquire)
@@ -110,10 +110,11 @@ pub(crate) fn give<H: Handle>(value: H::Value) -> *mut H {
     H::Owner::into_raw(H::assemble(Status::default(), value))
 }
 
-/// The value of a second handle of a call, for reading.
+/// The value of a further handle among a call's arguments, for reading.
 ///
-/// # Safety `handle` is NULL or a live handle of this library that no thread is changing, for as long as the
-/// result lives.
+/// # Safety
+/// `handle` is NULL or a live handle of this library that no thread is changing, for as long as the result
+/// lives.
 pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a H::Value, Failure> {
     // SAFETY: NULL or live, as the caller promises.
     let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;

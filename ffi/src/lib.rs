@@ -4,9 +4,11 @@
 //! code and keeps the error text. The conventions that callers rely on stand at the top of
 //! `include/entire/entire.h` (`ffi/header.h`), which `ffi/tests/suite/header.rs` generates from this crate.
 //!
-//! # Safety of all entry points A pointer is NULL or valid for the access that the function's documentation
-//! states, for the length that is given with it; a handle comes from this library and was not freed; a handle
-//! that is not `const` is used by one thread at a time. Functions state only additional conditions.
+//! # Safety of all entry points
+//!
+//! A pointer is NULL or valid for the access that the function's documentation states, for the length that is
+//! given with it; a handle comes from this library and was not freed; a handle that is not `const` is used by
+//! one thread at a time. Functions state only additional conditions.
 #![allow(non_camel_case_types, reason = "C names, written here as the header has them")]
 #![allow(unreachable_pub, reason = "C reaches what Rust cannot; the header generator takes what is pub")]
 #![allow(

@@ -10,7 +10,7 @@ pub const ENTIRE_MAX_SIDE: usize = 1_048_576;
 pub const ENTIRE_MAX_REPEATED_VOXELS: usize = 134_217_728;
 /// Maximum number of bricks of a volume.
 pub const ENTIRE_MAX_BRICKS: usize = 134_217_728;
-/// Maximum number of ready features of a volume.
+/// Maximum number of precomputed features of a volume.
 pub const ENTIRE_MAX_FEATURES: usize = 1_048_576;
 /// Maximum number of Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
 pub const ENTIRE_MAX_TRANSFER_POINTS: usize = 1_048_576;
@@ -22,7 +22,8 @@ pub const ENTIRE_MAX_STATE_BYTES: usize = 16_777_216;
 pub const ENTIRE_MAX_TASKS: usize = 16_777_216;
 /// Maximum number of nodes in entire_schedule.
 pub const ENTIRE_MAX_NODES: usize = 1_048_576;
-/// Maximum of tasks times nodes in entire_schedule: each task is compared on every node.
+/// Maximum product of the numbers of tasks and nodes in entire_schedule, which compares each task on every
+/// node.
 pub const ENTIRE_MAX_TASKS_TIMES_NODES: u64 = 4_294_967_296;
 
 // The limits of the core and of this interface agree.
@@ -39,13 +40,12 @@ pub(crate) fn at_most(what: &str, found: usize, limit: usize, name: &str) -> Res
     }
     Err(Failure::new(
         ENTIRE_SIZE_MISMATCH,
-        format!(
-            "{what} is {found}; at most {limit} ({name}) is accepted, so it is too large: check the count"
-        ),
+        format!("{what} is {found}; at most {limit} ({name}) is accepted: check the count"),
     ))
 }
 
-/// Refuses the sizes of a volume that are larger than its memory of `voxel_count` elements.
+/// Refuses a volume that has a side over [`ENTIRE_MAX_SIDE`], or more voxels than both `voxel_count` and
+/// [`ENTIRE_MAX_REPEATED_VOXELS`]. Without a `voxel_count`, only the sides are checked.
 pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result<(), Failure> {
     for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
         if n > ENTIRE_MAX_SIDE {

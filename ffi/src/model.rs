@@ -72,15 +72,15 @@ unsafe impl ByValue for entire_model_info {
     }
 }
 
-/// A named run of a model's inputs. Set struct_size before the call.
+/// A named group of consecutive inputs of a model. Set struct_size before the call.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_input_group {
     /// sizeof(entire_input_group).
     pub struct_size: usize,
-    /// Its name, such as "camera"; valid as long as the model.
+    /// Name of the group, such as "camera"; valid as long as the model.
     pub name: *const c_char,
-    /// Index of its first number among the model's inputs.
+    /// Index of the group's first value among the model's inputs.
     pub offset: usize,
     /// Number of values in the group.
     pub size: usize,
@@ -117,7 +117,7 @@ pub struct entire_model {
 
 pub(crate) struct Loaded {
     model: Model,
-    /// The file.
+    /// Contents of the model file.
     bytes: Vec<u8>,
     prednet: Option<(Arc<PredNet>, Pool<PredScratch>)>,
     /// Working memory of batches.
@@ -177,8 +177,8 @@ impl Loaded {
         })
     }
 
-    /// The volume features for the model's predictions: ready ones, or the encoder's; `None` if it takes
-    /// none.
+    /// The volume features for the model's predictions: the volume's precomputed ones, else the encoder's;
+    /// `None` if the model takes none.
     pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
         let Some(size) = self.model.input_size(GroupKind::VolumeFeatures) else { return Ok(None) };
         if let Some(ready) = &volume.features {
@@ -186,7 +186,8 @@ impl Loaded {
                 return Err(Failure::new(
                     ENTIRE_SIZE_MISMATCH,
                     format!(
-                        "the volume has {} ready features, the model takes {size}; encode it with this model",
+                        "the volume has {} precomputed features, the model takes {size}; \
+                         encode it with this model",
                         ready.len()
                     ),
                 ));
@@ -213,7 +214,7 @@ impl Loaded {
             Failure::new(
                 ENTIRE_UNSUPPORTED,
                 "the model has no volume encoder; use a file with volumenet.* tensors, \
-                 or hand over ready features with entire_volume_set_features",
+                 or pass precomputed features to entire_volume_set_features",
             )
         })
     }
@@ -240,7 +241,7 @@ fn kept_text(text: &str) -> Result<CString, Failure> {
     Ok(CString::from_vec_with_nul(bytes).unwrap_or_default())
 }
 
-/// The instruction set of models, and its name: determined once, so that the environment is read once.
+/// The instruction set of models, and its name; determined once, so that the environment is read once.
 fn level() -> &'static (Level, CString) {
     static FOUND: OnceLock<(Level, CString)> = OnceLock::new();
     FOUND.get_or_init(|| {
@@ -249,9 +250,9 @@ fn level() -> &'static (Level, CString) {
     })
 }
 
-/// The instruction set that models are run with on this CPU, such as "avx512": "scalar", "avx2" or "avx512",
-/// with extensions behind a plus sign. The environment variable ENTIRE_LEVEL lowers it; it is read once, at
-/// the first call that needs it. Static.
+/// The instruction set that evaluates models on this CPU: "scalar", "avx2" or "avx512", followed by its
+/// extensions, such as "avx512+vnni". The environment variable ENTIRE_LEVEL lowers it; the variable is read
+/// once, at the first call that needs it. The text is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_simd_level() -> *const c_char {
     level().1.as_ptr()
@@ -298,7 +299,7 @@ pub unsafe extern "C" fn entire_model_open_machine(
             .ok_or_else(|| {
                 Failure::new(
                     ENTIRE_IO,
-                    "there is no home folder to look for the machine's model in; set XDG_DATA_HOME",
+                    "no home folder was found, where the machine's model would be; set XDG_DATA_HOME",
                 )
             })?
             .join("entire")
@@ -311,7 +312,7 @@ pub unsafe extern "C" fn entire_model_open_machine(
 /// The user's data folder, as `entire calibrate` finds it.
 #[allow(
     deprecated,
-    reason = "compilers before 1.87 warn of home_dir() for an error on Windows that is mended"
+    reason = "compilers before 1.87 warn about home_dir() because of a bug on Windows that is fixed"
 )]
 fn data_folder() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
@@ -324,7 +325,7 @@ fn data_folder() -> Option<PathBuf> {
     })
 }
 
-/// The bytes of a model file. `remedy` ends the error if it cannot be read.
+/// The bytes of a model file. The error text ends with `remedy` if the file cannot be read.
 fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
     let shown = path.display();
     let io = |why: String| Failure::new(ENTIRE_IO, format!("{shown}: {why}; {remedy}"));
@@ -344,7 +345,7 @@ fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
     })
 }
 
-/// Reads a model from the bytes of a model file; they may be freed when the call returns.
+/// Reads a model from the bytes of a model file; the bytes may be freed when the call returns.
 ///
 /// Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
 /// ENTIRE_MAX_MODEL_BYTES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -363,6 +364,8 @@ pub unsafe extern "C" fn entire_model_from_bytes(
     })
 }
 
+/// Writes a new handle of the model to `out`. `name` is the model's name in messages.
+///
 /// # Safety
 /// `out` is NULL or valid for one write.
 pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome {
@@ -406,7 +409,7 @@ pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *co
     }
 }
 
-/// Reads what a model is; set info->struct_size first.
+/// Reads the properties of a model; set info->struct_size first.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
@@ -636,8 +639,8 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
 
 /// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
 /// `capacity` bytes with its closing NUL; empty if none failed. `length`, if not NULL, receives the length of
-/// the whole text without the NUL; `buffer` may be NULL with capacity 0 to query it. On the thread whose call
-/// failed, entire_last_error is simpler.
+/// the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that length. On
+/// the thread whose call failed, entire_last_error is simpler.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

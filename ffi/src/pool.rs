@@ -3,8 +3,8 @@
 use std::cell::UnsafeCell;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Calls of entire_model_predict that may run on one model at the same time without allocating; each further
-/// one allocates its own working memory.
+/// Maximum number of calls of entire_model_predict that run on one model at the same time without allocating;
+/// each further call allocates its own working memory.
 pub const ENTIRE_CONCURRENT_PREDICTIONS: usize = 16;
 
 const SLOTS: usize = ENTIRE_CONCURRENT_PREDICTIONS;
@@ -13,13 +13,13 @@ const ALL_FREE: u32 = ((1u64 << SLOTS) - 1) as u32;
 /// A fixed number of slots with a piece of working memory each. Taking a slot is lock-free, and succeeds as
 /// long as fewer than [`SLOTS`] calls hold one: a bit mask shows the free ones.
 pub(crate) struct Pool<T> {
-    /// A bit per free slot.
+    /// Bit mask: bit `i` is set while slot `i` is free.
     free: AtomicU32,
     slots: [UnsafeCell<Option<T>>; SLOTS],
 }
 
-// SAFETY: a slot is touched only by the thread that cleared its bit in `free`, until that thread sets the bit
-// again; clearing acquires what setting released. A piece may so move between threads, hence `Send`.
+// SAFETY: a slot is accessed only by the thread that cleared its bit in `free`, until that thread sets the
+// bit again; clearing acquires what setting released. So a piece may move between threads, hence `Send`.
 unsafe impl<T: Send> Sync for Pool<T> {}
 
 impl<T> Pool<T> {

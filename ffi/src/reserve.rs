@@ -15,26 +15,26 @@ use std::cell::UnsafeCell;
 use std::ptr::null_mut;
 use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
-/// Largest piece that the reserve provides, bytes. (Miri is some thousand times slower, so all sizes are
-/// smaller.)
+/// Size in bytes of the largest piece that the reserve provides. (Under Miri, which is about a thousand times
+/// slower, all sizes are smaller.)
 const LARGEST: usize = if cfg!(miri) { 1 << 12 } else { 1 << 16 };
-/// Bytes of a block, and the strictest alignment that the reserve gives.
+/// Size of a block in bytes, and largest alignment that the reserve provides.
 const BLOCK: usize = 256;
-/// Blocks in the reserve: 1 MiB.
+/// Number of blocks in the reserve, which has 1 MiB.
 const BLOCKS: usize = if cfg!(miri) { 1 << 7 } else { 1 << 12 };
 
 #[repr(C, align(256))]
 struct Memory(UnsafeCell<[u8; BLOCK * BLOCKS]>);
 
-// SAFETY: a block is touched only by who holds its flag.
+// SAFETY: only the holder of a block's flag accesses the block.
 unsafe impl Sync for Memory {}
 
-/// Blocks of memory, and their holders.
+/// Blocks of memory, and a flag for each.
 struct Reserve {
     memory: Memory,
     /// 1 where a block is held.
     held: [AtomicU8; BLOCKS],
-    /// Number of held pieces.
+    /// Number of held blocks.
     count: AtomicUsize,
 }
 
@@ -57,7 +57,7 @@ impl Reserve {
         (piece as usize).wrapping_sub(self.start() as usize) < BLOCK * BLOCKS
     }
 
-    /// A piece, or NULL if it is too large or no run of blocks is free.
+    /// A piece for `layout`, or NULL if it is too large or no long enough run of blocks is free.
     #[cold]
     fn take(&self, layout: Layout) -> *mut u8 {
         if layout.size() > LARGEST || layout.align() > BLOCK {
@@ -85,10 +85,10 @@ impl Reserve {
         null_mut()
     }
 
-    /// Returns a piece.
+    /// Gives a piece back.
     ///
     /// # Safety
-    /// It comes from `take` with this size and is given back once.
+    /// The piece comes from `take` with this size and is given back once.
     #[cold]
     unsafe fn give(&self, piece: *mut u8, size: usize) {
         let first = (piece as usize - self.start() as usize) / BLOCK;
@@ -104,8 +104,8 @@ struct Allocator;
 #[global_allocator]
 static ALLOCATOR: Allocator = Allocator;
 
-// SAFETY: pieces come from the system or from the reserve, whose memory lies apart, and go back to where they
-// came from. Neither unwinds.
+// SAFETY: pieces come from the system or from the reserve, whose memory the system never hands out, and go
+// back to where they came from. Neither unwinds.
 unsafe impl GlobalAlloc for Allocator {
     #[inline]
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -123,7 +123,7 @@ unsafe impl GlobalAlloc for Allocator {
         }
         let piece = RESERVE.take(layout);
         if !piece.is_null() {
-            // SAFETY: the piece has this size; blocks are used again, so that they must be cleared.
+            // SAFETY: the piece has this size. Blocks are reused, so they must be cleared.
             unsafe { piece.write_bytes(0, layout.size()) };
         }
         piece
@@ -155,7 +155,7 @@ unsafe impl GlobalAlloc for Allocator {
         // SAFETY: as above.
         let moved = if RESERVE.owns(piece) { unsafe { self.alloc(wanted) } } else { RESERVE.take(wanted) };
         if !moved.is_null() {
-            // SAFETY: both pieces hold as many bytes; the old one is given up, as the caller promises.
+            // SAFETY: both pieces have at least the copied number of bytes; the caller gives the old one up.
             unsafe {
                 moved.copy_from_nonoverlapping(piece, layout.size().min(size));
                 self.dealloc(piece, layout);
@@ -165,10 +165,10 @@ unsafe impl GlobalAlloc for Allocator {
     }
 }
 
-/// Fails if a call that makes or sets something must not begin.
+/// Checks that a call that makes or sets something may begin.
 ///
 /// # Errors
-/// ENTIRE_OUT_OF_MEMORY where half of the reserve is held.
+/// ENTIRE_OUT_OF_MEMORY if more than half of the reserve is held.
 pub(crate) fn check() -> Result<(), Failure> {
     if RESERVE.count.load(Ordering::Relaxed) <= BLOCKS / 2 {
         return Ok(());

@@ -13,7 +13,7 @@ pub enum entire_result {
     ENTIRE_OK = 0,
     /// A value is outside what the call accepts (zero size, NaN, negative time, ...).
     ENTIRE_INVALID_ARGUMENT = 1,
-    /// A buffer is too short, or a product of sizes overflows.
+    /// A buffer is too short, a count does not match or is over its limit, or a product of sizes overflows.
     ENTIRE_SIZE_MISMATCH = 2,
     /// The bytes are not a model file that this version reads, or the model's result is not a frame time.
     ENTIRE_INVALID_MODEL = 3,
@@ -27,12 +27,12 @@ pub enum entire_result {
     ENTIRE_REJECTED_OBSERVATION = 7,
     /// A feature that this build or this model does not have.
     ENTIRE_UNSUPPORTED = 8,
-    /// A pointer that must not be NULL is.
+    /// A pointer is NULL that must not be.
     ENTIRE_NULL_ARGUMENT = 100,
     /// `struct_size` is not set, too small, or the caller's newer struct sets fields that this library does
     /// not know.
     ENTIRE_STRUCT_SIZE = 101,
-    /// A file cannot be read.
+    /// A file cannot be read or written.
     ENTIRE_IO = 102,
     /// A bug in the library. The handle refuses all further calls with this code and can only be freed.
     ENTIRE_PANIC = 103,
@@ -120,7 +120,7 @@ pub(crate) fn is_frame_time(seconds: f32) -> bool {
 }
 
 /// Converts a network's result to the seconds of a frame. Results under 1e-6, which networks give for cheap
-/// frames, become the shortest prediction.
+/// frames, become 1e-6, the shortest prediction.
 #[inline]
 pub(crate) fn frame_time(answer: f32) -> Result<f32, Failure> {
     let mut seconds = answer;
@@ -130,7 +130,7 @@ pub(crate) fn frame_time(answer: f32) -> Result<f32, Failure> {
     }
 }
 
-/// A model's answer that is no frame time.
+/// The failure of a model whose answer is not a frame time.
 #[cold]
 pub(crate) fn no_prediction(seconds: f32) -> Failure {
     Failure::new(
@@ -148,7 +148,7 @@ impl From<TryReserveError> for Failure {
     fn from(_: TryReserveError) -> Self {
         Self::new(
             ENTIRE_OUT_OF_MEMORY,
-            "there is no memory for what was asked for; free some, or ask for less",
+            "there is not enough memory for this call; free some, or pass less data",
         )
     }
 }
@@ -180,14 +180,14 @@ impl From<Error> for Failure {
             ErrorKind::NotReady => ENTIRE_NOT_READY,
             ErrorKind::RejectedObservation => ENTIRE_REJECTED_OBSERVATION,
             ErrorKind::OutOfMemory => ENTIRE_OUT_OF_MEMORY,
-            // A kind that this file does not list; tests/suite/kinds.rs fails if there is one.
+            // `Unsupported`. No other kind is missing above: tests/suite/kinds.rs fails if one is.
             _ => ENTIRE_UNSUPPORTED,
         };
         Self::new(code, error.to_string())
     }
 }
 
-// The codes of the core's error kinds are the core's own numbers.
+// Each error kind of the core has the same number there and here.
 const _: () = {
     assert!(ENTIRE_INVALID_ARGUMENT as u32 == ErrorKind::InvalidArgument as u32);
     assert!(ENTIRE_SIZE_MISMATCH as u32 == ErrorKind::SizeMismatch as u32);

@@ -16,11 +16,11 @@ use std::ffi::c_char;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_gaussian_lobe {
-    /// Where the lobe peaks, in normalized scalar values [0, 1].
+    /// Normalized scalar value at which the lobe peaks, in [0, 1].
     pub center: f32,
-    /// Its width, positive: the squared distance at which it has fallen to 1/e.
+    /// Width of the lobe, positive: the squared distance from the center at which it has fallen to 1/e.
     pub width: f32,
-    /// Its peak opacity, not negative.
+    /// Opacity at the peak, not negative.
     pub height: f32,
 }
 
@@ -48,7 +48,7 @@ pub struct entire_color_node {
     pub color: [f64; 3],
     /// As in entire_opacity_node.
     pub midpoint: f64,
-    /// As in entire_opacity_node; a step over 0.99.
+    /// As in entire_opacity_node; values over 0.99 make a step.
     pub sharpness: f64,
 }
 
@@ -207,7 +207,7 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         changing(transfer_function, |transfer| {
-            // The core's own check, on a table that is discarded for a unit that needs a volume.
+            // Only a check of the distance: entire_session_set_transfer_function applies it.
             transfer.table.clone().with_unit_distance(distance)?;
             transfer.unit = match unit {
                 ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),
@@ -265,7 +265,7 @@ pub unsafe extern "C" fn entire_transfer_function_last_error(
     unsafe { last_error_of(transfer_function, buffer, capacity, length) }
 }
 
-/// Frees a transfer function; NULL is nothing to do.
+/// Frees a transfer function; NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_free(transfer_function: *mut entire_transfer_function) {
     // SAFETY: the pointer is as the crate's documentation demands.

@@ -53,7 +53,7 @@ pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
 /// U8, U16, I16 and F32, aligned to their size.
 pub const ENTIRE_VOXELS_BORROW: entire_voxels_ownership = 2;
 
-/// In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none.
+/// Value of all three `strides` for voxels without gaps, in which x runs fastest, then y, then z.
 pub const ENTIRE_STRIDE_CONTIGUOUS: usize = usize::MAX;
 
 /// A volume of voxels. Fill with entire_volume_desc_init, then set what differs.
@@ -153,7 +153,7 @@ pub struct entire_volume_info {
     pub dims: [usize; 3],
     /// Voxel spacing along x, y, z.
     pub spacing: [f32; 3],
-    /// Radius of the bounding sphere in the unit of the spacing: the unit of entire_frame.arcball[2].
+    /// Radius of the bounding sphere in the unit of the spacing. entire_frame.arcball[2] is a multiple of it.
     pub bounding_radius: f32,
     /// Length of the reference step in the unit of the spacing.
     pub reference_step: f32,
@@ -163,7 +163,7 @@ pub struct entire_volume_info {
     pub scalar_type: entire_scalar_type,
     /// Not 0 where the volume has voxels (it can be encoded), 0 where only bricks are known.
     pub has_voxels: u32,
-    /// Number of ready features (entire_volume_set_features); 0 where there are none.
+    /// Number of precomputed features (entire_volume_set_features); 0 where there are none.
     pub feature_count: u32,
 }
 
@@ -220,16 +220,16 @@ pub struct entire_volume {
 pub(crate) struct Volume {
     voxels: Option<Voxels>,
     summary: OnceLock<VolumeSummary>,
-    /// Replaces the summary from the second time step on.
+    /// Holds the summary in place of `summary` once entire_volume_update was called.
     series: Option<Box<SummarySeries>>,
     scalar_type: entire_scalar_type,
     pub(crate) features: Option<Vec<f32>>,
 }
 
-/// A view and, if the library copied, its memory.
+/// A view of the voxels and, if the library copied them, their memory.
 struct Voxels {
-    /// The owner of borrowed voxels may write to them before it hands over the next time step, so that no
-    /// reference to them exists between calls.
+    /// In a `MaybeUninit`, since the view must not be a live reference between calls: the owner of borrowed
+    /// voxels may then write the next time step to them.
     view: MaybeUninit<VolumeView<'static>>,
     shape: Shape,
     range: (f32, f32),
@@ -243,7 +243,7 @@ impl Voxels {
     }
 
     fn view(&self) -> &VolumeView<'static> {
-        // SAFETY: always made with a view; the voxels are as they were handed over whenever they are read.
+        // SAFETY: `new` always sets the view, and the caller leaves the voxels unchanged during calls.
         unsafe { self.view.assume_init_ref() }
     }
 }
@@ -268,11 +268,11 @@ impl Volume {
         Failure::new(
             ENTIRE_NOT_READY,
             "the volume was made from bricks and has no voxels; make it with entire_volume_new, \
-                 or hand over ready features with entire_volume_set_features",
+                 or pass precomputed features to entire_volume_set_features",
         )
     }
 
-    /// Shape and range of the voxels, without a look at them.
+    /// Shape and range of the voxels, without reading them.
     fn layout(&self) -> Result<(Shape, (f32, f32)), Failure> {
         self.voxels.as_ref().map(|v| (v.shape, v.range)).ok_or_else(Volume::no_voxels)
     }
@@ -295,7 +295,8 @@ fn warn_of_non_finite(summary: &VolumeSummary) {
     if summary.non_finite_share() > 0.0 {
         sink::emit(
             sink::ENTIRE_LOG_WARNING,
-            "the volume has voxels that are NaN or infinite; they count as the ends of the range",
+            "the volume has voxels that are NaN or infinite; NaN counts as the low end of the range, \
+             infinities as its ends",
         );
     }
 }
@@ -362,8 +363,11 @@ fn log_volume(view: &VolumeView<'_>) {
     }
 }
 
-/// # Safety `desc.voxels` is NULL or valid for reads of `desc.voxel_count` elements, for as long as the
-/// result lives if they are borrowed.
+/// Copies or borrows the voxels that `desc` describes.
+///
+/// # Safety
+/// `desc.voxels` is NULL or valid for reads of `desc.voxel_count` elements, for as long as the result lives
+/// if they are borrowed.
 unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
     if desc.voxels.is_null() {
         return Err(Failure::null("entire_volume_desc.voxels"));
@@ -388,7 +392,7 @@ unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
             ));
         }
     };
-    // SAFETY: as the caller promises; each copy whose elements are detached is kept beside the view.
+    // SAFETY: as the caller promises; each copy lives as long as the view of its detached elements.
     let (scalars, copy) = unsafe {
         match (desc.scalar_type, borrow) {
             (ENTIRE_SCALAR_U8, true) => (Scalars::U8(slice(at.cast(), count, "voxels")?), None),
@@ -485,12 +489,12 @@ unsafe fn convert<T: Copy, U>(
     Ok(copy)
 }
 
-/// A vector's elements, for as long as its memory lives.
+/// A vector's elements, without the lifetime of the borrow.
 ///
 /// # Safety
-/// The vector is kept, neither grown nor changed, for as long as the result is used.
+/// The vector lives and is neither grown nor changed for as long as the result is used.
 unsafe fn detached<T>(copy: &[T]) -> &'static [T] {
-    // SAFETY: the caller keeps the memory, which does not move with its vector.
+    // SAFETY: the caller keeps the memory, which stays in place when its vector is moved.
     unsafe { std::slice::from_raw_parts(copy.as_ptr(), copy.len()) }
 }
 
@@ -569,7 +573,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
     }
 }
 
-/// Reads what the library knows of a volume; set info->struct_size first.
+/// Reads the properties of a volume; set info->struct_size first.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]

@@ -25,9 +25,9 @@
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
  * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const`
- * handle may run at the same time on several threads with the same handle; all other calls need the handle
- * for themselves. In other words: share models, volumes and transfer functions once they are made; give every
- * render loop a session of its own.
+ * handle may run at the same time on several threads with the same handle; all other calls need exclusive use
+ * of their handles. In other words: share models, volumes and transfer functions once they are made; give
+ * every render loop a session of its own.
  *
  * Names. Functions are entire_<noun>_<what they do>. A function that only reads is named after its result,
  * without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
@@ -37,8 +37,8 @@
  *
  * Structs by value. Each starts with `size_t struct_size`, set to its sizeof (the entire_<struct>_init
  * functions do it, and set defaults). Later versions only add fields at the end: older programs continue to
- * work with newer libraries, and a newer program works with an older library as long as it leaves the fields
- * that are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
+ * work with newer libraries, and a newer program works with an older library as long as the fields that the
+ * library does not know are zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
  * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
  * change.
  *
@@ -59,9 +59,10 @@
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
  *
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
- * not allocate, lock or call the system when they succeed and no log callback is set; entire_model_predict
- * as long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time, further ones
- * allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same bits.
+ * not allocate, lock or call the system when they succeed and no log callback is set. For
+ * entire_model_predict this holds while at most ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the
+ * same time; further calls allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same
+ * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
  * with its place in the error text; the handle then refuses every call but free.
@@ -82,7 +83,7 @@
 #define ENTIRE_VERSION_NUMBER 1000
 #define ENTIRE_ABI_VERSION 1
 
-/** In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none. */
+/** Value of all three `strides` for voxels without gaps, in which x runs fastest, then y, then z. */
 #define ENTIRE_STRIDE_CONTIGUOUS SIZE_MAX
 
 
@@ -102,7 +103,7 @@
 #define ENTIRE_MAX_BRICKS 134217728
 
 /**
- * Maximum number of ready features of a volume.
+ * Maximum number of precomputed features of a volume.
  */
 #define ENTIRE_MAX_FEATURES 1048576
 
@@ -132,13 +133,14 @@
 #define ENTIRE_MAX_NODES 1048576
 
 /**
- * Maximum of tasks times nodes in entire_schedule: each task is compared on every node.
+ * Maximum product of the numbers of tasks and nodes in entire_schedule, which compares each task on every
+ * node.
  */
 #define ENTIRE_MAX_TASKS_TIMES_NODES 4294967296
 
 /**
- * Calls of entire_model_predict that may run on one model at the same time without allocating; each further
- * one allocates its own working memory.
+ * Maximum number of calls of entire_model_predict that run on one model at the same time without allocating;
+ * each further call allocates its own working memory.
  */
 #define ENTIRE_CONCURRENT_PREDICTIONS 16
 
@@ -224,7 +226,7 @@ enum entire_result
      */
     ENTIRE_INVALID_ARGUMENT = 1,
     /**
-     * A buffer is too short, or a product of sizes overflows.
+     * A buffer is too short, a count does not match or is over its limit, or a product of sizes overflows.
      */
     ENTIRE_SIZE_MISMATCH = 2,
     /**
@@ -252,7 +254,7 @@ enum entire_result
      */
     ENTIRE_UNSUPPORTED = 8,
     /**
-     * A pointer that must not be NULL is.
+     * A pointer is NULL that must not be.
      */
     ENTIRE_NULL_ARGUMENT = 100,
     /**
@@ -261,7 +263,7 @@ enum entire_result
      */
     ENTIRE_STRUCT_SIZE = 101,
     /**
-     * A file cannot be read.
+     * A file cannot be read or written.
      */
     ENTIRE_IO = 102,
     /**
@@ -364,7 +366,7 @@ typedef struct entire_model_info {
 } entire_model_info;
 
 /**
- * A named run of a model's inputs. Set struct_size before the call.
+ * A named group of consecutive inputs of a model. Set struct_size before the call.
  */
 typedef struct entire_input_group {
     /**
@@ -372,11 +374,11 @@ typedef struct entire_input_group {
      */
     size_t struct_size;
     /**
-     * Its name, such as "camera"; valid as long as the model.
+     * Name of the group, such as "camera"; valid as long as the model.
      */
     const char *name;
     /**
-     * Index of its first number among the model's inputs.
+     * Index of the group's first value among the model's inputs.
      */
     size_t offset;
     /**
@@ -498,7 +500,7 @@ typedef struct entire_volume_info {
      */
     float spacing[3];
     /**
-     * Radius of the bounding sphere in the unit of the spacing: the unit of entire_frame.arcball[2].
+     * Radius of the bounding sphere in the unit of the spacing. entire_frame.arcball[2] is a multiple of it.
      */
     float bounding_radius;
     /**
@@ -518,7 +520,7 @@ typedef struct entire_volume_info {
      */
     uint32_t has_voxels;
     /**
-     * Number of ready features (entire_volume_set_features); 0 where there are none.
+     * Number of precomputed features (entire_volume_set_features); 0 where there are none.
      */
     uint32_t feature_count;
 } entire_volume_info;
@@ -528,15 +530,15 @@ typedef struct entire_volume_info {
  */
 typedef struct entire_gaussian_lobe {
     /**
-     * Where the lobe peaks, in normalized scalar values [0, 1].
+     * Normalized scalar value at which the lobe peaks, in [0, 1].
      */
     float center;
     /**
-     * Its width, positive: the squared distance at which it has fallen to 1/e.
+     * Width of the lobe, positive: the squared distance from the center at which it has fallen to 1/e.
      */
     float width;
     /**
-     * Its peak opacity, not negative.
+     * Opacity at the peak, not negative.
      */
     float height;
 } entire_gaussian_lobe;
@@ -580,7 +582,7 @@ typedef struct entire_color_node {
      */
     double midpoint;
     /**
-     * As in entire_opacity_node; a step over 0.99.
+     * As in entire_opacity_node; values over 0.99 make a step.
      */
     double sharpness;
 } entire_color_node;
@@ -676,8 +678,8 @@ typedef struct entire_frame {
     entire_projection projection;
     /**
      * Half of the height that a parallel projection shows: world units with ENTIRE_CAMERA_VIEW (VTK's
-     * ParallelScale), bounding-sphere radii with ENTIRE_CAMERA_ARCBALL. From 1e-6 to 1e6 radii; default NaN,
-     * to be set with ENTIRE_PROJECTION_PARALLEL.
+     * ParallelScale), bounding-sphere radii with ENTIRE_CAMERA_ARCBALL. From 1e-6 to 1e6 radii; default NaN.
+     * Must be set with ENTIRE_PROJECTION_PARALLEL.
      */
     float parallel_scale;
 } entire_frame;
@@ -714,12 +716,12 @@ typedef struct entire_session_options {
      */
     float trust_limit;
     /**
-     * Not 0 if moves are damped in calm phases; default 1.
+     * Not 0 to change the step only slowly while nothing in the scene changes abruptly; default 1.
      */
     uint32_t damping;
     /**
      * Rays along each side of the probe that measures frames for a linear cost model (no model, or an
-     * analytic one), 1 to 24. The time of a plan is proportional to the square of the side; fewer rays
+     * analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer rays
      * estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which they
      * were trained with.
      */
@@ -735,7 +737,7 @@ typedef struct entire_session_options {
 } entire_session_options;
 
 /**
- * Part of the frames that a calibration held out in turn to estimate its error: one of the
+ * Unit by which a calibration held out frames to estimate its error (cross-validation): one of the
  * `ENTIRE_HELD_OUT_*` numbers.
  */
 typedef uint32_t entire_held_out;
@@ -757,20 +759,21 @@ typedef struct entire_calibration_report {
      */
     double median_error;
     /**
-     * Root of their mean squared error over the standard deviation of their times.
+     * Root mean square error in seconds over held-out frames, divided by the standard deviation of their
+     * times.
      */
     double rmse_over_sd;
     /**
-     * Upper bound over prediction: nineteen of twenty frames take no longer.
+     * Upper bound divided by prediction: 19 of 20 frames take no longer than this bound.
      */
     double upper_factor;
     /**
-     * Held-out parts: one of ENTIRE_HELD_OUT_*.
+     * Unit by which frames were held out: one of ENTIRE_HELD_OUT_*.
      */
     entire_held_out held_out;
     /**
-     * Number of scenes of entire_session_record_picture in the fit of the model's quality law; 0 if there
-     * were too few, and then the model has no quality law.
+     * Number of scenes of entire_session_record_picture that the model's quality law was fitted to. 0 if
+     * there were too few; the model then has no quality law.
      */
     uint32_t scenes;
 } entire_calibration_report;
@@ -806,11 +809,11 @@ typedef struct entire_prediction {
      */
     float out_of_range;
     /**
-     * Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
+     * ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
      */
     uint32_t absent;
     /**
-     * Its source: one of ENTIRE_SOURCE_*.
+     * Source of the prediction: one of ENTIRE_SOURCE_*.
      */
     entire_source source;
     /**
@@ -833,7 +836,7 @@ typedef struct entire_plan {
      */
     size_t struct_size;
     /**
-     * Identifies this plan in entire_session_observe; never 0.
+     * Number of this plan for entire_session_observe; never 0.
      */
     uint64_t id;
     /**
@@ -841,8 +844,9 @@ typedef struct entire_plan {
      */
     float step;
     /**
-     * Pixels of the frame between neighboring rays along each side of the image: divide its sides by this,
-     * rounded down. 1 unless entire_session_set_max_image_sample_distance allows more.
+     * Distance of neighboring rays in pixels of the frame, along each side of the image: divide the frame's
+     * width and height by this, rounded down. 1 unless entire_session_set_max_image_sample_distance allows
+     * more.
      */
     float image_sample_distance;
     /**
@@ -859,7 +863,7 @@ typedef struct entire_plan {
      */
     float out_of_range;
     /**
-     * Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
+     * ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
      */
     uint32_t absent;
     /**
@@ -904,11 +908,12 @@ typedef struct entire_setting {
 typedef uint32_t entire_clock;
 
 /**
- * Time of a window's frame. Zeros at first; the words are the library's.
+ * Divides the time of a window's frame among the passes that draw volumes in it. Set all words to zero
+ * before the first call; only the library reads and changes them.
  *
  * For each frame, in this order: entire_budget_begin, then entire_budget_share before and entire_budget_drew
- * after each pass that draws a volume (several volumes, two eyes, several renderers), then entire_budget_end. One
- * thread at a time.
+ * after each pass that draws a volume (several volumes, two eyes, several renderers), then
+ * entire_budget_end. One thread at a time.
  */
 typedef struct entire_budget {
     /**
@@ -918,8 +923,8 @@ typedef struct entire_budget {
 } entire_budget;
 
 /**
- * State of one volume in a window's frames, which may draw it several times. Zeros at first; the words are the
- * library's.
+ * State of one volume in a window's frames, which may draw it several times. Set all words to zero before
+ * the first call; only the library reads and changes them.
  */
 typedef struct entire_pass {
     /**
@@ -1036,17 +1041,17 @@ typedef struct entire_pass {
 #define ENTIRE_UNIT_WORLD 2
 
 /**
- * By entire_frame.arcball.
+ * Camera given by entire_frame.arcball.
  */
 #define ENTIRE_CAMERA_ARCBALL 1
 
 /**
- * By entire_frame.view, volume_center and volume_radius.
+ * Camera given by entire_frame.view, volume_center and volume_radius.
  */
 #define ENTIRE_CAMERA_VIEW 2
 
 /**
- * By entire_frame.fov_y; rays leave the eye.
+ * Perspective, with the field of view entire_frame.fov_y; rays start at the eye.
  */
 #define ENTIRE_PROJECTION_PERSPECTIVE 1
 
@@ -1082,7 +1087,7 @@ typedef struct entire_pass {
 #define ENTIRE_SKIPPING_BLOCKS 2
 
 /**
- * As blocks, with a distance map, so that a run of empty blocks costs one skip.
+ * As ENTIRE_SKIPPING_BLOCKS, with a distance map, so that a run of empty blocks costs one skip.
  */
 #define ENTIRE_SKIPPING_DISTANCE 3
 
@@ -1107,17 +1112,17 @@ typedef struct entire_pass {
 #define ENTIRE_HELD_OUT_STRETCHES 3
 
 /**
- * Learned from.
+ * Used to correct predictions.
  */
 #define ENTIRE_VERDICT_LEARNED 0
 
 /**
- * Far from the expected time: its influence was clipped.
+ * Used to correct predictions, with a clipped error: the time is far from the expected one.
  */
 #define ENTIRE_VERDICT_CLIPPED 1
 
 /**
- * Recorded but not used to correct predictions: unusual, or cancelled no later than its expected end.
+ * Not used to correct predictions: the frame was unusual, or cancelled no later than its expected end.
  */
 #define ENTIRE_VERDICT_IGNORED 2
 
@@ -1127,22 +1132,22 @@ typedef struct entire_pass {
 #define ENTIRE_REASON_FITS 1
 
 /**
- * As before, but the step moved there slowly because nothing changed abruptly.
+ * As ENTIRE_REASON_FITS, but the step approaches that one slowly because nothing changed abruptly.
  */
 #define ENTIRE_REASON_DAMPED 2
 
 /**
- * The last step still fits and is close to the best: it is kept.
+ * The step of the last plan still fits and is close to the best: it is kept.
  */
 #define ENTIRE_REASON_HELD 3
 
 /**
- * Nothing finer is allowed, and it fits.
+ * The finest allowed step fits.
  */
 #define ENTIRE_REASON_FINEST_ALLOWED 4
 
 /**
- * Nothing coarser is allowed, and even that is not expected to fit.
+ * Even the coarsest allowed step is not expected to fit.
  */
 #define ENTIRE_REASON_TARGET_UNREACHABLE 5
 
@@ -1230,9 +1235,9 @@ uint32_t entire_abi_version(void);
 const char *entire_result_name(uint32_t result);
 
 /**
- * Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty
- * after a call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
- * At most 2047 bytes; entire_<noun>_last_error has the whole text of a handle's failure.
+ * The error text of the calling thread's last call: what was wrong and what to do; empty if that call
+ * succeeded. Never NULL; valid until the thread's next call of any function but this one. At most 2047
+ * bytes; entire_<noun>_last_error gives the whole text of a handle's failure.
  */
 const char *entire_last_error(void);
 
@@ -1244,9 +1249,9 @@ const char *entire_last_error(void);
 entire_result entire_set_log(entire_log_callback callback, void *user_data, entire_log_level level);
 
 /**
- * The instruction set that models are run with on this CPU, such as "avx512": "scalar", "avx2" or "avx512",
- * with extensions behind a plus sign. The environment variable ENTIRE_LEVEL lowers it; it is read once, at
- * the first call that needs it. Static.
+ * The instruction set that evaluates models on this CPU: "scalar", "avx2" or "avx512", followed by its
+ * extensions, such as "avx512+vnni". The environment variable ENTIRE_LEVEL lowers it; the variable is read
+ * once, at the first call that needs it. The text is static.
  */
 const char *entire_simd_level(void);
 
@@ -1271,7 +1276,7 @@ entire_result entire_model_open(const char *path, struct entire_model **model);
 entire_result entire_model_open_machine(entire_shading shading, struct entire_model **model);
 
 /**
- * Reads a model from the bytes of a model file; they may be freed when the call returns.
+ * Reads a model from the bytes of a model file; the bytes may be freed when the call returns.
  *
  * Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
  * ENTIRE_MAX_MODEL_BYTES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -1288,7 +1293,7 @@ entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, s
 entire_result entire_model_save(const struct entire_model *model, const char *path);
 
 /**
- * Reads what a model is; set info->struct_size first.
+ * Reads the properties of a model; set info->struct_size first.
  *
  * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
@@ -1361,8 +1366,8 @@ entire_result entire_model_predict_batch(const struct entire_model *model,
 /**
  * Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
  * `capacity` bytes with its closing NUL; empty if none failed. `length`, if not NULL, receives the length of
- * the whole text without the NUL; `buffer` may be NULL with capacity 0 to query it. On the thread whose call
- * failed, entire_last_error is simpler.
+ * the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that length. On
+ * the thread whose call failed, entire_last_error is simpler.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -1420,7 +1425,7 @@ entire_result entire_volume_set_features(struct entire_volume *volume,
                                          size_t feature_count);
 
 /**
- * Reads what the library knows of a volume; set info->struct_size first.
+ * Reads the properties of a volume; set info->struct_size first.
  *
  * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
@@ -1446,7 +1451,7 @@ void entire_volume_free(struct entire_volume *volume);
  * previous time step. Then call entire_session_set_time_step for each session. No other call may use the
  * volume during this one.
  *
- * Changes are found in one pass over the voxels, much faster than the scan of a new volume, and only changed
+ * One pass over the voxels finds the changes, much faster than the scan of a new volume, and only changed
  * cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
  * bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
  *
@@ -1541,7 +1546,7 @@ entire_result entire_transfer_function_last_error(const struct entire_transfer_f
                                                   size_t *length);
 
 /**
- * Frees a transfer function; NULL is nothing to do.
+ * Frees a transfer function; NULL does nothing.
  */
 void entire_transfer_function_free(struct entire_transfer_function *transfer_function);
 
@@ -1565,8 +1570,8 @@ entire_result entire_session_new(const struct entire_model *model,
                                  struct entire_session **session);
 
 /**
- * Copies the error text of the session's last call, like entire_model_last_error; empty if that call
- * succeeded.
+ * Copies the text of the session's most recent failure, like entire_model_last_error. A later successful
+ * call with a non-const session clears the text.
  */
 entire_result entire_session_last_error(const struct entire_session *session,
                                         char *buffer,
@@ -1574,13 +1579,13 @@ entire_result entire_session_last_error(const struct entire_session *session,
                                         size_t *length);
 
 /**
- * Frees a session; NULL is nothing to do.
+ * Frees a session; NULL does nothing.
  */
 void entire_session_free(struct entire_session *session);
 
 /**
- * Starts to record frames that are planned and observed, for entire_session_calibrate. It keeps a uniform
- * random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
+ * Starts to record frames that are planned and observed, for entire_session_calibrate. The session keeps a
+ * uniform random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
  * observing still do not allocate.
  *
  * `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
@@ -1623,9 +1628,9 @@ entire_result entire_session_calibrate(const struct entire_session *session,
  * pictures and grows with the difference, such as the root mean squared difference of colors, or 1 - SSIM.
  * Enlarge smaller pictures to full size before the comparison. The first 65536 are kept.
  *
- * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance below 1,
- * seconds that are not positive, a negative error, numbers that are not finite), ENTIRE_OUT_OF_MEMORY,
- * ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
+ * below 1, seconds that are not positive, a negative error, numbers that are not finite),
+ * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_record_picture(struct entire_session *session,
                                             uint64_t scene,
@@ -1652,8 +1657,8 @@ entire_result entire_session_recorded_count(const struct entire_session *session
 entire_result entire_session_set_model(struct entire_session *session, const struct entire_model *model);
 
 /**
- * Observes the time of a planned frame. It may come late, while its plan is among the last
- * 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
+ * Reports the measured time of a planned frame. The report may come late, as long as the plan is among the
+ * last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
  *
  * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is
  * not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an unknown flag),
@@ -1678,8 +1683,8 @@ entire_result entire_session_reset(struct entire_session *session);
 entire_result entire_session_options_init(struct entire_session_options *options, size_t struct_size);
 
 /**
- * Predicts a frame's time at the frame's own step, corrected by the observed frames; does not influence
- * later plans. Set prediction->struct_size first.
+ * Predicts a frame's time at the frame's own step, with the correction learned from observed frames. Does
+ * not influence later plans. Set prediction->struct_size first.
  *
  * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
  * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
@@ -1690,8 +1695,8 @@ entire_result entire_session_predict(struct entire_session *session,
                                      struct entire_prediction *prediction);
 
 /**
- * Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose
- * upper bound fits. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
+ * Chooses the ray step of the next frame: the finest step for which the upper bound of the frame's time is
+ * at most `target_seconds`. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
  * plan->struct_size first. Does not allocate.
  *
  * Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
@@ -1732,9 +1737,9 @@ entire_result entire_session_set_volume(struct entire_session *session, const st
 
 /**
  * Sets the next time step of the session's volume, after entire_volume_update. The transfer function and the
- * correction learned from observed frames stay. It is not announced as a change of the scene; if the next
- * frame includes an upload, call entire_session_mark. If the model takes volume features, those of the
- * previous time step stay unless the volume has precomputed ones.
+ * correction learned from observed frames stay. The time step does not count as a change of the scene; if
+ * the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
+ * the previous time step stay unless the volume has precomputed ones.
  *
  * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
  * a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of another
@@ -1744,7 +1749,7 @@ entire_result entire_session_set_time_step(struct entire_session *session,
                                            const struct entire_volume *volume);
 
 /**
- * Sets the transfer function; the volume comes first.
+ * Sets the transfer function. The volume must be set before it.
  *
  * Fails with ENTIRE_NOT_READY (no volume), ENTIRE_INVALID_ARGUMENT (a unit distance that is out of range for
  * this volume), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -1767,22 +1772,24 @@ entire_result entire_session_set_limits(struct entire_session *session,
  * together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
  * entire_plan). Up to a step of `step_alone` times the finest, 1 to 64, only the step is coarsened: use 1,
  * or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1, the default, keeps
- * the full image size. For linear cost models and networks that take the image size. One plan covers all
- * sizes, which is cheaper and corrects predictions better than one plan per size.
+ * the full image size. The model must be a linear cost model, or a network that has the image size among its
+ * inputs. One plan covers all sizes, which is cheaper and corrects predictions better than one plan per
+ * size.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a number outside 1 to 64), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_max_image_sample_distance(struct entire_session *session,
                                                            float max_image_sample_distance,
                                                            float step_alone);
 
 /**
- * Sets the quality law of this renderer, so that plans coarsen step or image, whichever adds less error.
- * With a step of s times the finest, and rays d pixels apart along each side, the picture error is
- * proportional to (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to
- * (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. Replaces step_alone
- * (entire_session_set_max_image_sample_distance). An `image_weight` of 0 removes the law: the session then
- * uses that of its model, if the model was calibrated with pictures of this renderer.
+ * Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
+ * plans coarsen step or image, whichever adds less error. With a step of s times the finest, and rays d
+ * pixels apart along each side, the picture error is proportional to
+ * (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to
+ * (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. The law
+ * replaces `step_alone` of entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the
+ * law: the session then uses that of its model, if the model was calibrated with pictures of this renderer.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
  * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
@@ -1883,9 +1890,10 @@ entire_result entire_session_load_state(struct entire_session *session,
 entire_result entire_budget_begin(struct entire_budget *budget, uint32_t volumes);
 
 /**
- * Seconds for the next pass if the whole frame may take `target` seconds, as the target of
- * entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality, so that
- * all are coarsened alike; together they leave out what the window's last frames took besides.
+ * Computes the seconds that the next pass may take if the whole frame may take `target` seconds: the target
+ * for entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality,
+ * so that all are coarsened alike. Their sum is `target` less the median time that the last five frames took
+ * outside of the passes, and at least a fifth of `target`.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
@@ -1895,8 +1903,8 @@ entire_result entire_budget_share(const struct entire_budget *budget,
                                   float *seconds);
 
 /**
- * Adds a pass that took `seconds`, and would have taken about `full_seconds` at full quality: `seconds` times
- * entire_plan.step / the finest step, times the square of entire_plan.image_sample_distance.
+ * Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` times
+ * entire_plan.step, divided by the finest step, times the square of entire_plan.image_sample_distance.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
@@ -1906,8 +1914,9 @@ entire_result entire_budget_drew(struct entire_budget *budget,
                                  float full_seconds);
 
 /**
- * Ends a frame of the window that took `seconds` in all. `usual` is 0 if it included work that most frames do
- * not: reading a volume, compiling a shader. Such work counts if the frame before included it too.
+ * Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included work that
+ * most frames do not: reading a volume, compiling a shader. Such work counts only if the previous frame
+ * included it too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */

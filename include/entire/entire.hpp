@@ -2,10 +2,12 @@
 //
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //
-// Every call that can fail returns entire::result<T>. Ask it (`if (r)`, `r.code()`, `r.message()`), or take the value:
-// `r.value()` throws entire::error where the result is a failure. Define ENTIRE_NO_EXCEPTIONS before the include (it is
-// implied where the compiler has exceptions switched off) and `value()` prints the message and ends the program instead.
-// Threads, units and ownership are as at the top of entire.h. Nothing here allocates but error texts and strings.
+// Every call that can fail returns entire::result<T> or entire::plain_result<T>. Test it (`if (r)`, `r.code()`,
+// `r.message()`), or take the value: `r.value()` throws entire::error where the result is a failure. With
+// ENTIRE_NO_EXCEPTIONS defined before the include (it is implied where the compiler has exceptions switched off),
+// `value()` prints the message and ends the program instead. Threads, units and ownership are as at the top of
+// entire.h. This header allocates memory for values in a result<T> and for error texts; a plain_result<T> of a call
+// that succeeded allocates none.
 #ifndef ENTIRE_ENTIRE_HPP
 #define ENTIRE_ENTIRE_HPP
 
@@ -50,7 +52,7 @@ struct failure {
     entire_result code;
     std::string message;
 
-    // That of the calling thread's last call.
+    // The failure of the calling thread's last call.
     static failure last(entire_result code) { return {code, entire_last_error()}; }
 };
 
@@ -67,7 +69,7 @@ struct nothing {};
 }
 } // namespace detail
 
-// A value, or the failure.
+// A value, or the failure of a call.
 template <class T> class [[nodiscard]] result {
 public:
     result(T value) : value_(std::make_unique<T>(std::move(value))) {}
@@ -97,7 +99,7 @@ private:
     failure failure_{ENTIRE_OK, {}};
 };
 
-// The result of a call without a value, or with plain data: kept in place, nothing is allocated on success.
+// The result of a call without a value, or with plain data, which is stored in place: success allocates nothing.
 template <class T> class [[nodiscard]] plain_result {
     static_assert(std::is_trivially_copyable_v<T>, "result<T> is for values that own something");
 
@@ -183,21 +185,22 @@ struct frame : entire_frame {
         height = image_height;
     }
 
-    // Parallel rays: half of the visible height, in world units with look, in bounding-sphere radii with orbit.
+    // Parallel projection. `scale` is half of the visible height: in world units after look, in bounding-sphere radii
+    // after orbit.
     frame &parallel(float scale) {
         projection = ENTIRE_PROJECTION_PARALLEL;
         parallel_scale = scale;
         return *this;
     }
 
-    // A perspective: the vertical field of view in degrees.
+    // Perspective projection with a vertical field of view in degrees.
     frame &perspective(float degrees) {
         projection = ENTIRE_PROJECTION_PERSPECTIVE;
         fov_y = degrees;
         return *this;
     }
 
-    // The eye on the arcball: degrees about x and y, distance in bounding-sphere radii.
+    // Arcball camera: rotation in degrees about x and y, distance in bounding-sphere radii.
     frame &orbit(float rx, float ry, float dz) {
         camera = ENTIRE_CAMERA_ARCBALL;
         arcball[0] = rx;
@@ -206,7 +209,7 @@ struct frame : entire_frame {
         return *this;
     }
 
-    // A world-to-eye matrix, column-major, and the world position of the volume's center.
+    // Camera of a world-to-eye matrix, column-major, and the world position of the volume's center.
     frame &look(const float (&world_to_eye)[16], float x, float y, float z) {
         camera = ENTIRE_CAMERA_VIEW;
         for (int i = 0; i < 16; ++i) view[i] = world_to_eye[i];
@@ -257,10 +260,10 @@ public:
     status set_features(span<const float> features) {
         return detail::done(entire_volume_set_features(get(), features.data(), features.size()));
     }
-    // The next time step: other voxels, or the borrowed ones after they were written to. Sessions take it with
-    // set_time_step.
+    // Sets the next time step: other voxels, or the borrowed ones after they were written to. Then call set_time_step
+    // of each session.
     status update(const entire_volume_desc &desc) { return detail::done(entire_volume_update(get(), &desc)); }
-    // The same if no voxel changed outside of a box of `size` voxels from voxel `first` on, along x, y, z.
+    // As above, for a time step in which only a box of `size` voxels changed, which starts at voxel `first` (x, y, z).
     status update(const entire_volume_desc &desc, const std::size_t (&first)[3], const std::size_t (&size)[3]) {
         return detail::done(entire_volume_update_box(get(), &desc, first, size));
     }
@@ -284,7 +287,7 @@ public:
             return failure::last(code);
         return transfer_function(handle);
     }
-    // VTK's and ParaView's nodes over the scalar range low...high.
+    // Nodes as in VTK and ParaView, over the scalar range `low` to `high`.
     static result<transfer_function> from_nodes(span<const entire_opacity_node> opacity,
                                                 span<const entire_color_node> color, double low, double high,
                                                 bool clamping = true) {
@@ -294,7 +297,7 @@ public:
             return failure::last(code);
         return transfer_function(handle);
     }
-    // Entries of red, green, blue, opacity.
+    // Table of entries of red, green, blue, opacity.
     static result<transfer_function> from_table(span<const float> rgba) {
         if (rgba.size() % 4 != 0)
             return failure{ENTIRE_SIZE_MISMATCH, "rgba holds " + std::to_string(rgba.size()) +
@@ -328,7 +331,7 @@ public:
         return model(handle);
     }
     static result<model> open(const std::string &path) { return open(path.c_str()); }
-    /// The model that `entire calibrate` made for this machine.
+    // The model that `entire calibrate` made for this machine.
     static result<model> open_machine(entire_shading shading) {
         entire_model *handle = nullptr;
         if (auto code = entire_model_open_machine(shading, &handle)) return failure::last(code);
@@ -359,12 +362,12 @@ public:
         if (auto code = entire_model_predict(get(), inputs.data(), inputs.size(), &seconds)) return failure::last(code);
         return seconds;
     }
-    // One row of inputs per element of `seconds`.
+    // Predicts a batch: `inputs` holds one row of inputs per element of `seconds`.
     status predict(span<const float> inputs, span<float> seconds) const {
         const std::size_t columns = seconds.empty() ? 0 : inputs.size() / seconds.size();
         if (columns * seconds.size() != inputs.size())
-            return failure{ENTIRE_SIZE_MISMATCH, std::to_string(inputs.size()) + " inputs are no rows of one length for " +
-                                                     std::to_string(seconds.size()) + " frames"};
+            return failure{ENTIRE_SIZE_MISMATCH, std::to_string(inputs.size()) + " inputs cannot be divided among " +
+                                                     std::to_string(seconds.size()) + " frames equally"};
         return detail::done(
             entire_model_predict_batch(get(), inputs.data(), seconds.size(), columns, seconds.data()));
     }
@@ -393,7 +396,7 @@ struct calibration {
     entire_calibration_report report;
 };
 
-// The clock that a session's model predicts, and the clock of its frames (ENTIRE_CLOCK_*).
+// The clock of the times that a session's model predicts, and the clock of the observed times (ENTIRE_CLOCK_*).
 struct clocks {
     entire_clock model = ENTIRE_CLOCK_UNSTATED, own = ENTIRE_CLOCK_UNSTATED;
     // True if both are stated and differ: the factor between them is learned from the first frames.
@@ -402,12 +405,12 @@ struct clocks {
     }
 };
 
-// Law of the picture error of a renderer (entire_session_set_quality); a weight of 0 if none is known.
+// Quality law of a renderer (entire_session_set_quality); `image_weight` is 0 if none is known.
 struct quality {
     float image_weight = 0, step_exponent = 0, image_exponent = 0, ray_share = 0;
 };
 
-// The choice of entire_session_choose.
+// The result of entire_session_choose: the index of the chosen settings, and their plan.
 struct choice {
     std::size_t index;
     entire_plan plan;
@@ -415,11 +418,11 @@ struct choice {
 
 class session {
 public:
-    // With a model.
+    // Makes a session with a model.
     static result<session> create(const model &with, const entire_session_options &options = session_options()) {
         return make(with.get(), options);
     }
-    // Without a model: a linear cost model that learns from the frames it observes.
+    // Makes a session without a model: a linear cost model predicts, which adapts to the observed frames.
     static result<session> untrained(const entire_session_options &options = session_options()) {
         return make(nullptr, options);
     }
@@ -435,12 +438,12 @@ public:
     status set_max_image_sample_distance(float distance, float step_alone = 1) {
         return detail::done(entire_session_set_max_image_sample_distance(get(), distance, step_alone));
     }
-    // Law of the picture error of this renderer; a weight of 0 removes it.
+    // Sets the quality law of this renderer; an `image_weight` of 0 removes it.
     status set_quality(float image_weight, float step_exponent, float image_exponent, float ray_share) {
         return detail::done(
             entire_session_set_quality(get(), image_weight, step_exponent, image_exponent, ray_share));
     }
-    // Law by which plans coarsen: the one that was set, else the model's for this renderer's pictures.
+    // The quality law that plans use: the one that was set, else the model's if it is for this renderer.
     plain_result<entire::quality> quality() const {
         entire::quality known;
         if (auto code = entire_session_quality(get(), &known.image_weight, &known.step_exponent, &known.image_exponent,
@@ -475,7 +478,7 @@ public:
     }
     status reset() { return detail::done(entire_session_reset(get())); }
 
-    // Keeps observed frames for calibrate(), starting from the unit costs of a software renderer, or from a model.
+    // Records observed frames for calibrate(), which starts from the unit costs of a software renderer or from a model.
     status record(std::size_t frame_count = 1000) {
         return detail::done(entire_session_record(get(), nullptr, frame_count));
     }
@@ -487,12 +490,12 @@ public:
         if (auto code = entire_session_recorded_count(get(), &count)) return failure::last(code);
         return count;
     }
-    // Keeps a picture that was compared with the same view at full quality; see entire_session_record_picture.
+    // Records the error of a picture against the same view at full quality; see entire_session_record_picture.
     status record_picture(std::uint64_t scene, float step, float image_sample_distance, double seconds, double error) {
         return detail::done(
             entire_session_record_picture(get(), scene, step, image_sample_distance, seconds, error));
     }
-    // A model of the renderer that drew the recorded frames.
+    // Fits a model of the renderer to the recorded frames.
     result<calibration> calibrate() const {
         entire_model *made = nullptr;
         auto report = detail::sized<entire_calibration_report>();
@@ -501,7 +504,7 @@ public:
     }
     status set_model(const model &to) { return detail::done(entire_session_set_model(get(), to.get())); }
 
-    // Renderer and clock of the observed times: saved states are of one renderer and one clock.
+    // Names the renderer and the clock of the observed times; saved states are valid only for the same names.
     status set_timing_source(const std::string &renderer, const std::string &clock) {
         return detail::done(entire_session_set_timing_source(get(), renderer.c_str(), clock.c_str()));
     }
@@ -533,12 +536,12 @@ private:
     detail::owned<entire_session, entire_session_free> handle_;
 };
 
-// The time of a window's frame, divided among the passes that draw volumes in it; see entire_budget. A
-// default-constructed entire::pass is the state of one volume.
+// State of one volume in a window's frames, for frame_budget.
 struct pass : entire_pass {
     pass() : entire_pass{} {}
 };
 
+// Divides the time of a window's frame among the passes that draw volumes in it; see entire_budget.
 class frame_budget {
 public:
     status begin(std::uint32_t volumes = 0) { return detail::done(entire_budget_begin(&budget_, volumes)); }

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# The plugin in every place where it is to work. Called by run.sh, on a display; ENTIRE_PLUGIN is the plugin.
-#   check.sh OUT [--full]      --full: not in pvbatch alone
+# Checks the plugin in every program that loads it. Called by run.sh, on a display; ENTIRE_PLUGIN is the plugin's file.
+#   check.sh OUT [--full]      only in pvbatch; with --full also in pvpython, on two ranks, on a server, in the client
 set -euo pipefail
 . scripts/lib.sh
 out=$1 full=${2:-}
@@ -10,7 +10,7 @@ rm -rf "$results" && mkdir -p "$results"
 script=plugins/paraview/python/check.py
 failed=0
 
-# run NAME COMMAND...: runs a check, whose output must say that it passed.
+# run NAME COMMAND...: runs a check, which must write "passed: NAME" to its file of results.
 run() {
     local name=$1
     shift
@@ -49,8 +49,8 @@ if command -v mpirun >/dev/null; then
 else
     skip "test-paraview, two ranks and pvserver" "the program mpirun is not installed (it is in openmpi-bin)"
 fi
-# The whole output is read before it is searched: a reader that ends early stops nm with SIGPIPE, which pipefail
-# reports.
+# The whole output is read before it is searched: a reader of a pipe that ends early would stop nm with SIGPIPE, which
+# pipefail reports as a failure.
 if ! symbols=$(nm -DC "$ENTIRE_PLUGIN"); then
     echo "FAILED gui: nm cannot list the symbols of $ENTIRE_PLUGIN"
     failed=1

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# The same checks inside the graphical client. Called by check.sh.
+# Runs check.py inside the graphical client. Called by check.sh.
 set -euo pipefail
 results=$2
 export HOME=$results/home ENTIRE_SCRIPTS=$PWD/plugins/paraview/python

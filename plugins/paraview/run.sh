@@ -17,7 +17,7 @@ cd "$(dirname "$0")/../.."
 what=${1:?build, test or screenshot}
 out=${PARAVIEW_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/paraview}
 arch=$(gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
-# As `cmake --install` names it by version; the newest where there are several.
+# The CMake package, whose folder has the version in its name; the newest one if there are several.
 cmake_dir=$(compgen -G "/usr/lib/$arch/cmake/paraview-*" | sort -V | tail -n 1 || true)
 
 lacks() {
@@ -42,7 +42,7 @@ else
     if [[ ! -e $modules/usr/lib/python3/dist-packages/paraview ]]; then
         (mkdir -p "$modules" && cd "$modules" && apt-get download -q python3-paraview >/dev/null 2>&1 &&
             dpkg -x python3-paraview_*.deb . && rm -f python3-paraview_*.deb) ||
-            lacks "python3-paraview is neither installed nor to be fetched (set PARAVIEW_PYTHON)"
+            lacks "python3-paraview is not installed and cannot be downloaded (set PARAVIEW_PYTHON)"
     fi
     # ParaView's CMake package requires its Python modules: a prefix of links that contains them.
     prefix=$out/prefix
@@ -76,7 +76,7 @@ build() {
     echo "paraview: built $plugin"
 }
 
-# A display that outlives its clients.
+# Runs a command on a display of its own, which does not reset when its last client ends.
 display() { timeout "${LIMIT:-600}" xvfb-run -a -s "-screen 0 1280x900x24 -noreset" "$@"; }
 
 build

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# A picture of the panel while the view is moved. Needs xdotool and imagemagick. Called by run.sh, on a display.
+# Takes a picture of the panel while the view is moved. Needs xdotool and imagemagick. Called by run.sh, on a display.
 set -euo pipefail
 results=$1/screenshot
 rm -rf "$results" && mkdir -p "$results"
@@ -13,7 +13,7 @@ client=$!
 trap 'kill $client 2>/dev/null || true' EXIT
 for _ in $(seq 120); do grep -q "^shown" "$results/log" && break; sleep 1; done
 sleep 5
-# The welcome window, if there is one.
+# Closes the welcome window, if there is one.
 xdotool search --name "Welcome to ParaView" key Escape 2>/dev/null || true
 sleep 2
 xdotool mousemove "${BOX_X:-872}" "${BOX_Y:-182}" click 1

@@ -19,7 +19,7 @@ cd "$(dirname "$0")/../.."
 what=${1:-}
 case $what in
     build | test | asan | exec) ;;
-    *) echo "run.sh: found word \"$what\"; use build, test, asan or exec" >&2; exit 2 ;;
+    *) echo "run.sh: unknown command \"$what\"; use build, test, asan or exec" >&2; exit 2 ;;
 esac
 out=${VTK_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/vtk}
 python=${VTK_PYTHON:-/usr/bin/python3}
@@ -34,10 +34,10 @@ lacks() {
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++ libvtk9-dev python3-vtk9 xvfb xauth)"
 compgen -G "/usr/lib/*/cmake/vtk-9*/vtk-config.cmake" >/dev/null || [[ ${VTK_DIR:-} ]] ||
     lacks "VTK 9's development files are not installed (apt-get install libvtk9-dev python3-vtk9 xvfb xauth)"
-python=$(command -v "$python") || { echo "run.sh: $python is no program; set VTK_PYTHON to the Python that has VTK's module" >&2; exit 2; }
+python=$(command -v "$python") || { echo "run.sh: $python is not a program; set VTK_PYTHON to the Python that has VTK's module" >&2; exit 2; }
 command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
 
-# A display that outlives its clients.
+# Runs a command on a display of its own, which does not reset when its last client ends.
 display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
 
 # build FOLDER OPTION...
@@ -62,7 +62,7 @@ case $what in
         build "$out/build"
         labels=(--label-exclude long)
         if [[ ${2:-} == --full ]]; then labels=(); fi
-        # Reasons of the tests that this VTK has nothing for.
+        # File for the reasons of skipped tests: features that this VTK does not have.
         export ENTIRE_TEST_SKIPS=$out/skips
         : >"$ENTIRE_TEST_SKIPS"
         status=0
@@ -72,7 +72,7 @@ case $what in
         ;;
     asan)
         build "$out/asan" -DENTIRE_SANITIZE=address -DENTIRE_PYTHON=OFF -DCMAKE_BUILD_TYPE=RelWithDebInfo
-        # Leaks of OpenGL and VTK do not count here; the tests under valgrind find those of the adapter.
+        # OpenGL and VTK leak, so leaks are not checked here; the tests under valgrind find those of the adapter.
         ASAN_OPTIONS=detect_leaks=0:abort_on_error=0:exitcode=99 display ctest --test-dir "$out/asan" \
             --label-regex reentry --output-on-failure
         ;;

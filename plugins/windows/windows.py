@@ -2,8 +2,8 @@
 """Windows that draw volumes in several passes, for the tests and the bars of both adapters: the class vtkEntireSteering
 and the Python package.
 
-    PYTHON windows.py class|python            tests that the passes of every window share its frame's time
-    PYTHON windows.py class|python bars       measures how well each window holds a third of its time at full quality
+    PYTHON windows.py class|python            tests that the passes of every window share its frame time
+    PYTHON windows.py class|python bars       measures the frames of each window at a third of its full-quality time
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from vtkmodules.vtkRenderingCore import (
     vtkVolumeProperty,
 )
 
-# With the scenes of the other tests of both adapters.
+# For the scenes of the other tests of both adapters.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "vtk" / "python"))
 
 from vtk_scene import MAPPERS as ALL_MAPPERS
 from vtk_scene import color_function, image_data, opacity_function
 
-# Most frames over 1.25 times the target, percent.
+# Maximum share of frames over 1.25 times the target, in percent.
 MOST_LATE = 2
 MAPPERS = {name: ALL_MAPPERS[name] for name in ("gpu", "fixed")}
 
@@ -90,7 +90,7 @@ class Window:
             window.StereoRenderOn()
 
     def draw(self, frames: int) -> list[float]:
-        """Seconds of frames while every camera turns by 2 degrees before each."""
+        """Draws frames, before each of which every camera turns by 2 degrees; returns their wall seconds."""
         seconds = []
         for _ in range(frames):
             for renderer in {renderer for renderer, _ in self.drawn}:
@@ -125,18 +125,19 @@ def volume_of(image: Any, mapper: Any) -> Any:
 
 @dataclass
 class Held:
-    """A volume that is held to a target."""
+    """A volume whose frames are held to a target: functions that read or set its steering."""
 
     share: Callable[[], float]
     steps: Callable[[], tuple[float, float]]
     enable: Callable[[bool], None]
-    # Number of frames in which it was drawn, steered or not.
+    # Number of frames in which the volume was drawn, steered or not.
     frames: Callable[[], int]
+    # The steering object, kept alive.
     keep: Any
 
 
 def hold_by_class(renderer: Any, volume: Any, target: float, clock: str) -> Held:
-    """Held by vtkEntireSteering."""
+    """Holds a volume to `target` seconds with vtkEntireSteering."""
     from entire_vtk.vtkEntireSteering import vtkEntireSteering
 
     held = vtkEntireSteering()
@@ -160,7 +161,7 @@ def hold_by_class(renderer: Any, volume: Any, target: float, clock: str) -> Held
 
 
 def hold_by_package(renderer: Any, volume: Any, target: float, clock: str) -> Held:
-    """Held by the Python package."""
+    """Holds a volume to `target` seconds with the Python package."""
     import entire.vtk
 
     held = entire.vtk.hold(renderer, volume, seconds=target, always=True, clock=clock)
@@ -181,7 +182,8 @@ CASES = [(mapper, kind) for mapper in MAPPERS for kind in KINDS]
 
 
 def check(adapter: str, mapper: str, kind: Kind) -> None:
-    """Passes share the time of a frame, whichever are shown. So long a target that nothing else counts."""
+    """Checks that the shares of the shown volumes' passes add up to the target, which is so long that the time outside
+    the passes does not matter."""
     target = 1000.0
     window = Window(kind, mapper, size=48, voxels=24)
     held = [ADAPTERS[adapter](r, v, target, "cpu") for r, v in window.drawn]
@@ -189,7 +191,7 @@ def check(adapter: str, mapper: str, kind: Kind) -> None:
     shares = [h.share() for h in held]
     assert abs(kind.eyes * sum(shares) - target) < 0.02 * target, (adapter, mapper, kind.name, shares)
     assert all(h.steps() == (1.0, 1.0) for h in held), [h.steps() for h in held]
-    # Hidden volumes have no share.
+    # Hidden volumes get no share.
     for _, volume in window.drawn[1:]:
         volume.VisibilityOff()
     window.draw(2)
@@ -202,21 +204,22 @@ def check(adapter: str, mapper: str, kind: Kind) -> None:
 
 
 def check_others(adapter: str, mapper: str) -> None:
-    """Volumes that are not steered, and picking, take no share of the time; the first frame is shared already."""
+    """Checks that volumes that are not steered, and picking, take no share of the time, and that the first frame is
+    shared."""
     target = 1000.0
     window = Window(Kind("two renderers", renderers=2), mapper, size=48, voxels=24)
     held = [ADAPTERS[adapter](r, v, target, "cpu") for r, v in window.drawn]
-    # Nothing is known of either yet.
+    # The first frame, before any time is known.
     window.draw(1)
     assert abs(sum(h.share() for h in held) - target) < 0.02 * target, [h.share() for h in held]
     window.draw(4)
-    # One that is switched off leaves the other the whole time.
+    # If one volume's steering is switched off, the other gets the whole time.
     held[1].enable(False)
     window.draw(3)
     assert abs(held[0].share() - target) < 0.02 * target, (adapter, mapper, held[0].share())
     held[1].enable(True)
     window.draw(2)
-    # Picking in one renderer is no frame of the other.
+    # Picking in one renderer does not count as a frame of the other.
     selector = vtkHardwareSelector()
     selector.SetRenderer(window.drawn[0][0])
     selector.SetArea(0, 0, 47, 47)
@@ -228,7 +231,7 @@ def check_others(adapter: str, mapper: str) -> None:
 
 
 def bars(adapter: str) -> bool:
-    """Measures 80 frames of every window by wall time, after 30 to learn; true if all bars are met."""
+    """Measures 80 frames of every window by wall time, after 30 warm-up frames; returns true if all bars are met."""
     met = True
     for mapper, kind in CASES:
         window = Window(kind, mapper, size=400, voxels=128)

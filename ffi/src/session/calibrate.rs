@@ -12,7 +12,7 @@ use entire_core::kernels::Executor;
 use entire_steer::calibrate::{HeldOut, Picture};
 use std::mem::size_of;
 
-/// Part of the frames that a calibration held out in turn to estimate its error: one of the
+/// Unit by which a calibration held out frames to estimate its error (cross-validation): one of the
 /// `ENTIRE_HELD_OUT_*` numbers.
 pub type entire_held_out = u32;
 /// Nothing, since there were too few frames: the error is that of the training frames.
@@ -41,14 +41,15 @@ pub struct entire_calibration_report {
     pub frames: usize,
     /// Median of |predicted / measured - 1| over held-out frames.
     pub median_error: f64,
-    /// Root of their mean squared error over the standard deviation of their times.
+    /// Root mean square error in seconds over held-out frames, divided by the standard deviation of their
+    /// times.
     pub rmse_over_sd: f64,
-    /// Upper bound over prediction: nineteen of twenty frames take no longer.
+    /// Upper bound divided by prediction: 19 of 20 frames take no longer than this bound.
     pub upper_factor: f64,
-    /// Held-out parts: one of ENTIRE_HELD_OUT_*.
+    /// Unit by which frames were held out: one of ENTIRE_HELD_OUT_*.
     pub held_out: entire_held_out,
-    /// Number of scenes of entire_session_record_picture in the fit of the model's quality law; 0 if there
-    /// were too few, and then the model has no quality law.
+    /// Number of scenes of entire_session_record_picture that the model's quality law was fitted to. 0 if
+    /// there were too few; the model then has no quality law.
     pub scenes: u32,
 }
 
@@ -78,8 +79,8 @@ no_padding!(entire_calibration_report {
     scenes
 });
 
-/// Starts to record frames that are planned and observed, for entire_session_calibrate. It keeps a uniform
-/// random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
+/// Starts to record frames that are planned and observed, for entire_session_calibrate. The session keeps a
+/// uniform random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
 /// observing still do not allocate.
 ///
 /// `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
@@ -158,9 +159,9 @@ pub unsafe extern "C" fn entire_session_calibrate(
 /// pictures and grows with the difference, such as the root mean squared difference of colors, or 1 - SSIM.
 /// Enlarge smaller pictures to full size before the comparison. The first 65536 are kept.
 ///
-/// Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance below 1,
-/// seconds that are not positive, a negative error, numbers that are not finite), ENTIRE_OUT_OF_MEMORY,
-/// ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
+/// below 1, seconds that are not positive, a negative error, numbers that are not finite),
+/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_record_picture(
     session: *mut entire_session,

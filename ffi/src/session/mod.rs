@@ -81,8 +81,8 @@ pub unsafe extern "C" fn entire_session_new(
     })
 }
 
-/// Copies the error text of the session's last call, like entire_model_last_error; empty if that call
-/// succeeded.
+/// Copies the text of the session's most recent failure, like entire_model_last_error. A later successful
+/// call with a non-const session clears the text.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_last_error(
     session: *const entire_session,
@@ -94,7 +94,7 @@ pub unsafe extern "C" fn entire_session_last_error(
     unsafe { last_error_of(session, buffer, capacity, length) }
 }
 
-/// Frees a session; NULL is nothing to do.
+/// Frees a session; NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_free(session: *mut entire_session) {
     // SAFETY: the pointer is as the crate's documentation demands.

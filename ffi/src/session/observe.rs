@@ -15,11 +15,11 @@ const _: () = {
 
 /// Effect of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
 pub type entire_verdict = u32;
-/// Learned from.
+/// Used to correct predictions.
 pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;
-/// Far from the expected time: its influence was clipped.
+/// Used to correct predictions, with a clipped error: the time is far from the expected one.
 pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
-/// Recorded but not used to correct predictions: unusual, or cancelled no later than its expected end.
+/// Not used to correct predictions: the frame was unusual, or cancelled no later than its expected end.
 pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;
 
 /// Observation flag: the time includes work that is not the frame's (a compile, an upload, a stall).
@@ -27,8 +27,8 @@ pub const ENTIRE_OBSERVE_UNUSUAL: u32 = 1;
 /// Observation flag: the frame was abandoned; its time is only a lower bound.
 pub const ENTIRE_OBSERVE_CANCELLED: u32 = 2;
 
-/// Observes the time of a planned frame. It may come late, while its plan is among the last
-/// 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
+/// Reports the measured time of a planned frame. The report may come late, as long as the plan is among the
+/// last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
 ///
 /// Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is
 /// not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an unknown flag),

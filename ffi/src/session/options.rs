@@ -27,10 +27,10 @@ pub struct entire_session_options {
     /// Out-of-range score above which steps are chosen from recent frames instead of the prediction,
     /// positive; default 2.
     pub trust_limit: f32,
-    /// Not 0 if moves are damped in calm phases; default 1.
+    /// Not 0 to change the step only slowly while nothing in the scene changes abruptly; default 1.
     pub damping: u32,
     /// Rays along each side of the probe that measures frames for a linear cost model (no model, or an
-    /// analytic one), 1 to 24. The time of a plan is proportional to the square of the side; fewer rays
+    /// analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer rays
     /// estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which they
     /// were trained with.
     pub probe_side: u32,

@@ -14,13 +14,13 @@ use std::mem::size_of;
 pub type entire_reason = u32;
 /// The finest step whose upper bound fits the target.
 pub const ENTIRE_REASON_FITS: entire_reason = 1;
-/// As before, but the step moved there slowly because nothing changed abruptly.
+/// As ENTIRE_REASON_FITS, but the step approaches that one slowly because nothing changed abruptly.
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
-/// The last step still fits and is close to the best: it is kept.
+/// The step of the last plan still fits and is close to the best: it is kept.
 pub const ENTIRE_REASON_HELD: entire_reason = 3;
-/// Nothing finer is allowed, and it fits.
+/// The finest allowed step fits.
 pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
-/// Nothing coarser is allowed, and even that is not expected to fit.
+/// Even the coarsest allowed step is not expected to fit.
 pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;
 /// The prediction is not trusted: recent frames decide.
 pub const ENTIRE_REASON_HISTORY: entire_reason = 6;
@@ -71,12 +71,13 @@ const _: () = {
 pub struct entire_plan {
     /// sizeof(entire_plan).
     pub struct_size: usize,
-    /// Identifies this plan in entire_session_observe; never 0.
+    /// Number of this plan for entire_session_observe; never 0.
     pub id: u64,
     /// Ray step to draw with, in multiples of the reference step.
     pub step: f32,
-    /// Pixels of the frame between neighboring rays along each side of the image: divide its sides by this,
-    /// rounded down. 1 unless entire_session_set_max_image_sample_distance allows more.
+    /// Distance of neighboring rays in pixels of the frame, along each side of the image: divide the frame's
+    /// width and height by this, rounded down. 1 unless entire_session_set_max_image_sample_distance allows
+    /// more.
     pub image_sample_distance: f32,
     /// Expected seconds: finite and positive, or NaN where ENTIRE_ABSENT_SECONDS says so.
     pub seconds: f32,
@@ -85,7 +86,7 @@ pub struct entire_plan {
     /// 0 if the inputs are inside the model's training range, 1 at the limit up to which the prediction is
     /// trusted, larger beyond.
     pub out_of_range: f32,
-    /// Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
+    /// ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
     pub absent: u32,
     /// Reason for this step: one of ENTIRE_REASON_*.
     pub reason: entire_reason,
@@ -137,9 +138,9 @@ pub struct entire_prediction {
     pub upper: f32,
     /// As in entire_plan.
     pub out_of_range: f32,
-    /// Unknown numbers among the three above: ENTIRE_ABSENT_* flags.
+    /// ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
     pub absent: u32,
-    /// Its source: one of ENTIRE_SOURCE_*.
+    /// Source of the prediction: one of ENTIRE_SOURCE_*.
     pub source: entire_source,
     /// Must be ignored.
     pub reserved: u32,
@@ -163,7 +164,7 @@ unsafe impl ByValue for entire_prediction {
 
 no_padding!(entire_prediction { struct_size, seconds, upper, out_of_range, absent, source, reserved });
 
-/// Flags of the unknown numbers among the three.
+/// ENTIRE_ABSENT_* flags of the NaNs among three numbers.
 fn absent(seconds: f32, upper: f32, out_of_range: f32) -> u32 {
     let flag = |value: f32, flag| if value.is_nan() { flag } else { 0 };
     flag(seconds, ENTIRE_ABSENT_SECONDS)
@@ -171,12 +172,12 @@ fn absent(seconds: f32, upper: f32, out_of_range: f32) -> u32 {
         | flag(out_of_range, ENTIRE_ABSENT_OUT_OF_RANGE)
 }
 
-/// A finite upper bound, else NaN.
+/// The upper bound if it can be the seconds of a frame, else NaN.
 fn bound(upper: f32) -> f32 {
     if is_frame_time(upper) { upper } else { f32::NAN }
 }
 
-/// The caller's plan. Only a plan without a prediction may lack its seconds.
+/// Converts a plan for the caller. Its seconds may be NaN only if the plan was made without a prediction.
 fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     let without = matches!(plan.reason, Reason::History | Reason::NoInformation | Reason::Off);
     if !(is_frame_time(plan.seconds) || without && plan.seconds.is_nan()) {
@@ -201,8 +202,8 @@ fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
     checked(plan).inspect_err(|_| session.withdraw(plan.id))
 }
 
-/// Predicts a frame's time at the frame's own step, corrected by the observed frames; does not influence
-/// later plans. Set prediction->struct_size first.
+/// Predicts a frame's time at the frame's own step, with the correction learned from observed frames. Does
+/// not influence later plans. Set prediction->struct_size first.
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
@@ -236,8 +237,8 @@ pub unsafe extern "C" fn entire_session_predict(
     }
 }
 
-/// Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose
-/// upper bound fits. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
+/// Chooses the ray step of the next frame: the finest step for which the upper bound of the frame's time is
+/// at most `target_seconds`. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
 /// plan->struct_size first. Does not allocate.
 ///
 /// Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and

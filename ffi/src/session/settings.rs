@@ -56,9 +56,9 @@ pub unsafe extern "C" fn entire_session_set_volume(
 }
 
 /// Sets the next time step of the session's volume, after entire_volume_update. The transfer function and the
-/// correction learned from observed frames stay. It is not announced as a change of the scene; if the next
-/// frame includes an upload, call entire_session_mark. If the model takes volume features, those of the
-/// previous time step stay unless the volume has precomputed ones.
+/// correction learned from observed frames stay. The time step does not count as a change of the scene; if
+/// the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
+/// the previous time step stay unless the volume has precomputed ones.
 ///
 /// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
 /// a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of another
@@ -82,7 +82,7 @@ pub unsafe extern "C" fn entire_session_set_time_step(
     }
 }
 
-/// Sets the transfer function; the volume comes first.
+/// Sets the transfer function. The volume must be set before it.
 ///
 /// Fails with ENTIRE_NOT_READY (no volume), ENTIRE_INVALID_ARGUMENT (a unit distance that is out of range for
 /// this volume), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -102,7 +102,7 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
                 (UnitDistance::World(distance), Some((spacing, _))) => {
                     table.with_unit_distance(distance / spacing.min_element())?
                 }
-                // The session reports that the volume comes first.
+                // Without a volume, set_transfer below fails.
                 (UnitDistance::World(_), None) => table,
             };
             let lobes = match &transfer.function {
@@ -136,10 +136,11 @@ pub unsafe extern "C" fn entire_session_set_limits(
 /// together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
 /// entire_plan). Up to a step of `step_alone` times the finest, 1 to 64, only the step is coarsened: use 1,
 /// or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1, the default, keeps
-/// the full image size. For linear cost models and networks that take the image size. One plan covers all
-/// sizes, which is cheaper and corrects predictions better than one plan per size.
+/// the full image size. The model must be a linear cost model, or a network that has the image size among its
+/// inputs. One plan covers all sizes, which is cheaper and corrects predictions better than one plan per
+/// size.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a number outside 1 to 64), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
     session: *mut entire_session,
@@ -154,12 +155,13 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
     }
 }
 
-/// Sets the quality law of this renderer, so that plans coarsen step or image, whichever adds less error.
-/// With a step of s times the finest, and rays d pixels apart along each side, the picture error is
-/// proportional to (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to
-/// (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. Replaces step_alone
-/// (entire_session_set_max_image_sample_distance). An `image_weight` of 0 removes the law: the session then
-/// uses that of its model, if the model was calibrated with pictures of this renderer.
+/// Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
+/// plans coarsen step or image, whichever adds less error. With a step of s times the finest, and rays d
+/// pixels apart along each side, the picture error is proportional to
+/// (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to
+/// (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. The law
+/// replaces `step_alone` of entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the
+/// law: the session then uses that of its model, if the model was calibrated with pictures of this renderer.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
 /// the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.

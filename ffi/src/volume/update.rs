@@ -17,7 +17,7 @@ use std::sync::OnceLock;
 /// previous time step. Then call entire_session_set_time_step for each session. No other call may use the
 /// volume during this one.
 ///
-/// Changes are found in one pass over the voxels, much faster than the scan of a new volume, and only changed
+/// One pass over the voxels finds the changes, much faster than the scan of a new volume, and only changed
 /// cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
 /// bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
 ///
@@ -72,7 +72,7 @@ unsafe fn update(
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
             format!(
-                "a time step has the scalar type {}, its volume {}; make a volume of its own for it",
+                "a time step has the scalar type {}, its volume {}; make a new volume for this time step",
                 desc.scalar_type, volume.scalar_type
             ),
         ));
@@ -87,7 +87,7 @@ unsafe fn update(
         let [a, b] = [next.shape(), shape].map(|shape| shape.spacing.to_array());
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
-            format!("a time step has the spacing {a:?}, its volume {b:?}; set that of the volume"),
+            format!("a time step has the spacing {a:?}, its volume {b:?}; set the volume's spacing"),
         ));
     }
     if next.shape().dims != shape.dims {
@@ -95,7 +95,8 @@ unsafe fn update(
         return Err(Failure::new(
             ENTIRE_SIZE_MISMATCH,
             format!(
-                "a time step has {x} x {y} x {z} voxels, its volume {nx} x {ny} x {nz}; make a volume of its own for it"
+                "a time step has {x} x {y} x {z} voxels, its volume {nx} x {ny} x {nz}; \
+                 make a new volume for this time step"
             ),
         ));
     }
@@ -104,7 +105,7 @@ unsafe fn update(
         None => Box::new(SummarySeries::new(&next, shape.dims[2], SummaryOptions::default())?),
     };
     let first = series.summary().is_err();
-    // A series that failed within a time step is dropped: the volume stays at the step before.
+    // After an error the volume keeps the previous time step; a series without a valid summary is dropped.
     match series.update(&next, changed, Executor::Serial) {
         Ok(summary) if first => warn_of_non_finite(summary),
         Ok(_) => {}

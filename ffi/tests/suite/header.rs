@@ -26,7 +26,7 @@ fn version_macros() -> String {
          #define ENTIRE_VERSION_PATCH {patch}\n\
          #define ENTIRE_VERSION_NUMBER {number}\n\
          #define ENTIRE_ABI_VERSION {abi}\n\n\
-         /** In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none. */\n\
+         /** Value of all three `strides` for voxels without gaps, in which x runs fastest, then y, then z. */\n\
          #define ENTIRE_STRIDE_CONTIGUOUS SIZE_MAX\n",
         env!("CARGO_PKG_VERSION")
     )

@@ -7,7 +7,7 @@ import argparse
 import os
 import sys
 
-# ParaView's modules before those of another VTK, if they are not installed but unpacked somewhere.
+# ParaView's modules, if they are unpacked in a folder instead of installed; first, before those of another VTK.
 if os.environ.get("PARAVIEW_MODULES"):
     sys.path.insert(0, os.environ["PARAVIEW_MODULES"])
 
@@ -74,21 +74,21 @@ def interact(azimuth=5):
 
 
 if given:
-    # The client's window is still being shown.
+    # Several frames, since the client's window is still being opened.
     for _ in range(3):
         shot("plain")
 plain = shot("plain")
 steering = FrameTime(view, target=1e-4)
 attached = shot("attached")
-check(attached == plain, "a screenshot with the plugin attached is the screenshot without it, byte for byte")
+check(attached == plain, "a screenshot with the plugin attached equals the screenshot without it, byte for byte")
 for _ in range(6):
     interact()
 read = steering.read()
 say(str(read))
 check(read["NumberOfSteeredFrames"] > 0, f"{read['NumberOfSteeredFrames']} interactive frames were steered")
-check(read["NumberOfFallbackFrames"] == 0, "no frame was left unsteered for want of a prediction")
-check(read["Reason"] == "target unreachable", "a target out of reach is met with the coarsest settings allowed")
-check(read["ImageSampleDistance"] > 2 and read["MeasuredTime"] > 0, "the read-outs hold steps and times")
+check(read["NumberOfFallbackFrames"] == 0, "no frame lacked a prediction")
+check(read["Reason"] == "target unreachable", "an unreachable target gives the coarsest allowed settings")
+check(read["ImageSampleDistance"] > 2 and read["MeasuredTime"] > 0, "the read-outs have steps and times")
 coarse = read["SampleDistance"]
 view.GetActiveCamera().Azimuth(-30)
 again = shot("after")
@@ -97,38 +97,38 @@ steering.proxy.TargetFrameTime = 1000.0
 for _ in range(3):
     interact()
 read = steering.read()
-check(read["SampleDistance"] < 0.5 * coarse, "with time to spare frames are drawn as finely as ParaView would")
+check(read["SampleDistance"] < 0.5 * coarse, "with a long target frames are drawn as finely as without the plugin")
 before = read["NumberOfSteeredFrames"]
 steering.proxy.Enabled = 0
 interact()
 read = steering.read()
-check(read["NumberOfSteeredFrames"] == before and read["Reason"] == "off", "switched off, ParaView draws alone")
+check(read["NumberOfSteeredFrames"] == before and read["Reason"] == "off", "ParaView draws alone with steering off")
 steering.proxy.Enabled = 1
 state = os.path.join(options.folder, f"{options.name}.state")
 if os.path.exists(state):
     os.remove(state)
 steering.save(state)
-check(options.server or os.path.getsize(state) > 16, "what was learned is saved")
+check(options.server or os.path.getsize(state) > 16, "the learned state is saved")
 steering.proxy.ModelFileName = "/nowhere/model.safetensors"
 interact()
 read = steering.read()
 check(read["Reason"] == "fallback" and "/nowhere/model" in read["Status"], "a missing model is named and ParaView draws")
 steering.proxy.ModelFileName = ""
 interact()
-check(steering.read()["Reason"] != "fallback", "and steering goes on when the name is gone")
-# A folder as a saved state: refused, and steering goes on. Without a message window the error goes to the console.
+check(steering.read()["Reason"] != "fallback", "steering continues when the model's name is removed")
+# A folder as a saved state. Without a message window the error goes to the console.
 steering.proxy.StateFileName = options.folder
 steering.proxy.UpdateVTKObjects()
 before = steering.read()["NumberOfSteeredFrames"]
 interact()
-check(steering.read()["NumberOfSteeredFrames"] > before, "a folder is refused as a saved state, and steering goes on")
+check(steering.read()["NumberOfSteeredFrames"] > before, "a folder is refused as a saved state, and steering continues")
 steering.proxy.StateFileName = ""
 steering.proxy.UpdateVTKObjects()
-# Another array, another data set, a second volume.
+# Another data set, then the volume hidden and shown again.
 source.WholeExtent = [-30, 30, -30, 30, -30, 30]
 interact()
 interact()
-check(steering.read()["Reason"] not in ("fallback", ""), "other data are followed")
+check(steering.read()["Reason"] not in ("fallback", ""), "frames of other data are steered")
 Hide(source, view)
 interact()
 Show(source, view)
@@ -137,7 +137,7 @@ steering.release()
 view.GetActiveCamera().Azimuth(1)
 view.SMProxy.InteractiveRender()
 if not given:
-    # The graphical client of ParaView 5.11 waits for ever where its last view is deleted from a start-up script.
+    # Not in the graphical client: ParaView 5.11 hangs if a start-up script deletes its last view.
     Delete(view)
 Delete(source)
 say(f"passed: {options.name}")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of ParaView's volume rendering, in the format of `entire collect`.
+"""Writes timing tables of ParaView's volume rendering, in the format of `entire collect`.
 
     xvfb-run -a pvbatch collect_paraview.py --out paraview.csv --max-size 256 VOLUME.nrrd...
     entire train --data paraview.csv --clock cpu --out paraview.safetensors
 
-It times whole still renders. ParaView sets the ray step itself, to about half the mean spacing; the table contains that
-step.
+The times are those of whole still renders. ParaView sets the ray step itself, to about half the mean spacing; the table
+contains that step.
 """
 import os
 import sys
@@ -63,7 +63,7 @@ class ParaViewRenderer:
         self.colors = GetColorTransferFunction("scalar")
         self.colors.RGBPoints = [0, 0.1, 0.2, 0.6, 128, 0.9, 0.5, 0.2, 255, 1.0, 1.0, 0.9]
         self.opacity = GetOpacityTransferFunction("scalar")
-        # The step of locked mappers: half the mean spacing, finer for small volumes.
+        # The step of mappers that are locked to the spacing: half the mean spacing, finer for small volumes.
         mean = float(np.prod(volume.dims)) ** 0.333
         self.step = sum(volume.spacing) / 6.0 * (0.01 + 0.99 * mean / 100 if mean < 100 else 1.0)
 

@@ -23,7 +23,7 @@ READ_OUTS = (
 
 
 class FrameTime:
-    """Holds the interactive frames of `view` to `target` seconds. Settings are the properties of `proxy`."""
+    """Holds the interactive frames of `view` to `target` seconds. The properties of `self.proxy` are the settings."""
 
     def __init__(self, view, target=0.1, model=""):
         manager = servermanager.ProxyManager()
@@ -35,7 +35,7 @@ class FrameTime:
         self.proxy.TargetFrameTime = target
         self.proxy.ModelFileName = model
         self.proxy.UpdateVTKObjects()
-        # The proxy is read in the client; this one if a server draws.
+        # The proxy above is read in the client; this one is read on the server, if a server draws.
         self._remote = servermanager._getPyProxy(manager.SMProxyManager.NewProxy("entire", "EntireSteeringReadOut"))
         self._remote.SMProxy.GetProperty("Source").SetProxy(0, proxy)
         self._remote.UpdateVTKObjects()
@@ -43,7 +43,7 @@ class FrameTime:
         self._drawn_by = self.proxy
 
     def read(self):
-        """The read-outs of the last frame, from the process that drew it; with several servers, from the first."""
+        """Returns READ_OUTS as a dictionary, from the process that drew the last frame; with several ranks, the first."""
         found = {}
         for proxy in (self.proxy, self._remote):
             proxy.SMProxy.UpdatePropertyInformation()
@@ -55,7 +55,7 @@ class FrameTime:
         return found[self._drawn_by]
 
     def save(self, path):
-        """Writes the learned state, on the process that renders."""
+        """Writes the learned state to a file, in the process that renders."""
         self.proxy.SMProxy.GetProperty("Save").SetElement(0, path)
         self.proxy.SMProxy.UpdateProperty("Save", 1)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A volume in the graphical client, for the screenshot."""
+"""Shows a volume in the graphical client, for the screenshot."""
 import os
 import sys
 

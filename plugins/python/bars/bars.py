@@ -4,11 +4,12 @@
     make bars-python
     plugins/python/run.sh bars --only frames,overhead
 
-Frames are those of `make bars-vtk`: 256^3 voxels of noise, 512 x 512 pixels, 200 frames of an orbit, a
-transparent and an opaque function in turn, the target half of the mean frame time at full quality, by
-processor time. `calibrated` steers by a model of another volume: one of the project's own, of a simulation.
+The frames are those of `make bars-vtk`: 256^3 voxels of noise, 512 x 512 pixels, 200 frames of an orbit with a
+transparent and an opaque function in turn. The target is half of the mean frame time at full quality, in
+processor time. `cold` steers without a calibrated model; `calibrated` steers by a model that is fitted on another
+volume, of a simulation.
 
-What cannot be measured is `-` and short; the exit status is 1 where a bar is short.
+A value that cannot be measured is printed as `-` and counts as short. The exit status is 1 if a bar is short.
 """
 
 import argparse
@@ -24,7 +25,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
-# The same volume, path and functions as `make bars-vtk`.
+# Modules with the volume, path and functions of `make bars-vtk`.
 sys.path[:0] = [str(HERE.parent / "tests"), str(ROOT / "plugins/vtk/python"), str(ROOT / "lab/scripts")]
 from bar_lines import Bars  # noqa: E402
 
@@ -36,8 +37,9 @@ try:
 except ImportError as error:
     MISSING = f"{error} (make bars-python makes an environment that has it)"
 
-# Volumes that the model of `calibrated` is made from; the path goes around noise.
+# File of the volume on which the model of `calibrated` is fitted; the evaluated volume is noise.
 OTHER = ROOT / "data/nyx_cosmology/m01/t0010.nrrd"
+# Frames of a path of 200 at which the opacity function changes.
 SWITCHES = (50, 100, 150)
 
 THREE_LINES = """\
@@ -48,7 +50,7 @@ pl.show(auto_close=False, interactive=False)
 
 
 class Path200:
-    """The scene of the path and its two functions."""
+    """A scene with an orbiting camera and two opacity functions in turn."""
 
     def __init__(self, voxels, size, frames):
         from scenes import OPAQUE, TRANSPARENT, View, add_volume
@@ -75,7 +77,7 @@ class Path200:
 
 
 def calibrated(options):
-    """A model of 60 random frames of a volume other than the evaluated one, enlarged to the same number of voxels."""
+    """Fits a model on 60 random frames of the volume `OTHER`, resampled to the evaluated number of voxels."""
     import entire.vtk
     from timing_table import read_nrrd, resampled
 
@@ -118,7 +120,7 @@ def frames_held(options, bars):
         bars.found(f"error-{name}", float(np.mean(np.abs(relative - 1))), f"mean {1e3 * np.mean(times):.1f} ms")
         bars.found(f"late-{name}", late, "share of frames over 1.25 x target")
         cost = 1e6 * statistics.median(overhead)
-        bars.found(f"overhead-{name}", cost, "microseconds a frame, median, all of Python's part")
+        bars.found(f"overhead-{name}", cost, "microseconds per frame, median, all work in Python included")
     (options.out / "frames.json").write_text(json.dumps(figures))
 
 
@@ -145,7 +147,7 @@ def three_lines(options, bars):
     )
     run = subprocess.run([python, "-c", program], capture_output=True, text=True)
     if run.returncode:
-        raise RuntimeError(f"the lines do not hold a rate: {run.stderr[-600:]}")
+        raise RuntimeError(f"the three lines do not hold a frame rate: {run.stderr[-600:]}")
     bars.found("lines", len(THREE_LINES.splitlines()), f"{run.stdout.strip()} steered frames")
 
 
@@ -321,7 +323,7 @@ def main():
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--edge", type=int, default=256, help="voxels along each side")
     parser.add_argument("--size", type=int, default=512, help="pixels along each side")
-    parser.add_argument("--lacking", help="why nothing can be measured: the bars are short")
+    parser.add_argument("--lacking", help="measure nothing and print all bars as short, with this reason")
     options = parser.parse_args()
     unknown = [name for name in options.only.split(",") if name not in MEASURES]
     if unknown:

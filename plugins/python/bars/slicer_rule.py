@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""3D Slicer's view while presets are switched: held by entire, and by Slicer's own adaptive rule, frame by frame in turn.
+"""Compares entire with 3D Slicer's own adaptive rule in Slicer's 3D view, while presets are switched.
 
     slicer_rule.py [VOLUME.nrrd] [--rate FPS] [--clock wall|cpu] [--out out/python/slicer.csv]
 
-Prints a row for each and writes them. Without a volume a CT-like one is made. Two views show the same frames; each has its own
-scene. A frame's time is that of vtkRenderWindow::Render(), the graphics device's work included. On a machine that others use,
-`--clock cpu` counts processor time instead, with one thread of Mesa's software driver, so that both clocks would agree if nobody
-else were there. Slicer's rule looks at the wall all the same: other load makes it coarser than it would be.
+Two views, each with its own scene, draw the same frames in turn: entire holds one of them, Slicer's rule the other.
+Prints a row of results for each view and writes both. Without a volume, a synthetic CT-like one is used. A frame's time
+is that of vtkRenderWindow::Render() and includes the work of the graphics device. On a shared machine, use `--clock cpu`:
+it counts processor time, with one thread of Mesa's software driver, so that without other load both clocks agree.
+Slicer's rule measures wall time in any case, so other load makes its frames coarser.
 """
 
 import argparse
@@ -26,8 +27,9 @@ from slicer_view import SlicerView, preset  # noqa: E402
 from timing_table import read_nrrd  # noqa: E402
 
 FRAMES_OF_A_PRESET = 40
+# Limit of a frame's time as a multiple of the target; slower frames count as over it.
 LIMIT = 1.25
-# Opacities at shares of the scalars' range, color, shading: bones, soft tissue, skin, vessels, haze.
+# Presets for bones, soft tissue, skin, vessels and haze: opacities at fractions of the largest scalar, and shading.
 PRESETS = (
     (((0, 0), (0.45, 0), (0.6, 0.6), (1, 0.9)), True),
     (((0, 0), (0.2, 0), (0.4, 0.15), (0.6, 0.3), (1, 0.4)), True),
@@ -35,11 +37,12 @@ PRESETS = (
     (((0, 0), (0.55, 0), (0.7, 0.2), (1, 1)), False),
     (((0, 0), (0.03, 0), (0.3, 0.01), (1, 0.05)), False),
 )
+# Color points of all presets: a fraction of the largest scalar, red, green, blue.
 COLORS = ((0, 0, 0, 0), (0.3, 0.55, 0.25, 0.15), (0.6, 0.9, 0.8, 0.6), (1, 1, 1, 1))
 
 
 def ct_like(edge=160):
-    """Skin, soft tissue, bones and vessels as ellipsoids and tubes with noise: bytes, [z, y, x]."""
+    """Makes skin, soft tissue, bones and vessels of ellipsoids and tubes with noise: uint8 voxels [z, y, x]."""
     z, y, x = np.meshgrid(*(np.linspace(-1, 1, edge, dtype=np.float32),) * 3, indexing="ij")
     body = (x / 0.9) ** 2 + (y / 0.65) ** 2
     volume = np.where(body < 1, 0.12, 0.0) + np.where(body < 0.9, 0.22, 0.0)
@@ -62,7 +65,7 @@ def volume_of(path):
 
 
 class Arm:
-    """One view and its frames' seconds."""
+    """One view and the seconds of its frames."""
 
     def __init__(self, name, voxels, spacing, rate, size, clock):
         self.name, self.now, self.seconds = name, clock, []
@@ -109,7 +112,7 @@ def main():
     parser.add_argument("volume", nargs="?")
     parser.add_argument("--rate", type=float, default=8.0, help="the view's expected frame rate (default 8, Slicer's)")
     parser.add_argument("--size", type=int, default=512, help="pixels along each side (default 512)")
-    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="what times frames (default wall)")
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="clock of frame times (default wall)")
     parser.add_argument("--out", type=Path, default=Path("out/python/slicer.csv"))
     options = parser.parse_args()
     if options.clock == "cpu":
@@ -119,7 +122,7 @@ def main():
     size = (options.size, options.size)
     arms = [Arm(name, voxels, spacing, options.rate, size, clock) for name in ("entire", "slicer")]
     steering = entire.slicer.hold(arms[0].view.manager, clock=options.clock)
-    # The first frame makes buffers and shaders.
+    # The first frame also creates buffers and shaders, so it is not counted.
     for arm in arms:
         arm.draw(0)
         arm.seconds.clear()

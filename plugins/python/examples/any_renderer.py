@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Your own renderer in a session: here NumPy sums samples along z, with the number of samples from the plan.
+"""Steers your own renderer: here NumPy takes the maximum of samples along z, at the ray step of the plan.
 
 python any_renderer.py
 """

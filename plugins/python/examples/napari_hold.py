@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""napari's 3D view held to 100 ms while it turns.
+"""Holds napari's 3D view to 100 ms per frame while it is turned: drag with the mouse.
 
 pip install entire "napari[all]"
 python napari_hold.py

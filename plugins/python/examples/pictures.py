@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Draws the book's pictures of the examples, each in the midst of a motion: `make python-pictures`.
+"""Draws the book's pictures of the examples, each during a motion: `make python-pictures`.
 
 plugins/python/run.sh exec test python plugins/python/examples/pictures.py --environment test --out FOLDER
 """
@@ -15,8 +15,9 @@ from PIL import Image
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
-# Colors of a picture, and the maximum number of bytes of its file.
+# Number of colors of a picture; halved until its file is small enough.
 COLORS = 160
+# Maximum size of a picture's file, bytes.
 MOST = 60_000
 
 
@@ -71,7 +72,7 @@ def vtk(out):
 
 
 def trame(out):
-    """Pictures that the server sends to the browser while the browser's mouse turns the scene."""
+    """Saves a picture that the server sends to the browser while the scene turns."""
     import io
 
     from trame_vtk.modules.vtk.protocols.publish_image_delivery import vtkWebPublishImageDelivery
@@ -79,7 +80,7 @@ def trame(out):
 
     example = importlib.import_module("trame_hold")
     window, steering = example.pl.render_window, example.steering
-    # With trame's settings.
+    # The settings of trame.
     application = vtkWebApplication()
     application.SetImageEncoding(vtkWebApplication.ENCODING_NONE)
     application.SetImageCompression(vtkWebApplication.COMPRESSION_JPEG)
@@ -165,7 +166,7 @@ PICTURES = {"test": (pyvista, vtk, trame, yt), "qt": (vispy, napari)}
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--environment", choices=PICTURES, required=True, help="of run.sh: which pictures")
+    parser.add_argument("--environment", choices=PICTURES, required=True, help="environment of run.sh to draw for")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", help="comma-separated: " + ", ".join(f.__name__ for p in PICTURES.values() for f in p))
     options = parser.parse_args()

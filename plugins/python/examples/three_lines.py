@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A volume in PyVista that keeps 30 frames per second while it is turned: drag with the mouse.
+"""Holds a volume in PyVista to 30 frames per second while it is turned: drag with the mouse.
 
 pip install entire[pyvista]
 python three_lines.py

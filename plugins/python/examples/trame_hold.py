@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A PyVista volume in the browser, drawn by the server at 20 pictures per second, their encoding included.
+"""Shows a PyVista volume in the browser. The server draws and encodes 20 pictures per second.
 
 pip install entire[pyvista] trame-pyvista
 python trame_hold.py --server --port 8080
@@ -17,7 +17,7 @@ wave = np.sin(12 * np.sqrt(x**2 + y**2 + z**2)) * np.cos(9 * x) * np.cos(9 * y)
 
 pl = pv.Plotter(off_screen=True, window_size=(480, 360))
 pl.add_volume((127 * (1 + wave)).astype(np.uint8), opacity="sigmoid", show_scalar_bar=False)
-# In trame the plotter has an interactor: the browser's mouse determines still frames.
+# Frames are steered while the browser's mouse moves the scene: in trame the plotter has an interactor.
 steering = pl.entire.hold(fps=20, overlay=True)
 
 server = get_server()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""vispy's volume visual held to 80 ms while it is turned: drag with the mouse.
+"""Holds vispy's volume visual to 80 ms per frame while it is turned: drag with the mouse.
 
 pip install entire vispy PyQt6
 python vispy_hold.py

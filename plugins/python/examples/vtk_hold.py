@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Holds a volume of plain VTK to 20 ms off screen and writes its history to history.svg.
+"""Holds a volume of plain VTK to 20 ms per frame off screen and writes the history to history.svg.
 
 pip install entire[vtk]
 xvfb-run -a python vtk_hold.py

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A yt scene drawn within a time per picture.
+"""Draws pictures of a yt scene within 1 second each.
 
 pip install entire yt
 python yt_hold.py picture.png

@@ -3,7 +3,8 @@
 use entire_steer::control as core;
 use pyo3::prelude::*;
 
-/// `entire_steer::control::FrameBudget`, for the adapters of this package.
+/// Divides the time of a window's frame among the passes that draw volumes in it
+/// (`entire_steer::control::FrameBudget`), for the adapters of this package.
 #[pyclass(module = "entire._native")]
 pub(crate) struct FrameBudget(core::FrameBudget);
 
@@ -18,19 +19,19 @@ impl FrameBudget {
         Self(core::FrameBudget::default())
     }
 
-    /// Begins a frame of the window, which will draw about `volumes` volumes.
+    /// Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
     #[pyo3(signature = (volumes, /))]
     fn begin(&mut self, volumes: u32) {
         self.0.begin(volumes);
     }
 
-    /// Seconds for the next pass if the whole frame may take `target`.
+    /// Seconds that the next pass may take if the whole frame may take `target` seconds.
     #[pyo3(signature = (passed, target, /))]
     fn share(&self, passed: &PassShare, target: f32) -> f32 {
         self.0.share(&passed.0, target)
     }
 
-    /// Adds a pass that took `seconds`, and would have taken about `full` at full quality.
+    /// Adds a pass that took `seconds`; `full` is its estimated time in seconds at full quality.
     #[pyo3(signature = (passed, seconds, full, /))]
     fn drew(&mut self, passed: &mut PassShare, seconds: f32, full: f32) {
         self.0.drew(&mut passed.0, seconds, full);
@@ -42,7 +43,7 @@ impl FrameBudget {
         self.0.end(seconds, usual);
     }
 
-    /// Seconds of a frame outside of the passes.
+    /// Seconds of a frame outside of the passes: the median of the last five frames.
     #[getter]
     fn rest(&self) -> f32 {
         self.0.rest()

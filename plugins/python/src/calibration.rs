@@ -16,15 +16,15 @@ use entire_steer::predict::Inputs;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
-/// Timed frames of one renderer, and the model that fits them.
+/// Timed frames of one renderer, to which a model is fitted.
 ///
 /// Parameters
 /// ----------
 /// model : Model, str, os.PathLike or bytes, optional
 ///     The model to start from, fitted on another machine or renderer, such as
-///     ``"unshaded-selected"``. Without one, the unit costs of a software renderer.
+///     ``"unshaded-selected"``. Default: the unit costs of a software renderer.
 /// frames : int, optional
-///     How many frames are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
+///     Number of frames to keep, 8 to 65536: a uniform random sample if more are added. Default 1000.
 ///
 /// Raises
 /// ------
@@ -59,9 +59,9 @@ impl Calibration {
     /// size : (int, int)
     ///     Width and height of the image that was drawn, in pixels.
     /// seconds : float
-    ///     How long it took.
+    ///     Measured time of the frame.
     /// step : float, optional
-    ///     Ray step that it was drawn with, in reference steps. Default 1.
+    ///     Ray step of the frame, in reference steps. Default 1.
     /// shading, skipping, termination
     ///     As in :meth:`Session.plan`.
     ///
@@ -115,25 +115,25 @@ impl Calibration {
         added.map_err(raise)
     }
 
-    /// Adds a picture that was compared with the same view at full quality.
+    /// Adds the error of a picture against the same view at full quality.
     ///
-    /// The model then contains a law of the picture error as a function of ray step and image size
-    /// (:meth:`Session.set_quality`), if at least 3 scenes were drawn at the same settings: full quality,
-    /// steps alone, images alone and both.
+    /// The model then contains the renderer's quality law: picture error as a function of ray step and image
+    /// size (:meth:`Session.set_quality`). This needs at least 3 scenes, drawn at the same settings: full
+    /// quality, coarser steps alone, smaller images alone, and both.
     ///
     /// Parameters
     /// ----------
     /// scene : int
     ///     The same number for the same view.
     /// step : float
-    ///     Ray step, finest ones; 1 for full quality.
+    ///     Ray step as a multiple of the finest; 1 for full quality.
     /// image_sample_distance : float
     ///     Pixels between neighboring rays; 1 for full quality.
     /// seconds : float
-    ///     How long it took.
+    ///     Measured time of the picture.
     /// error : float
-    ///     How far it lies from the picture at full quality, by any measure that is 0 for equal pictures and
-    ///     grows: the root mean squared difference of colors, or 1 - SSIM.
+    ///     Difference from the picture at full quality, by any measure that is 0 for equal pictures and grows
+    ///     with the difference, such as the root mean square difference of colors, or 1 - SSIM.
     ///
     /// Raises
     /// ------
@@ -156,12 +156,12 @@ impl Calibration {
         Ok(self.0.lock(py)?.len())
     }
 
-    /// Fits the model: the bytes of its file and its report.
+    /// Fits the model; returns the bytes of its file, and its report.
     ///
     /// Parameters
     /// ----------
     /// renderer, clock : str, optional
-    ///     Whose seconds they are, and by which clock.
+    ///     Names of the renderer and of the clock that timed the frames.
     #[pyo3(signature = (renderer = "", clock = ""))]
     fn fit_bytes<'py>(&self, py: Python<'py>, renderer: &str, clock: &str) -> PyResult<Fitted<'py>> {
         let core = self.0.lock(py)?;

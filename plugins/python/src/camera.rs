@@ -7,7 +7,8 @@ use glam::{DMat3, DMat4, DVec3, Mat4, Vec3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Camera of a view of a volume. Made by :meth:`arcball`, :meth:`look_at`, :meth:`view` or :meth:`scene`.
+/// Camera of a view of a volume. Made by :meth:`arcball`, :meth:`look_at`, :meth:`view`, :meth:`scene` or
+/// :meth:`projection`.
 ///
 /// Lengths are relative to the volume's bounding sphere, so a camera belongs to volumes of one size.
 #[pyclass(frozen, from_py_object, module = "entire")]
@@ -44,7 +45,7 @@ impl Camera {
     }
 }
 
-/// Largest cosine between the volume's axes that still counts as a right angle.
+/// Maximum absolute cosine of the angle between two of the volume's axes that counts as a right angle.
 const SQUARE: f64 = 0.02;
 
 fn matrix(rows: [[f64; 4]; 4]) -> DMat4 {
@@ -58,7 +59,7 @@ pub(crate) fn from_view(
     fov: f32,
     scale: Option<f64>,
 ) -> PyResult<Camera> {
-    // Moved to the center in double precision: coordinates far from the origin would lose digits.
+    // The origin is moved to the center in double precision, since coordinates far from it would lose digits.
     let view = matrix(rows) * DMat4::from_translation(DVec3::from_array(volume.0.center()));
     let radius = volume.0.radius();
     Camera::new(
@@ -75,7 +76,7 @@ pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32, scale: Option<f6
 pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
     let (now, then) = (camera.view(), before.view());
     let turned = (now.row(2) - then.row(2)).abs();
-    // The scale of parallel cameras; 0 for perspective ones.
+    // Scales of parallel cameras; 0 for perspective cameras.
     let scales = [camera, before].map(|c| c.ray_basis(1, 1).0[2].length());
     let ratio = match scales {
         [0.0, 0.0] => now.w_axis.z / then.w_axis.z,
@@ -95,7 +96,7 @@ pub(crate) struct Placement {
 }
 
 impl Placement {
-    /// From the rows of both matrices.
+    /// `to_world` and `direction` are matrices row by row; see [`Camera::scene`].
     pub(crate) fn new(volume: &Volume, to_world: &[f64; 16], direction: &[f64; 9], center: [f64; 3]) -> Self {
         Self {
             to_world: DMat4::from_cols_array(to_world).transpose(),
@@ -125,7 +126,8 @@ impl Placement {
                 "the volume's matrix shears the volume; rotations, translations and scales can be predicted",
             ));
         }
-        // A rotation to single precision; a mirrored volume is replaced by its mirror image.
+        // Makes the axes a right-handed orthonormal basis. A mirrored volume is so predicted as its mirror
+        // image.
         let z = x.cross(y).normalize();
         let y = z.cross(x).normalize();
         let eye = to_eye.transform_point3(self.center) / scale;
@@ -171,9 +173,9 @@ impl Camera {
     /// eye : (float, float, float)
     ///     World position of the camera.
     /// target : (float, float, float), optional
-    ///     World position that it looks at. Default: the volume's center.
+    ///     World position that the camera looks at. Default: the volume's center.
     /// up : (float, float, float), optional
-    ///     A direction that points up in the picture; not along the view. Default 0, 1, 0.
+    ///     World direction that points up in the picture, not along the view. Default 0, 1, 0.
     /// fov : float, optional
     ///     Vertical field of view in degrees. Default 45.
     /// parallel_scale : float, optional
@@ -183,7 +185,7 @@ impl Camera {
     /// Raises
     /// ------
     /// ValueError
-    ///     Where eye and target are one point, `up` points along the view, or a number is not finite.
+    ///     If eye and target are the same point, `up` points along the view, or a number is not finite.
     #[staticmethod]
     #[pyo3(signature = (volume, eye, target = None, up = [0.0, 1.0, 0.0], fov = DEFAULT_FOV_Y_DEGREES, *,
         parallel_scale = None))]
@@ -202,7 +204,7 @@ impl Camera {
         if forward == DVec3::ZERO || right == DVec3::ZERO || !at.is_finite() {
             return Err(PyValueError::new_err(format!(
                 "eye {eye:?}, target {:?} and up {up:?} give no view; eye and target must differ, up must \
-                 not lie along the view",
+                 not point along the view",
                 target.to_array()
             )));
         }
@@ -218,7 +220,7 @@ impl Camera {
     /// volume : Volume
     ///     The volume that is seen.
     /// matrix : array_like, shape (4, 4)
-    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to the eye's: x right, y up,
+    ///     Maps homogeneous world coordinates (a column, ``matrix @ p``) to eye coordinates: x right, y up,
     ///     looking along -z. A rotation and a translation; no scale, no projection.
     /// fov : float, optional
     ///     Vertical field of view in degrees. Default 45.
@@ -229,7 +231,7 @@ impl Camera {
     /// Raises
     /// ------
     /// ValueError
-    ///     For a matrix that is no rotation and translation.
+    ///     For a matrix that is not a rotation and a translation.
     #[staticmethod]
     #[pyo3(signature = (volume, matrix, fov = DEFAULT_FOV_Y_DEGREES, *, parallel_scale = None))]
     fn view(volume: &Volume, matrix: [[f64; 4]; 4], fov: f32, parallel_scale: Option<f64>) -> PyResult<Self> {
@@ -247,9 +249,10 @@ impl Camera {
     /// to_world : array_like, shape (16,)
     ///     Rows of the matrix that places the volume in the world.
     /// direction : array_like, shape (9,)
-    ///     Rows of the matrix whose columns are the directions of the volume's axes before that.
+    ///     Rows of the matrix whose columns are the directions of the volume's axes before `to_world` is
+    ///     applied.
     /// center : (float, float, float)
-    ///     Middle of the volume's voxels before that.
+    ///     Middle of the volume's voxels before `to_world` is applied.
     /// fov : float
     ///     Vertical field of view in degrees; not used with `parallel_scale`.
     /// parallel_scale : float, optional
@@ -281,13 +284,13 @@ impl Camera {
     /// volume : Volume
     ///     The volume that is seen.
     /// matrix : array_like, shape (4, 4)
-    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to clip coordinates: x and y in
-    ///     [-w, w] are seen. Perspective or parallel; pixels square.
+    ///     Maps homogeneous world coordinates (a column, ``matrix @ p``) to clip coordinates: x and y in
+    ///     [-w, w] are seen. The projection is perspective or parallel, with square pixels.
     ///
     /// Raises
     /// ------
     /// ValueError
-    ///     For a matrix that shows nothing.
+    ///     For a matrix without such a view, for example a singular one.
     #[staticmethod]
     fn projection(volume: &Volume, matrix: [[f64; 4]; 4]) -> PyResult<Self> {
         let row = |i: usize| DVec3::new(matrix[i][0], matrix[i][1], matrix[i][2]);
@@ -300,7 +303,8 @@ impl Camera {
             let back = x.cross(y).normalize_or_zero();
             let half = (matrix[3][3] / y.length()).abs();
             (fov, scale) = (f64::from(DEFAULT_FOV_Y_DEGREES), Some(half));
-            // The point in the picture's middle at the volume's depth, and an eye before the volume.
+            // `at` leads from the volume's center to the point in the middle of the picture at the same
+            // depth; the eye is in front of the volume.
             let at = (x / x.length_squared()) * (-matrix[0][3] - x.dot(center))
                 + (y / y.length_squared()) * (-matrix[1][3] - y.dot(center));
             forward = if back.dot(z) > 0.0 { back } else { -back };
@@ -318,7 +322,8 @@ impl Camera {
         let right = forward.cross(up);
         if !eye.is_finite() || !(right.length() > 0.5) || !fov.is_finite() {
             return Err(PyValueError::new_err(
-                "the matrix shows nothing: it must take the world to clip coordinates, with x, y and w apart",
+                "the matrix gives no view; it must map the world to clip coordinates, with independent x, y \
+                 and w",
             ));
         }
         let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(eye)];
@@ -326,13 +331,13 @@ impl Camera {
         from_view(volume, rows, fov as f32, scale)
     }
 
-    /// True if the change from `before` to this camera is abrupt: a turn by more than 30 degrees, a change of
-    /// distance (or scale) by half, or another projection.
+    /// Returns true if the change from `before` to this camera is abrupt: a turn by about 30 degrees or more,
+    /// a change of distance (or scale) by half, or another projection.
     ///
     /// Parameters
     /// ----------
     /// before : Camera
-    ///     The camera of the frame before.
+    ///     The camera of the previous frame.
     ///
     /// Returns
     /// -------

@@ -15,8 +15,8 @@ use std::process::ExitCode;
 /// Returns
 /// -------
 /// int
-///     Exit status: 0, or 1 for an error, which standard error tells. Wrong usage ends the process with
-///     status 2.
+///     Exit status: 0, or 1 after an error, which is written to standard error. Wrong usage ends the process
+///     with status 2.
 #[pyfunction]
 pub(crate) fn command(py: Python<'_>, args: Vec<OsString>) -> i32 {
     i32::from(detached(py, || entire_cli::main_with_args(args)) != ExitCode::SUCCESS)

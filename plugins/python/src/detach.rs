@@ -13,10 +13,10 @@ use std::time::{Duration, Instant};
 
 /// The thread that ends the interpreter, once it is about to end. Written under the lock.
 static ENDING: OnceLock<ThreadId> = OnceLock::new();
-/// Threads in long calls or in Python's code that will ask for the lock.
+/// Number of threads in long calls or in Python's code that will ask for the lock.
 static AWAY: AtomicUsize = AtomicUsize::new(0);
 
-/// Time that the end waits for threads that are about to ask for the lock.
+/// Maximum time that [`end`] waits for threads that will ask for the lock.
 const GRACE: Duration = Duration::from_millis(500);
 
 /// True if another thread is about to end the interpreter.
@@ -31,11 +31,11 @@ fn stay() -> ! {
     }
 }
 
-/// Counts a thread that will ask for the lock, during its lifetime.
+/// During its lifetime, a thread counts as one that will ask for the lock.
 struct Away;
 
 impl Away {
-    /// If another thread is about to end the interpreter, this one blocks.
+    /// Counts this thread. Blocks if another thread is about to end the interpreter.
     fn new(py: Python<'_>) -> Self {
         if is_ending() {
             py.detach(|| stay());

@@ -28,8 +28,8 @@ create_exception!(
     entire,
     RejectedObservationError,
     PyValueError,
-    "A time that cannot be learned from: of an unknown plan, told twice, or no positive number. It changed \
-     nothing."
+    "A time that was rejected: of an unknown plan, of a plan observed before, or not finite and positive. \
+     Nothing has changed."
 );
 
 /// The exception for an error of the library.

@@ -1,12 +1,12 @@
-//! Files that are written whole or not at all.
+//! Files that are written completely or not at all.
 
 use crate::detach::detached;
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// Writes a file that is never left in part: under an unpredictable name beside it, flushed to the disk, then
-/// renamed.
+/// Writes a file completely or not at all: under an unpredictable name beside it, which is flushed to the
+/// disk and then renamed.
 ///
 /// Parameters
 /// ----------
@@ -16,14 +16,14 @@ use std::path::PathBuf;
 /// Raises
 /// ------
 /// OSError
-///     Names the file that cannot be written.
+///     If the file cannot be written; the text names it.
 #[pyfunction]
 pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResult<()> {
     detached(py, || entire_io::files::write_whole(&path, data))
         .map_err(|error| PyOSError::new_err(format!("{error:#}")))
 }
 
-/// The file of this machine's model that `entire calibrate` stored in the user's data folder.
+/// Path of this machine's model, which `entire calibrate` stored in the user's data folder.
 ///
 /// Parameters
 /// ----------
@@ -39,7 +39,7 @@ pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResul
 /// ValueError
 ///     For another shading mode.
 /// FileNotFoundError
-///     If the machine was not calibrated for the mode; the text has the command.
+///     If the machine was not calibrated for the mode; the text gives the command to do so.
 #[pyfunction]
 pub(crate) fn machine_file(shading: &str) -> PyResult<PathBuf> {
     let shading = entire_io::dataset::parse_shading(shading)

@@ -49,7 +49,7 @@ impl Shape {
         Ok(Self { size: sides(size), step, shading, skipping, termination })
     }
 
-    /// The same with another size, and another step if one is given.
+    /// These parameters with another size, and with another step if one is given.
     pub(crate) fn at(self, size: (i64, i64), step: Option<f32>) -> Self {
         Self { size: sides(size), step: step.unwrap_or(self.step), ..self }
     }

@@ -8,23 +8,23 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-/// Parameters of a held volume that seldom change: its place in the scene and its rendering. For
+/// Parameters of a held volume that seldom change: its placement in the scene and its render modes. For
 /// :meth:`Session.steer`.
 ///
 /// Parameters
 /// ----------
 /// volume : Volume
 /// to_world, direction, center
-///     As :meth:`Camera.scene` takes them.
+///     As in :meth:`Camera.scene`.
 /// step : float
-///     The frames' own step in reference steps.
+///     Ray step of frames that are not steered, in reference steps.
 /// shading, skipping, termination
 ///     As in :meth:`Session.plan`.
 ///
 /// Raises
 /// ------
 /// ValueError
-///     For a word that is none of those accepted.
+///     For an unknown shading or skipping mode.
 #[pyclass(frozen, module = "entire._native")]
 pub(crate) struct Held {
     placement: Placement,
@@ -66,7 +66,7 @@ impl Held {
         let mut rows = [0.0; 16];
         if to_eye.len() != rows.len() {
             return Err(PyValueError::new_err(format!(
-                "to_eye has {} elements; it must have the 16 of a matrix, row by row",
+                "to_eye has {} elements; it must have the 16 elements of a matrix, row by row",
                 to_eye.len()
             )));
         }

@@ -19,7 +19,7 @@ pub(crate) struct Entry {
     pub(crate) verdict: &'static str,
 }
 
-/// Observed frames, oldest first; the oldest are dropped.
+/// The last [`KEPT`] observed frames, oldest first.
 #[derive(Default)]
 pub(crate) struct History(VecDeque<Entry>);
 

@@ -29,7 +29,7 @@ impl Loaded {
         }
         let Some(net) = &self.net else {
             return Err(ModelError::new_err(
-                "the model has no prediction network; take one such as \"unshaded-selected\", or a file \
+                "the model has no prediction network; use a model such as \"unshaded-selected\", or a file \
                  from `entire train`",
             ));
         };
@@ -52,7 +52,7 @@ impl Loaded {
     fn encode(&self, py: Python<'_>, volume: &Data) -> PyResult<Vec<f32>> {
         let Some(encoder) = &self.encoder else {
             return Err(ModelError::new_err(
-                "the model has no volume encoder; take one such as \"volumenet-64f2\", or a file with \
+                "the model has no volume encoder; use a model such as \"volumenet-64f2\", or a file with \
                  volumenet.* tensors",
             ));
         };
@@ -85,12 +85,12 @@ impl Model {
         Ok(Self(Arc::new(loaded.map_err(raise)?)))
     }
 
-    /// Turns a volume into its feature vector.
+    /// Encodes a volume into its feature vector.
     ///
     /// Parameters
     /// ----------
     /// volume : Volume
-    ///     Any size; it is resampled to the encoder's input.
+    ///     A volume of any size, which is resampled to the encoder's input size.
     ///
     /// Returns
     /// -------
@@ -121,13 +121,13 @@ impl Model {
         Ok(dict)
     }
 
-    /// bool : Whether it predicts frame times.
+    /// bool : True if the model predicts frame times.
     #[getter]
     fn predicts(&self) -> bool {
         self.0.net.is_some()
     }
 
-    /// bool : Whether it encodes volumes.
+    /// bool : True if the model encodes volumes.
     #[getter]
     fn encodes(&self) -> bool {
         self.0.encoder.is_some()

@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 /// Settings of a frame to draw, and its expected time.
 #[pyclass(frozen, get_all, module = "entire")]
 pub(crate) struct Plan {
-    /// int : Names this plan in :meth:`Session.observe`.
+    /// int : Number of this plan in its session; never 0.
     id: u64,
     /// float : Ray step in reference steps (smallest voxel spacings).
     step: f32,
@@ -15,16 +15,16 @@ pub(crate) struct Plan {
     image_sample_distance: f32,
     /// tuple of int : Width and height of the image to draw, in pixels.
     size: (u32, u32),
-    /// float : Expected seconds; NaN where nothing is known.
+    /// float : Expected seconds; NaN if unknown.
     seconds: f32,
-    /// float : Upper bound of the seconds; NaN where there is none.
+    /// float : Upper bound of the seconds; NaN if there is none.
     upper: f32,
     /// float : 0 inside the predictor's training range, 1 at the limit up to which it is trusted, larger
     /// beyond; NaN if unknown.
     out_of_range: f32,
-    /// str : Reason of the step, in a word or two: "fits", "held", "damped", "finest allowed", ...
+    /// str : Reason for the step, in a word or two: "fits", "held", "damped", "finest allowed", ...
     reason: &'static str,
-    /// float : Seconds that the frame may take.
+    /// float : Target time of the frame in seconds.
     target: f32,
 }
 
@@ -69,11 +69,11 @@ impl Plan {
 pub(crate) struct Prediction {
     /// float : Expected seconds.
     seconds: f32,
-    /// float : Upper bound of the seconds; NaN where there is none.
+    /// float : Upper bound of the seconds; NaN if there is none.
     upper: f32,
     /// float : As in :class:`Plan`.
     out_of_range: f32,
-    /// str : "analytic", "network" or "history".
+    /// str : Source of the prediction: "analytic", "network" or "history".
     source: &'static str,
 }
 

@@ -38,8 +38,8 @@ impl Session {
         self.state.lock(py)
     }
 
-    /// Sets another volume; it is scanned and encoded with the interpreter lock released, before the session
-    /// is locked.
+    /// Sets a volume. It is scanned and encoded before the session is locked, with the interpreter lock
+    /// released.
     fn take_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
         volume.0.summary(py)?;
         let model = self.model.lock(py)?.clone();
@@ -50,7 +50,7 @@ impl Session {
         self.state(py)?.take_volume(py, &volume.0, features.as_deref())
     }
 
-    /// A frame, and the state with its transfer function set.
+    /// The frame of a call, and the locked state, in which the call's transfer function is set.
     fn begin(
         &self,
         py: Python<'_>,
@@ -62,7 +62,7 @@ impl Session {
         Ok((frame, self.taking(py, tf)?))
     }
 
-    /// The state with a transfer function set.
+    /// The locked state, in which a transfer function is set.
     fn taking(&self, py: Python<'_>, tf: Option<&TransferFunction>) -> PyResult<MutexGuard<'_, State>> {
         let mut state = self.state(py)?;
         if let Some(tf) = tf {
@@ -109,9 +109,9 @@ impl Session {
         Ok(made)
     }
 
-    /// Sets the volume. Its first use scans its voxels once; a model with volume features encodes them. With
-    /// the next time step of the current volume (:meth:`Volume.next`) the transfer function and the learned
-    /// state of the scene are kept.
+    /// Sets the volume. The first use of a volume scans its voxels; a model with volume features encodes
+    /// them. If it is the next time step of the current volume (:meth:`Volume.next`), the transfer function
+    /// and the learned state of the scene are kept.
     ///
     /// Parameters
     /// ----------
@@ -120,12 +120,12 @@ impl Session {
     /// Raises
     /// ------
     /// ModelError
-    ///     Where the model takes volume features and has no encoder.
+    ///     If the model takes volume features and has no encoder.
     fn set_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
         self.take_volume(py, volume)
     }
 
-    /// Sets the transfer function; :meth:`plan` and :meth:`predict` do so too.
+    /// Sets the transfer function. :meth:`plan` and :meth:`predict` set it too.
     ///
     /// Parameters
     /// ----------
@@ -144,7 +144,7 @@ impl Session {
     /// Parameters
     /// ----------
     /// finest, coarsest : float
-    ///     In reference steps; 1/64 <= finest <= coarsest <= 4096. At first 1 and 16.
+    ///     Ray steps in reference steps; 1/64 <= finest <= coarsest <= 4096. Initially 1 and 16.
     ///
     /// Raises
     /// ------
@@ -154,16 +154,16 @@ impl Session {
         self.state(py)?.core.set_limits(StepLimits { finest, coarsest }).map_err(raise)
     }
 
-    /// Allows plans to shrink the image.
+    /// Allows plans to make the image smaller.
     ///
     /// Parameters
     /// ----------
     /// coarsest : float
-    ///     Most pixels between rays along each side of the image, 1 to 64. 1, as sessions start, leaves the
-    ///     image alone.
+    ///     Maximum number of pixels between rays along each side of the image, 1 to 64. 1, the initial value,
+    ///     keeps the full image size.
     /// step_alone : float, optional
-    ///     How many times the finest step comes before any smaller image, 1 to 64. Default 1; about 2 where a
-    ///     smaller image is blurred by much.
+    ///     Multiple of the finest step up to which only the step is coarsened, 1 to 64. Default 1; use about
+    ///     2 if smaller images are blurred strongly.
     ///
     /// Raises
     /// ------
@@ -174,23 +174,25 @@ impl Session {
         self.state(py)?.core.set_max_image_sample_distance(coarsest, step_alone).map_err(raise)
     }
 
-    /// Sets the law of the picture error of this renderer, so that plans coarsen step or image, whichever
-    /// adds less error.
+    /// Sets the quality law of this renderer (picture error as a function of ray step and image size), so
+    /// that plans coarsen step or image, whichever adds less error.
     ///
-    /// The error of a picture is proportional to ``(s - 1)**step_exponent + image_weight * (d -
-    /// 1)**image_exponent`` and its time to ``(ray_share + (1 - ray_share) / s) / d**2``, for a step of s
-    /// times the finest and rays d pixels apart. Replaces `step_alone` in
+    /// For a step of s times the finest and rays d pixels apart, the error of a picture is proportional to
+    /// ``(s - 1)**step_exponent + image_weight * (d - 1)**image_exponent``, and its time to
+    /// ``(ray_share + (1 - ray_share) / s) / d**2``. The law replaces `step_alone` of
     /// :meth:`set_max_image_sample_distance`.
     ///
     /// Parameters
     /// ----------
     /// image_weight : float or None
-    ///     What an image of half the size along each side costs, over what a step twice as coarse does: 1e-3 to
-    ///     1e3. None, as sessions start, takes what the model states of this renderer's pictures, if anything.
+    ///     Error of an image of half the size along each side, divided by the error of a step twice as
+    ///     coarse, 1e-3 to 1e3. With None, the initial value, the session uses the model's law, if the model
+    ///     was calibrated with pictures of this renderer.
     /// step_exponent, image_exponent : float, optional
-    ///     How the costs grow, 0.05 to 8. Default 1.
+    ///     Exponents of the errors of step and image, 0.05 to 8. Default 1.
     /// ray_share : float, optional
-    ///     Share of the time at full quality that goes with rays, not with their samples, 0 to 0.9. Default 0.
+    ///     Share of the time at full quality that is proportional to the number of rays, not of their
+    ///     samples, 0 to 0.9. Default 0.
     ///
     /// Raises
     /// ------
@@ -218,8 +220,8 @@ impl Session {
         Ok(known.map(|q| (q.image_weight, q.step_exponent, q.image_exponent, q.ray_share)))
     }
 
-    /// Switches steering off (every plan returns the frame's own step: for screenshots and still frames) or
-    /// on again.
+    /// Turns steering off or on again. While it is off, every plan returns the frame's own step, for
+    /// screenshots and still frames.
     ///
     /// Parameters
     /// ----------
@@ -237,31 +239,33 @@ impl Session {
     /// camera : bool, optional
     ///     The camera jumped.
     /// mode : bool, optional
-    ///     The renderer draws in another way.
+    ///     The render mode changed.
     /// first : bool, optional
-    ///     The renderer has to build something first, or draws on another device.
+    ///     The renderer must build a pipeline first, or draws on another device.
     #[pyo3(signature = (*, camera = false, mode = false, first = false))]
     fn mark(&self, py: Python<'_>, camera: bool, mode: bool, first: bool) -> PyResult<()> {
         self.state(py)?.core.mark(Changes { camera, mode, first, ..Changes::default() });
         Ok(())
     }
 
-    /// Chooses the next frame's settings, so that it takes at most `target` seconds.
+    /// Chooses the settings of the next frame, so that it takes at most `target` seconds.
     ///
     /// Parameters
     /// ----------
     /// camera : Camera
     /// tf : TransferFunction or None
-    ///     None keeps the one before. One object per function: another object counts as a change.
+    ///     None keeps the previous transfer function. Pass the same object for the same function: another
+    ///     object counts as a change.
     /// size : (int, int)
     ///     Width and height of the full image in pixels, 1 to 16384.
     /// target : float
-    ///     Seconds, positive.
+    ///     Target time of the frame in seconds, positive.
     /// step : float, optional
-    ///     The frame's own step in reference steps, which a session that is switched off answers. Default 1.
+    ///     The frame's own step in reference steps, which the plan returns if steering is off. Default 1.
     /// shading : {"none", "local", "scatter"}, optional
+    ///     Shading of samples: none, local lighting, or single scattering.
     /// skipping : {"blocks", "none", "distance"}, optional
-    ///     How the renderer skips empty space.
+    ///     Method by which the renderer skips empty space.
     /// termination : float, optional
     ///     Accumulated opacity at which rays stop, over 0 and up to 1 (never). Default 0.99.
     ///
@@ -272,9 +276,9 @@ impl Session {
     /// Raises
     /// ------
     /// NotReadyError
-    ///     Where no volume or no transfer function is set.
+    ///     If no volume or no transfer function is set.
     /// MissingInputError
-    ///     Where the model needs an input that was not given, such as Gaussian lobes.
+    ///     If the model needs an input that was not given, such as Gaussian lobes.
     /// ValueError
     ///     For a size, step, target or termination out of range.
     #[pyo3(signature = (camera, tf, size, target, *, step = 1.0, shading = "none", skipping = "blocks",
@@ -312,17 +316,17 @@ impl Session {
     /// size : (int, int)
     ///     Width and height of the full image in pixels, 1 to 16384.
     /// target : float
-    ///     Seconds, positive.
+    ///     Target time of the frame in seconds, positive.
     /// step : float, optional
     ///     The frame's own step in reference steps. Default: that of `held`.
     /// enabled : bool, optional
-    ///     Whether the frame is steered; else the plan answers its own step. Default True.
+    ///     True to steer the frame; otherwise the plan returns the frame's own step. Default True.
     /// due : Plan, optional
-    ///     The plan of the frame before, where it has not been observed yet.
+    ///     The plan of the previous frame, if its time was not observed yet.
     /// seconds : float, optional
-    ///     How long that frame took. A time that is rejected teaches nothing.
+    ///     Measured time of that frame. A rejected time has no effect.
     /// cancelled : bool, optional
-    ///     As in :meth:`observe`, of that frame.
+    ///     As in :meth:`observe`, for that frame.
     ///
     /// Returns
     /// -------
@@ -367,18 +371,18 @@ impl Session {
         Ok((plan, core.step, core.image_sample_distance))
     }
 
-    /// Chooses among settings, best picture first: the first that is expected to meet the target, else the
-    /// fastest.
+    /// Chooses among settings, best picture first: the first whose upper bound meets the target, else the one
+    /// expected to be fastest.
     ///
-    /// For renderers whose steps or sizes come in a few values.
+    /// For renderers that allow only a few steps or sizes.
     ///
     /// Parameters
     /// ----------
     /// camera, tf, size, target, shading, skipping, termination
     ///     As in :meth:`plan`.
     /// settings : sequence of (step, (width, height))
-    ///     Ray step in reference steps and size in pixels, of the shape of `size`; best picture first, at
-    ///     most 64.
+    ///     Ray step in reference steps, and image size in pixels with the aspect ratio of `size`; best
+    ///     picture first, at most 64.
     ///
     /// Returns
     /// -------
@@ -420,24 +424,25 @@ impl Session {
     /// Parameters
     /// ----------
     /// plan : Plan
-    ///     Among the last 64 plans of this session.
+    ///     One of the last 64 plans of this session.
     /// seconds : float
+    ///     Measured time of the frame.
     /// unusual : bool, optional
-    ///     The time holds work that is not the frame's (a compile, an upload, a stall).
+    ///     The time includes work that is not the frame's (a compilation, an upload, a stall).
     /// cancelled : bool, optional
-    ///     The frame was abandoned; its time says only that it takes at least that long.
+    ///     The frame was abandoned; its time is only a lower bound.
     ///
     /// Returns
     /// -------
     /// str
-    ///     "learned", "clipped" (far from what was expected: its pull was clipped) or "ignored" (flagged, or
-    ///     the first frame).
+    ///     "learned"; "clipped" if the time is far from the expected one, so that its influence was limited;
+    ///     or "ignored" if the frame was unusual, or cancelled no later than its expected end.
     ///
     /// Raises
     /// ------
     /// RejectedObservationError
     ///     For a plan that is unknown, forgotten or observed before, and a time that is not finite, not
-    ///     positive or over 10,000 s. It changes nothing.
+    ///     positive or over 10,000 s. Nothing is learned then.
     #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false))]
     fn observe(
         &self,
@@ -451,8 +456,8 @@ impl Session {
         Ok(self.state(py)?.observe(plan.id(), seconds as f32, flags)?.into())
     }
 
-    /// Predicts a frame's seconds at its own step, corrected by the observed frames; does not influence later
-    /// plans.
+    /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. Does not
+    /// influence later plans.
     ///
     /// Parameters
     /// ----------
@@ -520,7 +525,7 @@ impl Session {
             ));
         };
         let all = self::cameras(cameras, &Volume(volume), fov)?;
-        // Every frame is checked before the first is predicted.
+        // Every frame is checked before any is predicted.
         let frames = all.into_iter().map(|camera| shape.frame(camera)).collect::<PyResult<Vec<_>>>()?;
         let core = &mut state.core;
         let seconds =
@@ -566,10 +571,10 @@ impl Session {
         Ok(self.state(py)?.core.recorded())
     }
 
-    /// Fits a model to the recorded frames: the bytes of its file and its report.
+    /// Fits a model to the recorded frames; returns the bytes of its file, and its report.
     fn calibrate_bytes<'py>(&self, py: Python<'py>) -> PyResult<Fitted<'py>> {
         let mut state = self.state(py)?;
-        // Exclusive access: predictors cannot be shared.
+        // Exclusive access, since predictors are not `Sync`.
         let core = &mut state.core;
         let fitted = detached(py, move || {
             let fitted = core.calibrate(Executor::Serial)?;
@@ -589,7 +594,7 @@ impl Session {
     /// Raises
     /// ------
     /// ModelError
-    ///     For a model that predicts nothing.
+    ///     For a model without a prediction network.
     /// ValueError
     ///     While frames are recorded with another probe than the model's.
     fn steer_by(&self, py: Python<'_>, model: &Model) -> PyResult<()> {
@@ -654,7 +659,7 @@ impl Session {
     /// ValueError
     ///     For bytes that are cut short, damaged or of another controller.
     /// ModelError
-    ///     For a whole state of another model, renderer or clock (:meth:`set_timing_source`).
+    ///     For a valid state of another model, renderer or clock (:meth:`set_timing_source`).
     fn load_state(&self, py: Python<'_>, state: &[u8]) -> PyResult<()> {
         self.state(py)?.core.load_state(state).map_err(raise)
     }

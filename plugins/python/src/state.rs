@@ -19,6 +19,7 @@ pub(crate) struct State {
     transfer: Option<Arc<Transfer>>,
     /// The camera of the last steered frame.
     camera: Option<CoreCamera>,
+    /// The last plans and their targets in seconds.
     plans: Box<[Option<(CorePlan, f32)>; PENDING_PLANS]>,
     pub(crate) history: History,
 }
@@ -70,7 +71,7 @@ impl State {
         Ok(())
     }
 
-    /// Marks a jump of the camera.
+    /// Announces a jump of the camera, if it jumped since the last steered frame.
     pub(crate) fn follow(&mut self, camera: CoreCamera) {
         if self.camera.is_some_and(|before| crate::camera::jumps(&before, &camera)) {
             self.core.mark(Changes { camera: true, ..Changes::default() });

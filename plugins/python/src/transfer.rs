@@ -44,8 +44,8 @@ impl Transfer {
 
 /// Opacity and color of scalar values. Made by :meth:`lobes`, :meth:`points`, :meth:`nodes` or :meth:`table`.
 ///
-/// Opacities are those of one unit of length along a ray: `unit_distance` reference steps (1 by default; a
-/// reference step is the smallest voxel spacing), or `unit_length` in the unit of the volume's spacing.
+/// Opacities hold over one length along a ray: `unit_distance` reference steps (1 by default; a reference
+/// step is the smallest voxel spacing), or `unit_length` in the unit of the volume's spacing.
 #[pyclass(frozen, module = "entire")]
 pub(crate) struct TransferFunction(pub(crate) Arc<Transfer>);
 
@@ -57,7 +57,7 @@ fn made(
     let unit = match (unit_distance, unit_length) {
         (Some(_), Some(_)) => {
             return Err(PyValueError::new_err(
-                "unit_distance and unit_length are both given; opacities belong to one length: pass one of \
+                "unit_distance and unit_length are both given; opacities hold over one length: pass one of \
                  them",
             ));
         }
@@ -65,7 +65,7 @@ fn made(
         (distance, None) => Unit::ReferenceSteps(distance.unwrap_or(1.0)),
     };
     let table = description.to_table().map_err(raise)?;
-    // An invalid unit is reported here rather than where a volume is used.
+    // Only a check, so that an invalid length is reported here and not when a volume is used.
     let (Unit::ReferenceSteps(length) | Unit::World(length)) = unit;
     table.clone().with_unit_distance(length).map_err(raise)?;
     Ok(TransferFunction(Arc::new(Transfer { description, table, unit })))
@@ -116,12 +116,13 @@ impl TransferFunction {
         made(Description::Gaussian(lobes), unit_distance, unit_length)
     }
 
-    /// Control points with straight lines between them, constant beyond the first and the last.
+    /// Control points with linear interpolation between them, constant beyond the first and the last.
     ///
     /// Parameters
     /// ----------
     /// points : sequence of (position, opacity) or (position, red, green, blue, opacity)
-    ///     In ascending position; everything in [0, 1]. Two points at one position make a step.
+    ///     Points in ascending order of position; all numbers in [0, 1]. Two points at one position make a
+    ///     step.
     /// unit_distance, unit_length : float, optional
     ///     Length that opacities belong to, see the class.
     ///
@@ -147,15 +148,14 @@ impl TransferFunction {
     /// Parameters
     /// ----------
     /// opacity : sequence of (position, opacity) or (position, opacity, midpoint, sharpness)
-    ///     Positions in scalar values, ascending; everything else in [0, 1]. Midpoint 0.5 and sharpness 0 are
-    ///     linear.
-    /// color : sequence of (position, red, green, blue) or (position, red, green, blue, midpoint, sharpness),
-    /// optional
+    ///     Positions are scalar values, ascending; all other numbers lie in [0, 1]. Midpoint 0.5 and
+    ///     sharpness 0 interpolate linearly.
+    /// color : sequence of (position, red, green, blue[, midpoint, sharpness]), optional
     ///     Default: a color ramp.
     /// range : (float, float)
-    ///     Scalar values that [0, 1] stands for: the volume's range.
+    ///     Scalar values that map to 0 and 1: the volume's range.
     /// clamp : bool, optional
-    ///     Whether the outermost nodes' values go on beyond them. Default True.
+    ///     True if the values of the outermost nodes continue beyond them. Default True.
     /// unit_distance, unit_length : float, optional
     ///     Length that opacities belong to, see the class.
     ///

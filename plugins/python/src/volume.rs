@@ -14,7 +14,7 @@ use pyo3::sync::PyOnceLock;
 use pyo3::types::PyDict;
 use std::sync::{Arc, OnceLock};
 
-/// A volume's voxels, or the summary that prediction needs.
+/// A volume's voxels, and the summary that prediction needs.
 pub(crate) struct Data {
     view: VolumeView<'static>,
     origin: [f64; 3],
@@ -22,16 +22,16 @@ pub(crate) struct Data {
     copied: bool,
     /// Fill values, which mark voxels without data.
     fill: Vec<f32>,
-    /// Axes of the array along x, y, z.
+    /// Indices of the array's axes that run along x, y, z.
     order: [usize; 3],
-    /// State that time steps share, and the number of this one.
+    /// State that the time steps of a volume share, and the number of this step.
     series: Arc<Guarded<Series>>,
     step: u64,
     /// Keeps the memory of `view` alive.
     owner: Py<PyAny>,
 }
 
-/// Data of the time step that was made last.
+/// Data and number of the latest time step.
 #[derive(Default)]
 struct Series {
     kept: Option<Box<SummarySeries>>,
@@ -53,7 +53,7 @@ impl Data {
         Ok(self.summary.get_or_init(|| summary))
     }
 
-    /// True if this is another time step of a volume.
+    /// True if this and the other volume are different time steps of one volume.
     pub(crate) fn follows(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.series, &other.series) && self.step != other.step
     }
@@ -91,16 +91,16 @@ impl Data {
 /// origin : (float, float, float), optional
 ///     World position of the first voxel's center, in the same unit. Default 0, 0, 0.
 /// axes : {"zyx", "xyz"}, optional
-///     Which axis of the array is which: ``array[z, y, x]`` (the default; x fastest in C order) or
+///     Order of the array's axes: ``array[z, y, x]`` (the default; x fastest in C order) or
 ///     ``array[x, y, z]``.
 /// range : (float, float), optional
-///     Scalar values that the transfer function's ends belong to. Default: 0 to 255 for ``uint8``, else the
-///     smallest and the largest finite voxel that holds no fill value.
+///     Scalar values at the two ends of the transfer function. Default: 0 to 255 for ``uint8``, else the
+///     smallest and the largest finite voxel that is not a fill value.
 /// fill : "auto", None, float or sequence of float, optional
-///     Values that stand for voxels without data. Such voxels, those that a masked array hides, and NaN count
-///     as the low end of the range; a warning says how many there are. "auto" (the default) finds them where
-///     no range is given: the least or the greatest value of all, in one voxel of a thousand or more, far from
-///     all others. None takes every value as data.
+///     Values of voxels without data. Such voxels, those that a masked array hides, and NaN count as the low
+///     end of the range; a warning says how many there are. "auto" (the default) detects fill values if no
+///     range is given: the least or the greatest value of all, in at least one voxel of a thousand, far from
+///     all others. With None, every value is data.
 ///
 /// Masked arrays, and arrays whose fill value is above all other values, are copied.
 ///
@@ -109,8 +109,8 @@ impl Data {
 /// TypeError
 ///     For an array that does not hold numbers.
 /// ValueError
-///     For an array that is empty or has not three axes, a spacing that is not positive, a range that is not
-///     finite or upside down.
+///     For an array that is empty or does not have three axes, a spacing that is not positive, a range that
+///     is not finite or not ascending.
 ///
 /// Examples
 /// --------
@@ -140,7 +140,7 @@ fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, P
     options.set_item("order", "C")?;
     let numpy = py.import("numpy")?;
     let quiet = PyDict::new(py);
-    // Values beyond float32 become infinities, which count as the ends of the range.
+    // Values beyond the range of float32 become infinities, which count as the ends of the range.
     quiet.set_item("over", "ignore")?;
     let made = calling(py, || {
         let state = numpy.call_method("errstate", (), Some(&quiet))?;
@@ -152,7 +152,7 @@ fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, P
     Ok(made?.cast_into::<PyUntypedArray>()?)
 }
 
-/// Type in which an array is stored: its own, or another one.
+/// Scalar type in which an array is kept, and the dtype to convert it to; `None` if it is used as it is.
 fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'static str>)> {
     let dtype = array.dtype();
     let native = dtype.is_native_byteorder() != Some(false);
@@ -165,7 +165,7 @@ fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'
         (b'i', 1) => Ok((ScalarType::I16, Some("int16"))),
         (b'u' | b'i' | b'f', _) => Ok((ScalarType::F32, Some("float32"))),
         _ => Err(PyTypeError::new_err(format!(
-            "the array's dtype is {dtype}; integers, floats and bool can be drawn (take one component, or \
+            "the array's dtype is {dtype}; integers, floats and bool can be drawn (pass one component, or \
              the magnitude)"
         ))),
     }
@@ -173,11 +173,11 @@ fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'
 
 /// Fill values, as Python gives them.
 pub(crate) enum Fill {
-    /// To be detected.
+    /// Fill values are detected.
     Auto,
-    /// These; none for `None`.
+    /// Given fill values; empty for Python's `None`.
     Values(Vec<f32>),
-    /// Those of an earlier time step.
+    /// The fill values of an earlier time step.
     Known(Vec<f32>),
 }
 
@@ -212,8 +212,8 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// A copy of an array in which voxels under a mask, and those with the values, get the minimum of all others;
-/// and their number.
+/// A copy of an array in which voxels under a mask, and those with a value of `values`, have the minimum of
+/// all other voxels; and the number of these voxels.
 fn hide<'py>(
     array: &Bound<'py, PyAny>,
     mask: Option<&Bound<'py, PyAny>>,
@@ -223,7 +223,7 @@ fn hide<'py>(
     let numpy = py.import("numpy")?;
     calling(py, || {
         let copy = numpy.call_method1("array", (asarray(array)?,))?;
-        // Compared as in a file: rounded to 32-bit floats.
+        // Values are compared as the readers of volume files do: rounded to 32-bit floats.
         let narrow = copy.call_method1("astype", ("float32",))?;
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {
@@ -243,7 +243,7 @@ fn hide<'py>(
     })
 }
 
-/// Warns the caller, once for each place.
+/// Issues a Python `UserWarning`, which Python shows once for each place of the call.
 fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
     let text = std::ffi::CString::new(text)?;
     PyErr::warn(py, &py.get_type::<pyo3::exceptions::PyUserWarning>(), &text, 1)
@@ -260,7 +260,7 @@ unsafe fn elements<T>(at: *const u8, count: usize) -> &'static [T] {
 }
 
 impl Volume {
-    /// An array as voxels.
+    /// Makes the voxels of a volume from an array, in place if possible.
     fn look_at(
         py: Python<'_>,
         array: &Bound<'_, PyAny>,
@@ -281,7 +281,8 @@ impl Volume {
                 warn(
                     py,
                     &format!(
-                        "{count} voxels are hidden by a mask or a fill value; they count as the low end"
+                        "{count} voxels are hidden by a mask or a fill value; they count as the low end \
+                         of the range"
                     ),
                 )?;
             }
@@ -354,11 +355,11 @@ impl Volume {
             warn(
                 py,
                 &format!(
-                    "{list} is taken as a fill value, far from all others ({low} to {high}): its voxels count as the \
-                     low end; fill=None takes it as data"
+                    "{list} is taken as a fill value, far from all other values ({low} to {high}): its \
+                     voxels count as the low end of the range; fill=None makes it data"
                 ),
             )?;
-            // Voxels below the range clamp to its low end without conversion.
+            // Fill values below the range need no copy, since they are clamped to its low end.
             if found.iter().any(|f| *f > high) {
                 let (hidden, _) = hide(array, None, &found)?;
                 let none = Fill::Values(Vec::new());
@@ -367,7 +368,7 @@ impl Volume {
                 return Ok(data);
             }
         }
-        // Declared values count in the range, however far they lie.
+        // With declared fill values, all other values belong to the range, however far apart they are.
         let view = match (range, fill) {
             (None, Fill::Values(_)) if !matches!(scalars, Scalars::U8(_)) => {
                 let options = VolumeOptions { range: Some(detached(py, || view.own_range())), ..options };
@@ -420,14 +421,19 @@ impl Volume {
         Self::look_at(py, array, spacing, origin, order, range, &fill).map(|data| Self(Arc::new(data)))
     }
 
-    /// The next time step: another array of the same shape and type, or the same one with new values.
-    /// Spacing, origin, axes and range stay the same. Changes are found in one pass over the voxels, much
-    /// faster than the scan of a volume, and only changed cells are scanned again; the first call scans the
-    /// whole volume. :meth:`Session.set_volume` with it keeps the learned state of the scene.
+    /// Returns the next time step of this volume: another array of the same shape and type, or the same array
+    /// with new values. Spacing, origin, axes and range stay the same. One pass over the voxels finds the
+    /// changes, much faster than the scan of a volume, and only changed cells are scanned again; the first
+    /// call scans the whole volume. :meth:`Session.set_volume` with the result keeps the learned state of the
+    /// scene.
     ///
-    /// Parameters ---------- array : array_like, 3-D Voxels of the next time step. changed : ((int, int),
-    /// (int, int), (int, int)), optional The box that changed, if known: first index and end along each axis
-    /// of the array. Nothing outside of it is read. Ignored except for the latest time step of a series.
+    /// Parameters
+    /// ----------
+    /// array : array_like, 3-D
+    ///     Voxels of the next time step.
+    /// changed : ((int, int), (int, int), (int, int)), optional
+    ///     The box that changed, if known: first index and end along each axis of the array. Nothing outside
+    ///     of the box is read. Ignored unless this is the latest time step of its volume.
     ///
     /// Raises
     /// ------
@@ -457,7 +463,7 @@ impl Volume {
         let mut data = Self::look_at(py, array, spacing, before.origin, before.order, range, &fill)?;
         data.series = before.series.clone();
         let mut series = before.series.lock(py)?;
-        // Changes since another time step were not given.
+        // The box describes changes since this time step, but the series compares with the latest one.
         let changed = changed.filter(|_| before.step == series.step || series.kept.is_none());
         let changed = changed.map(|axes| before.order.map(|axis| axes[axis].0..axes[axis].1));
         let mut kept = match series.kept.take() {
@@ -503,26 +509,26 @@ impl Volume {
         self.0.radius()
     }
 
-    /// tuple of float : Scalar values that the transfer function's ends belong to.
+    /// tuple of float : Scalar values at the two ends of the transfer function.
     #[getter]
     fn range(&self) -> (f32, f32) {
         self.0.view.range()
     }
 
-    /// float : The reference ray step (the smallest spacing), of which plans are multiples, in the unit of
-    /// the spacing.
+    /// float : The reference step, in the unit of the spacing: the smallest voxel spacing. Ray steps of plans
+    /// are multiples of it.
     #[getter]
     fn reference_step(&self) -> f32 {
         self.0.spacing().min_element()
     }
 
-    /// bool : True if the array was converted; later changes of the array then have no effect.
+    /// bool : True if the array was copied or converted; later changes of the array then have no effect.
     #[getter]
     fn copied(&self) -> bool {
         self.0.copied
     }
 
-    /// numpy.ndarray : The array in use: the given one, or the converted one.
+    /// numpy.ndarray : The array in use: the given one, or its copy.
     #[getter]
     fn array(&self, py: Python<'_>) -> Py<PyAny> {
         self.0.owner.clone_ref(py)

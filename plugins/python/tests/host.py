@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Runs pytest with the VTK of the running Python (a distribution's, ParaView's), and with the wheel and pytest of an
-environment.
+"""Runs pytest with the VTK of this Python (of a distribution or ParaView), and the wheel and pytest of an environment.
 
 PYTHON host.py SITE_PACKAGES ARGUMENT...
 """
 
 import sys
 
-# After the running Python's own folders.
+# The environment comes last, so that this Python's own VTK and NumPy are imported.
 sys.path = [folder for folder in sys.path if folder] + [sys.argv[1]]
 
 import pytest  # noqa: E402

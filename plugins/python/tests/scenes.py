@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Volumes in a VTK window, from the parts of the C++ class's tests."""
+"""Volumes in a VTK window, made by modules of the C++ class's tests."""
 
 import math
 
@@ -64,7 +64,7 @@ class View:
             self.window.Render()
 
     def pixels(self):
-        """Pixels of the window, as [y, x, rgb] bytes, without drawing it again."""
+        """Pixels of the window, uint8 [y, x, rgb], without drawing it again."""
         return pixels(self.window)
 
 

@@ -46,7 +46,7 @@ class SlicerView(View):
         self.manager = self.group.GetDisplayableManagerByClassName(MANAGER)
 
     def show(self, voxels, spacing=(1.0, 1.0, 1.0), method="GPU"):
-        """[z, y, x] voxels as a volume node that is rendered; its display node."""
+        """Adds a rendered volume node of [z, y, x] voxels; returns its display node."""
         image = vtkImageData()
         image.SetDimensions(*voxels.shape[::-1])
         image.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(voxels).ravel(), deep=1))
@@ -64,7 +64,7 @@ class SlicerView(View):
         return display
 
     def move(self):
-        """As while the mouse is down."""
+        """Requests the interactor's rate of a held mouse button."""
         self.window.SetDesiredUpdateRate(self.interactor.GetDesiredUpdateRate())
 
     def rest(self):

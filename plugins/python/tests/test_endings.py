@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Endings in the midst of a frame, read-outs, the pictures of a calibration."""
+"""Steering that ends during a frame, values of the last frame, pictures of a calibration."""
 
 import math
 
@@ -62,7 +62,7 @@ def test_calibration_hides_the_overlay_from_its_pictures(voxels):
         return float(seen[-1])
 
     entire.vtk.calibrate(view.renderer, frames=10, pictures=3, clock="cpu", picture_error=error)
-    # The text would differ by 255.
+    # With the overlay, pixels of its text would differ by 255.
     assert max(seen) < 200
 
 

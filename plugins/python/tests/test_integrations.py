@@ -34,7 +34,7 @@ def test_example_of_vtk(tmp_path):
 
 
 def test_examples_of_pyvista_and_trame(tmp_path):
-    """Each is steered in the middle of a motion; the script fails if one is not."""
+    """Each example is steered during a motion; the script fails otherwise."""
     for needed in ("pyvista", "trame_pyvista", "trame_vuetify"):
         pytest.importorskip(needed)
     example("pictures.py", "--environment", "test", "--only", "pyvista,trame", "--out", tmp_path)

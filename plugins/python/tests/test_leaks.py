@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Memory does not grow with cycles; `make bars-python` runs many more."""
+"""Memory does not grow over repeated use; `make bars-python` runs many more cycles."""
 
 import gc
 import os

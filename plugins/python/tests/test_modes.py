@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Ways of keeping scalars and of drawing them that not every VTK has."""
+"""Render modes and memory layouts of scalars that only some VTK versions have."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_render_modes_outside_of_vtk_are_refused_by_name(voxels, name):
     assert volume.GetMapper() is smart
     smart.SetRequestedRenderModeToDefault()
     entire.vtk.hold(view.renderer, volume, 0.1).detach()
-    # One that comes later is left alone, and said.
+    # A volume with this mode that is added later is not steered, and a note says so.
     steering = entire.vtk.hold(view.renderer, seconds=0.1)
     later = add_volume(view.renderer, voxels, "smart")
     later.GetMapper().SetRequestedRenderMode(getattr(vtkSmartVolumeMapper, mode))
@@ -100,7 +100,7 @@ def test_rays_that_begin_at_noise_are_steered(voxels):
     assert leaf._look[4]
     assert steering.fallback_frames == 0
     assert not np.array_equal(view.pixels(), smooth)
-    # A GPU mapper in a smart one's place jitters where that one does.
+    # A GPU mapper that replaces a smart mapper takes over its jittering.
     smart = vtkSmartVolumeMapper()
     if not hasattr(smart, "SetUseJittering"):
         pytest.skip(f"VTK {VERSION} has no jittering in vtkSmartVolumeMapper")

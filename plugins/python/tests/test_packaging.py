@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Statements about the package agree wherever they stand."""
+"""Version, dependencies and entry points agree in all files of the package."""
 
 import re
 from importlib import metadata

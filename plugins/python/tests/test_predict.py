@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Thousands of views give the bits of one view at a time, while other threads run."""
+"""Predictions of many views at once equal single ones bit for bit, and other threads run meanwhile."""
 
 import threading
 import time

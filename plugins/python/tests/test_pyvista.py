@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""PyVista: three lines, widgets, several renderers, kept pictures."""
+"""PyVista: three lines, widgets, several renderers, screenshots and movies."""
 
 import numpy as np
 import pytest
@@ -106,7 +106,7 @@ def test_a_loop_off_screen(image, caplog):
     steering = plotter.entire.hold(fps=1000)
     plotter.render()
     assert "still" in steering.why
-    # Once, it says what steers such a loop.
+    # One log message names the option that steers such a loop.
     for _ in range(30):
         plotter.render()
     assert len([r for r in caplog.records if "always=True" in r.getMessage()]) == 1

@@ -15,7 +15,7 @@ pytest.importorskip("vispy")
 
 import entire
 
-# A target that no machine meets, however fast it is, so that steering must coarsen everywhere.
+# A target in seconds that no machine can meet, so that steering coarsens as far as it is allowed.
 TOO_LITTLE = 1e-6
 
 
@@ -41,7 +41,7 @@ def canvas(voxels):
 
 
 def test_examples_of_vispy_and_napari(tmp_path):
-    """Each is steered in the middle of a motion; the script fails if one is not."""
+    """Each example is steered during a motion; the script fails otherwise."""
     script = Path(__file__).parent.parent / "examples" / "pictures.py"
     run = subprocess.run(
         [sys.executable, script, "--environment", "qt", "--out", tmp_path],

@@ -10,7 +10,7 @@ CAMERA = entire.Camera.arcball(20, 30, 2.5)
 
 
 def drawn(plan, speed=1.0):
-    """A renderer whose time is proportional to the samples of the plan."""
+    """Seconds of a renderer with a fixed cost per frame and a cost per sample of the plan."""
     return speed * (1e-3 + 2e-7 * plan.size[0] * plan.size[1] / plan.step)
 
 
@@ -165,7 +165,7 @@ def test_a_model_of_another_clock_is_brought_to_this_one(voxels, tf):
     model = entire.Session(volume, model="unshaded-selected")
 
     def second(clock):
-        """Expected over measured time of the second frame, where each takes a quarter of the model's time."""
+        """Predicted over measured time of the second frame, if each frame takes a quarter of the model's time."""
         session = entire.Session(volume, model="unshaded-selected")
         session.set_timing_source("a renderer", clock)
         session.set_limits(1, 1)
@@ -229,7 +229,7 @@ def test_cameras_agree(voxels, tf):
     view[:3, 3] = -eye
     by_matrix = entire.Camera.view(volume, view)
     whole = entire.Camera.scene(volume, view.ravel(), np.eye(4).ravel(), np.eye(3).ravel(), center, 45.0)
-    # Twice as large and twice as far looks the same.
+    # A volume twice as large at twice the distance looks the same.
     moved = np.diag([2.0, 2, 2, 1])
     far = view.copy()
     far[:3, 3] *= 2

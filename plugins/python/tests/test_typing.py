@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Stubs agree with the module, users' code with the stubs, examples in docstrings with their outputs."""
+"""Stubs match the module, users' code matches the stubs, and examples in docstrings give their outputs."""
 
 import doctest
 import importlib
@@ -20,13 +20,13 @@ HERE = Path(__file__).parent
 def mypy(*arguments):
     pytest.importorskip("mypy")
     command = [sys.executable, "-m", *arguments]
-    # The installed package, not a folder that happens to be the current one.
+    # In the tests' parent folder, so that mypy checks the installed package and not one in the current folder.
     return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=HERE.parent)
 
 
 @pytest.mark.parametrize("what", [("--package", "entire"), ("tests/typing_check.py",)])
 def test_stubs_and_users_code(what):
-    # By the package's name: a path into site-packages would make modules of everything beside it.
+    # By the package's name: with a path, mypy would take the other packages in site-packages for modules of it.
     run = mypy("mypy", "--config-file", "pyproject.toml", "--cache-dir", os.devnull, *what)
     assert run.returncode == 0, run.stdout
 

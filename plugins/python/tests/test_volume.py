@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Arrays of every kind give the same predictions as the plain copy of them."""
+"""Arrays of any dtype and layout give the same predictions as a contiguous copy."""
 
 import gc
 import warnings
@@ -151,7 +151,7 @@ def test_time_steps_are_as_volumes_of_their_own(voxels, dtype, axes, tf):
         alone = entire.Volume(array.copy(), (1, 2, 3), axes=axes, range=(0, 255))
         assert volume.range == (0, 255) and volume.spacing == (1, 2, 3) and volume.shape == alone.shape
         assert np.array_equal(seconds(volume, tf), seconds(alone, tf))
-    # From an earlier step on, changes are found, whatever the caller declared.
+    # After next() on a step that is not the latest, changes are found even if the caller declared too few.
     array[20:] = 0
     branch = first.next(array, ((0, 1), (0, 1), (0, 1)))
     assert np.array_equal(seconds(branch, tf), seconds(entire.Volume(array.copy(), (1, 2, 3), axes=axes, range=(0, 255)), tf))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Steering of pip's VTK, by its pictures, settings and times."""
+"""Steering of the VTK from PyPI, checked by pictures, settings and times."""
 
 import gc
 import json
@@ -60,7 +60,7 @@ def test_frames_are_held(voxels, kind):
     leaf = steering.leaves[0]
     assert leaf.sample_distance > 1.0 or leaf.image_sample_distance > 1.0 or kind == "smart"
     history = steering.history
-    # Times are for benchmarks; that it coarsens to about the right extent is visible on any machine.
+    # Wide limits, which any machine meets: they show that frames are coarsened to about the right extent.
     late = np.asarray(history.measured)[20:] / target
     assert 0.3 < np.median(late) < 1.6
     # Between frames the mapper has the application's settings.
@@ -92,7 +92,7 @@ def test_still_frames_are_vtks_byte_for_byte(voxels, kind, spacing):
     assert steering.reason != "still"
     assert not np.array_equal(view.pixels(), plain)
     assert not np.array_equal(coarse, plain)
-    # Switched off, it changes nothing either.
+    # With steering disabled, the picture is unchanged too.
     steering.enabled = False
     view.window.Render()
     assert np.array_equal(view.pixels(), plain)
@@ -234,7 +234,7 @@ def test_scene_changes_are_followed(voxels):
     other.SelectScalarArray("dose")
     view.draw(2)
     assert steering.status == ""
-    # Changed lighting is no new transfer function, a changed point is one.
+    # The transfer function is read again after a changed point, but not after changed lighting.
     leaf, prop = steering.leaves[0], volume.GetProperty()
     read = leaf._tf
     prop.SetAmbient(0.4)
@@ -309,7 +309,7 @@ def test_voxels_that_change_in_place_are_read_again(voxels, kind):
         read = leaf._grid
         view.draw(1)
         assert leaf._grid is read
-    # The scalars' own range is as old as their modification time.
+    # VTK caches the scalars' range until Modified() is called on them.
     assert leaf._grid.range == (0.0, 69.0)
     assert steering.status == ""
 
@@ -342,7 +342,7 @@ def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
     waits, wait = [], view.window.WaitForCompletion
     view.window.__dict__["WaitForCompletion"] = lambda: (waits.append(0), wait())
     try:
-        # Steered frames and calibration frames are timed by the same rule.
+        # Steered frames and calibration frames wait for the graphics device under the same condition.
         entire.vtk.calibrate(view.renderer, volume, frames=10)
         # Twelve frames for the fit, then four scenes at twelve settings, each drawn twice.
         assert len(waits) == (2 * (12 + 4 * 12 * 2) if kind == "gpu" else 0)
@@ -435,8 +435,8 @@ def test_misuse_is_said(voxels):
     for arguments, text in (
         ((1 / 30,), "seconds=0.03"),
         (([],), "empty list"),
-        (([1],), "1 is no volume"),
-        ((vtkVolume(), 0.1), "not the renderer's"),
+        (([1],), "1 is not a volume"),
+        ((vtkVolume(), 0.1), "not in this renderer"),
     ):
         with pytest.raises(ValueError, match=text):
             entire.vtk.hold(view.renderer, *arguments)
@@ -570,7 +570,7 @@ def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
     learned = leaf.session
     steering.save(state)
     steering.load(state)
-    # Another mapper of the class continues with it, one of another class starts from scratch.
+    # A new mapper of the same class continues with the learned session, one of another class starts a new one.
     for kind, same in (("gpu", True), ("fixed", False)):
         mapper = MAPPERS[kind]()
         mapper.SetInputData(image_data(voxels))
@@ -650,14 +650,14 @@ def test_picking_is_left_alone(voxels, kind):
     selector.SetArea(0, 0, 199, 199)
     selector.SetFieldAssociation(vtkDataObject.FIELD_ASSOCIATION_CELLS)
     selector.Select()
-    # It is drawn with the application's settings, is no frame, and is not observed.
+    # A selection draws with the application's settings, does not count as a frame, and is not observed.
     assert seen and all(each == own for each in seen)
     assert told == []
     assert counted() == before
     assert steering.sample_distance == distance
     assert steering.leaves[0].session is session
     assert session.save_state() == state
-    # A frame does.
+    # A frame is steered, counted and observed.
     seen.clear()
     view.draw(1)
     mapper.RemoveObserver(tag)

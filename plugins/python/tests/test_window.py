@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Several passes in a window's frame: two eyes, renderers side by side."""
+"""Several render passes in one frame of a window: stereo, renderers side by side."""
 
 import sys
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("vtkmodules")
-# With the tests of the class vtkEntireSteering.
+# Shared with the tests of the C++ class vtkEntireSteering.
 sys.path.insert(0, str(Path(__file__).parents[2] / "windows"))
 
 import entire
@@ -41,7 +41,7 @@ def test_no_viewport_is_empty_however_coarse(voxels, kind):
     view.draw(1)
     full = view.pixels()[:, 100:].mean()
     assert full > 1
-    # A target that cannot be met: both are as coarse as allowed.
+    # With a target that cannot be met, the held viewport is as coarse as allowed, and still shows the volume.
     held = entire.vtk.hold(other, seconds=1e-5, clock="cpu")
     view.draw(8)
     assert held.sample_distance > 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Users' code for type checkers; never run."""
+"""Examples of users' code for type checkers; never run."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@
 
 namespace
 {
-// The mappers inside vtkSmartVolumeMapper are protected: a derived class may name them.
+// Access to the protected mappers and settings of vtkSmartVolumeMapper: a derived class may name these members.
 struct SmartMembers : vtkSmartVolumeMapper
 {
   static void Inner(vtkSmartVolumeMapper* smart, std::vector<vtkEntire::LeafMapper>& found)
@@ -46,8 +46,8 @@ struct SpacingMembers : vtkVolumeMapper
   }
 };
 
-// Those of vtkMultiBlockVolumeMapper are private without an accessor. An explicit instantiation may name private
-// members; this one returns the pointer to the member.
+// Access to the mappers of vtkMultiBlockVolumeMapper, which are private without an accessor. An explicit instantiation
+// may name private members; this one returns the pointer to the member.
 template <typename Tag, typename Tag::Type Member>
 struct MemberOf
 {
@@ -60,7 +60,7 @@ struct BlockMappers
 };
 template struct MemberOf<BlockMappers, &vtkMultiBlockVolumeMapper::Mappers>;
 
-// The settings are protected members of both mappers, of the same names.
+// The settings are protected members with the same names in both classes of mappers.
 template <class Mapper>
 struct SettingsMembers : Mapper
 {
@@ -82,7 +82,7 @@ struct SettingsMembers : Mapper
     mapper->*&SettingsMembers::LockSampleDistanceToInputSpacing = settings.Lock;
   }
 };
-// The mode of vtkSmartVolumeMapper that draws by ANARI, or -1 where this VTK has none.
+// The render mode of vtkSmartVolumeMapper for ANARI; -1 if this VTK has none.
 template <class Mapper>
 constexpr auto AnariMode(int) -> decltype(static_cast<int>(Mapper::AnariRenderMode))
 {
@@ -94,7 +94,7 @@ constexpr int AnariMode(long)
   return -1;
 }
 
-// The share of scattering in a GPU mapper's light: 0 where this VTK has none.
+// VolumetricScatteringBlending of a GPU mapper; 0 if this VTK does not have the property.
 template <class Mapper>
 auto Scattering(Mapper* mapper, int) -> decltype(static_cast<float>(mapper->GetVolumetricScatteringBlending()))
 {
@@ -118,7 +118,7 @@ void Keep(T& own, const T& now, const T& written)
   }
 }
 
-// Mappers that are being steered, and their steerings: few.
+// Mappers that are being steered, and their steerings. A list, since they are few.
 std::mutex ClaimsMutex;
 std::vector<std::pair<const vtkVolumeMapper*, const void*>>& Claims()
 {
@@ -158,7 +158,7 @@ std::string Refusal(vtkAbstractVolumeMapper* mapper)
 {
   if (auto* blocks = vtkMultiBlockVolumeMapper::SafeDownCast(mapper))
   {
-    // It makes the mappers that draw in its first frame; all of them draw alike.
+    // Inner mappers exist only after the first frame. All of them have the same render mode.
     const auto& inner = blocks->*Find(BlockMappers());
     return inner.empty() ? std::string() : Refusal(inner[0]);
   }

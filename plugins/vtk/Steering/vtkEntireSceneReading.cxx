@@ -24,7 +24,7 @@
 
 namespace
 {
-// The library's name of a VTK scalar type, 0 where it has none.
+// The library's number of a VTK scalar type; 0 if it has none.
 entire_scalar_type ScalarType(int type)
 {
   switch (type)
@@ -123,7 +123,7 @@ std::string ReadGrid(
   key.Array = grid.Scalars;
   key.Time = image->GetMTime();
   grid.Components = grid.Scalars->GetNumberOfComponents();
-  // Dependent components end with the one that opacity comes from.
+  // Opacity comes from the first of independent components, and from the last of dependent ones.
   key.Component = property->GetIndependentComponents() ? 0 : grid.Components - 1;
   image->GetDimensions(key.Dimensions.data());
   image->GetSpacing(key.Spacing.data());
@@ -188,7 +188,7 @@ std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& vol
   std::size_t offset = static_cast<std::size_t>(key.Component);
   if (!scalars->HasStandardMemoryLayout())
   {
-    // GetVoidPointer() would copy all of it, for as long as the array lives.
+    // GetVoidPointer() would copy the whole array and keep the copy as long as the array lives.
     kept.TakeReference(vtkDataArray::CreateDataArray(scalars->GetDataType()));
     kept->SetNumberOfTuples(scalars->GetNumberOfTuples());
     kept->CopyComponent(0, scalars, key.Component);
@@ -331,7 +331,7 @@ std::string ReadCamera(
   {
     return "the volume's matrix shears the volume; rotations, translations and scales can be predicted";
   }
-  // A rotation to single precision; a mirrored volume is replaced by its mirror image.
+  // Makes the axes a right-handed orthonormal basis. A mirrored volume is so predicted as its mirror image.
   double across[3];
   vtkMath::Cross(axes[0], axes[1], across);
   vtkMath::Normalize(across);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Reading the scene: what a mapper, a volume, its property and a renderer are, as the library takes it.
-// Functions that can fail return why they did, or an empty text.
+// Converts mapper, volume, property and renderer of a scene to inputs of the library.
+// Functions that can fail return an error text, which is empty on success.
 #ifndef vtkEntireSceneReading_h
 #define vtkEntireSceneReading_h
 
@@ -23,18 +23,18 @@ class vtkVolumeProperty;
 
 namespace vtkEntire
 {
-// Inputs of a session's volume. Reading it again is needed when one of these changes.
+// Inputs from which a session's volume is read. The volume must be read again when one of these changes.
 struct VolumeKey
 {
-  // Compared only; the array may be gone.
+  // Only compared, since the array may be deleted.
   const vtkDataArray* Array = nullptr;
-  // The MTime of the whole image: an application that changes voxels in place may modify only the image, and VTK's
-  // mappers load an image again if this moved.
+  // MTime of the whole image: an application that changes voxels in place may call Modified() of the image only, and
+  // VTK's mappers load an image again if its MTime changed.
   vtkMTimeType Time = 0;
   int Component = 0;
   std::array<int, 3> Dimensions{ { 0, 0, 0 } };
   std::array<double, 3> Spacing{ { 0, 0, 0 } };
-  // First and last voxel along each axis, those of the cropping box.
+  // First and last voxel of the cropping box along each axis.
   std::array<int, 6> Box{ { 0, -1, 0, -1, 0, -1 } };
 
   bool operator!=(const VolumeKey& o) const
@@ -51,9 +51,9 @@ struct TransferNodes
   // Empty if the volume is gray.
   std::vector<entire_color_node> Colors;
   bool Clamping = true;
-  // Scalar opacity's unit distance.
+  // ScalarOpacityUnitDistance.
   float Unit = 1;
-  // Range of the scalars.
+  // Minimum and maximum scalar value.
   std::array<double, 2> Range{ { 0, 0 } };
 
   bool operator==(const TransferNodes& o) const;
@@ -68,11 +68,11 @@ struct VoxelGrid
   int Components = 1;
   // The center of the box, as a continuous index that counts from the extent's first voxel.
   std::array<double, 3> Center{ { 0, 0, 0 } };
-  // The smallest voxel spacing, in the unit of the spacing: sample distances are multiples of it.
+  // The smallest voxel spacing, which is the unit of the library's ray steps.
   double Reference = 1;
 };
 
-// Time of the last change of ReadGrid()'s inputs. Times are unique, so equal stamps mean the same state.
+// Identities and MTimes of ReadGrid()'s inputs. MTimes are unique, so equal stamps mean the same state.
 struct GridStamp
 {
   const vtkImageData* Image = nullptr;
@@ -92,23 +92,24 @@ struct GridStamp
 std::string ReadGrid(
   vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
 
-// The voxels of the grid's box. The volume borrows them if the library reads their type: use it before the scene
-// changes, and while `kept` lives: a copy of the drawn component, if its values are not stored as an ordinary array.
-// `range` receives the minimum and maximum scalar value.
+// Makes a volume of the voxels in the grid's box. If the library can read their type in place, the volume borrows them:
+// use it only before the scene changes, and while `kept` lives. `kept` receives a copy of the drawn component if its
+// values are not stored as an ordinary array. `range` receives the minimum and maximum scalar value.
 std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
   std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept);
 
-// The volume property's functions of scalar opacity and color, and its ScalarOpacityUnitDistance.
+// Reads the volume property's functions of scalar opacity and color, and its ScalarOpacityUnitDistance.
 void ReadTransferNodes(
   vtkVolumeProperty* property, const std::array<double, 2>& range, TransferNodes& nodes);
 
 std::string MakeTransferFunction(
   const TransferNodes& nodes, std::optional<entire::transfer_function>& function);
 
-// The smallest spacing of a volume after its matrix: the sample distance of VTK's GPU mapper if it adjusts by itself.
+// The smallest voxel spacing in world units, after the volume's matrix: the sample distance of VTK's GPU mapper with
+// AutoAdjustSampleDistances.
 double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
 
-// The eye in the library's convention: relative to the volume's axes, lengths in the unit of the volume's spacing.
+// Reads the camera into `frame`: relative to the volume's axes, lengths in the unit of the volume's spacing.
 std::string ReadCamera(
   vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
 

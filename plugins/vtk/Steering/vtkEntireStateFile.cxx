@@ -27,7 +27,7 @@ std::string Because(const char* name, const char* what, int code)
 std::string TooLarge(const char* name)
 {
   return std::string(name) + " is larger than " + std::to_string(vtkEntire::MAX_STATE_BYTES) +
-    " bytes and so no saved state; give a file that SaveState() wrote";
+    " bytes, the limit for a saved state; give a file that SaveState() wrote";
 }
 
 std::string NotRegular(const char* name)
@@ -35,7 +35,7 @@ std::string NotRegular(const char* name)
   return std::string(name) + " is not a regular file; give a file that SaveState() wrote";
 }
 
-// An unpredictable name beside `name`.
+// An unpredictable file name in the folder of `name`.
 std::string Beside(const char* name)
 {
   std::random_device random;
@@ -140,7 +140,7 @@ std::string WriteStateFile(const char* name, const std::vector<std::uint8_t>& by
 //------------------------------------------------------------------------------
 std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
 {
-  // Without O_NONBLOCK the opening of a pipe waits for a writer.
+  // Without O_NONBLOCK, open() of a pipe waits for a writer.
   const Descriptor file(::open(name, O_RDONLY | O_NONBLOCK | O_CLOEXEC));
   if (file.Number < 0)
   {
@@ -155,7 +155,7 @@ std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
   {
     return NotRegular(name);
   }
-  // The bytes are counted, since the file may grow meanwhile.
+  // The read bytes are counted, since the file may grow meanwhile.
   std::vector<std::uint8_t> all;
   std::array<std::uint8_t, 16384> block;
   for (;;)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Steering of one mapper: planning its frame, setting it, putting it back, learning from the time it took.
+// Steering of one mapper: plans its frame, writes its settings, restores them, and observes the frame's time.
 #include "vtkEntireSteeringInternals.h"
 
 #include "vtkAlgorithm.h"
@@ -20,12 +20,13 @@
 
 namespace
 {
-// The library's limit of the image's coarsening, relative to the mapper's own, and VTK's limit.
+// The library's maximum image sample distance, as a multiple of the mapper's own.
 constexpr double COARSEST_IMAGE = 64;
+// VTK's maximum image sample distance, in pixels.
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
 
-// Quality laws of the mappers' pictures, as entire_session_set_quality() takes them, of VTK 9.1
-// (lab/scripts/vtk/tradeoff.py).
+// Quality laws of the mappers of VTK 9.1, measured with lab/scripts/vtk/tradeoff.py: the four numbers of
+// entire_session_set_quality().
 constexpr std::array<float, 4> FIXED_POINT_QUALITY{ { 5.9F, 0.97F, 1.54F, 0.33F } };
 constexpr std::array<float, 4> GPU_QUALITY{ { 8.5F, 1.22F, 0.78F, 0.15F } };
 
@@ -54,15 +55,15 @@ const char* ReasonName(entire_reason reason)
   }
 }
 
-// Restores settings once more at the renderer's end. The fixed-point mapper ends its drawing by writing the sample
-// distance with which it began, over the restored one.
+// Restores settings a second time, at the renderer's end: when a fixed-point mapper has drawn, it overwrites its sample
+// distance with the one from the start of its drawing.
 class RestoreLater : public vtkCommand
 {
 public:
   static RestoreLater* New() { return new RestoreLater; }
   void Execute(vtkObject* renderer, unsigned long, void*) override
   {
-    // While this runs the renderer holds it.
+    // The renderer holds a reference to this command while the command runs.
     renderer->RemoveObserver(this);
     const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
     if (mapper)
@@ -107,7 +108,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Release()
   }
   if (this->Steered && this->SetEarly() && this->DrawnIn)
   {
-    // Called in the middle of the renderer's frame, perhaps of the mapper's.
+    // This call comes during the renderer's frame, perhaps while the mapper draws.
     vtkNew<RestoreLater> later;
     later->Mapper = this->Mapper;
     later->Own = this->Own;
@@ -146,7 +147,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::UpdateGrid(
 }
 
 //------------------------------------------------------------------------------
-// Passes the voxels (those inside the cropping box) to the session if they changed.
+// Passes the voxels inside the cropping box to the session if they changed.
 std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
 {
   if (this->Session && !(this->Grid.Key != this->Volume))
@@ -167,7 +168,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
   {
     return failure;
   }
-  // The session keeps what it needs, so the voxels are only read here.
+  // The session copies the data that it needs, so the borrowed voxels are read only during this call.
   auto set = this->Session->set_volume(*volume);
   if (!set)
   {
@@ -187,7 +188,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
 }
 
 //------------------------------------------------------------------------------
-// A property changes for many reasons; only different functions matter to the session.
+// Passes the transfer function to the session if its nodes or its unit distance changed.
 std::string vtkEntireSteering::vtkInternals::Leaf::SetTransferFunction(vtkVolumeProperty* property)
 {
   const vtkMTimeType time = property->GetMTime();
@@ -195,7 +196,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetTransferFunction(vtkVolume
   {
     return {};
   }
-  // A property without functions makes some on request, with a modified event.
+  // A property without functions creates them when they are read and invokes ModifiedEvent, whose observers may reset
+  // this->Session.
   const std::shared_ptr<entire::session> session = this->Session;
   vtkEntire::ReadTransferNodes(property, this->Range, this->Nodes);
   if (!this->HasTransfer || !(this->Nodes == this->Transfer))
@@ -243,7 +245,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float
   }
   if (limits[3] == 0 && this->Session->quality().value().image_weight == 0)
   {
-    // The model states no quality law of this mapper's pictures.
+    // The model has no quality law for this mapper.
     const std::array<float, 4>& q = this->Gpu ? GPU_QUALITY : FIXED_POINT_QUALITY;
     if (const entire::status set = this->Session->set_quality(q[0], q[1], q[2], q[3]); !set)
     {
@@ -255,7 +257,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float
 }
 
 //------------------------------------------------------------------------------
-// Announces changes that the library cannot see; it sees smooth motion by itself.
+// Announces changes that the library cannot detect: other modes, and jumps of the camera.
 void vtkEntireSteering::vtkInternals::Leaf::MarkChanges(
   const vtkEntire::ModeKey& mode, const entire::frame& frame)
 {
@@ -329,7 +331,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   this->Own = vtkEntire::MapperSettings::Read(mapper, this->Gpu);
   const double rate = window->GetDesiredUpdateRate();
   const bool still = rate < owner->StillUpdateRate;
-  // If VTK adjusts by itself, its image sample distance is that of an earlier frame.
+  // With AutoAdjustSampleDistances, the mapper's image sample distance is that of an earlier frame.
   const double ownImage = this->Own.AutoAdjust ? 1.0 : std::max(0.1f, this->Own.ImageSampleDistance);
   double finest = this->Own.SampleDistance;
   if (this->Gpu && this->Own.AutoAdjust)
@@ -354,7 +356,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   }
   if (!this->Alive || !this->Session)
   {
-    // An observer of an object that was read here has detached.
+    // An observer of one of the objects read above has detached or reset the steering.
     return {};
   }
   const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(),
@@ -397,7 +399,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   const int* const origin = renderer->GetOrigin();
   const bool whole = !this->Gpu || (origin[0] == 0 && origin[1] == 0);
   const double coarsestImage = whole ? std::max(ownImage, owner->CoarsestImageSampleDistance) : ownImage;
-  // Ray step and image are coarsened together, first the one that adds less error for the saved time.
+  // Plans coarsen ray step and image together, according to the quality law.
   frame.step = static_cast<float>(finest);
   failure = this->SetLimits(static_cast<float>(finest), static_cast<float>(coarsest),
     static_cast<float>(std::min(COARSEST_IMAGE, coarsestImage / ownImage)));
@@ -513,7 +515,7 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
   }
   if (this->Outer)
   {
-    // The inner mapper of a smart mapper is known from its requested or last render mode.
+    // The requested render mode of a smart mapper, else the last used one, tells which inner mapper will draw.
     const int mode = this->Outer->GetRequestedRenderMode();
     if ((mode == vtkSmartVolumeMapper::DefaultRenderMode ? this->Outer->GetLastUsedRenderMode() : mode) !=
       vtkSmartVolumeMapper::RayCastRenderMode)
@@ -522,7 +524,7 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
     }
     if (!mapper->GetDataSetInput())
     {
-      // Its first frame connects it.
+      // The smart mapper connects the input in its first frame.
       return;
     }
   }
@@ -551,7 +553,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
     {
       return;
     }
-    // A smart mapper's filter that resamples the volume runs later.
+    // The filter by which a smart mapper resamples the volume may not have run yet.
     const vtkEntire::Hold<vtkVolumeMapper> mapper(this->Mapper.GetPointer());
     if (this->Outer && !this->UpdateInput(mapper))
     {
@@ -578,8 +580,8 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
 }
 
 //------------------------------------------------------------------------------
-// Waits until the graphics device has finished its work, before or after the mapper: a time from the one to the other
-// is the mapper's own.
+// Waits until the graphics device has finished its work. Called before and after the mapper draws, so that the time
+// between the two calls is the mapper's alone.
 void vtkEntireSteering::vtkInternals::Leaf::DrainQueue()
 {
   vtkRenderWindow* const window = this->Internals->Window;
@@ -617,7 +619,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Plan()
 }
 
 //------------------------------------------------------------------------------
-// Restores the application's settings; those that it has changed since then stay.
+// Restores the application's settings; settings that the application changed during the frame stay.
 void vtkEntireSteering::vtkInternals::Leaf::Restore()
 {
   if (!this->Steered)
@@ -658,7 +660,8 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
   }
   else if (this->Steered && this->Mapper)
   {
-    // The fixed-point mapper is about to write the sample distance with which it began over the application's.
+    // Keeps what the application changed, since the fixed-point mapper is about to overwrite its sample distance with
+    // the one from the start of its drawing. RendererEnd() restores the settings.
     this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper, false), this->Written);
   }
   if (this->Planned.id != 0 && this->Session)
@@ -670,7 +673,7 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
       this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));
     this->Planned = {};
   }
-  // A mapper that is not steered is part of the rest, for which the others make room.
+  // The time of a mapper that is not steered counts as time outside of the passes, which reduces the others' shares.
   if (steered && this->Internals->InFrame && this->Internals->Shared)
   {
     static_cast<void>(this->Internals->Shared->Budget.drew(

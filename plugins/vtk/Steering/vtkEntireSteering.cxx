@@ -66,18 +66,18 @@ bool vtkEntireSteering::Fail(const std::string& text)
 bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
 {
   const vtkSmartPointer<vtkEntireSteering> self(this);
-  // A state from an earlier LoadState() is for this attachment.
+  // Detach() clears the state, but one from a LoadState() before this call is for the new attachment.
   std::vector<std::uint8_t> state;
   state.swap(this->Internals->State);
   this->Detach();
-  // An observer of the restored settings may have attached again.
+  // Observers that Detach() invoked may have attached again.
   vtkInternals::ReleaseAll(this->Internals->TakeApart());
   state.swap(this->Internals->State);
   if (!renderer || !volume)
   {
     return this->Fail("Attach() was given no renderer or no volume");
   }
-  // A mapper may come later.
+  // The volume may get its mapper later.
   const std::string refusal = volume->GetMapper() ? GetRefusal(volume->GetMapper()) : std::string();
   if (!refusal.empty())
   {
@@ -112,7 +112,7 @@ void vtkEntireSteering::Detach()
   delete[] this->Reason;
   this->Reason = nullptr;
   this->Internals->Report(nullptr, "attached to nothing");
-  // Last, since the mappers' observers are called for the restored settings.
+  // Last, since this may invoke observers.
   vtkInternals::ReleaseAll(leaves);
 }
 
@@ -178,7 +178,7 @@ bool vtkEntireSteering::LoadState(const char* fileName)
   {
     return this->Fail(failure);
   }
-  // Tried on a separate session first, so that a file that is no state changes nothing.
+  // Tries the bytes on a separate session first, so that an invalid file changes nothing.
   failure = this->Internals->Try(bytes);
   if (!failure.empty())
   {

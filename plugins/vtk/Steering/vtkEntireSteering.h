@@ -3,9 +3,9 @@
  * @class   vtkEntireSteering
  * @brief   holds a volume's frames to a target time
  *
- * Attached to a volume in a renderer, vtkEntireSteering predicts what the next frame will cost, sets the
- * sample distance (and, where that is not enough, the image sample distance) of the volume's mapper before
- * the mapper draws, and learns from the time that the frame then took. It works with
+ * Attached to a volume in a renderer, vtkEntireSteering predicts the time of each frame before it is drawn. It
+ * sets the sample distance and the image sample distance of the volume's mapper so that the frame takes the
+ * target time, and corrects later predictions by the time that the frame took. It works with
  * vtkFixedPointVolumeRayCastMapper, with vtkGPUVolumeRayCastMapper, and with the mappers inside
  * vtkSmartVolumeMapper and vtkMultiBlockVolumeMapper.
  *
@@ -16,28 +16,29 @@
  * @endcode
  *
  * The mapper's own settings (sample distances, AutoAdjustSampleDistances, LockSampleDistanceToInputSpacing)
- * are changed for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its
- * VolumeMapperRenderEndEvent; a fixed-point mapper's, which takes them before it announces its start, on the
- * renderer's StartEvent, to be put back on the renderer's EndEvent. Between frames, and after Detach(), the
- * mapper is as the application left it, its MTime included: nobody hears of what is set for a frame. What the
- * application sets during a frame is kept. Frames are never drawn finer than the mapper's own sample distance,
- * unless FinestSampleDistance says so.
+ * are changed only for the frame. Those of a GPU mapper are set on its VolumeMapperRenderStartEvent and
+ * restored on its VolumeMapperRenderEndEvent. A fixed-point mapper reads its settings before that event, so
+ * they are set on the renderer's StartEvent and restored on the renderer's EndEvent. Between frames, and after
+ * Detach(), the mapper has the settings of the application, and its MTime never changes: the settings of a
+ * frame are written without an event. Settings that the application changes during a frame are kept. Frames
+ * are never drawn finer than the mapper's own sample distance, unless FinestSampleDistance allows it.
  *
  * Observers of any event of the window, the renderer, the mapper, its pipeline and of vtkEntireSteering
- * itself may call any of its functions and may drop the last reference to it. Warnings are said at the end of
- * the frame. Two vtkEntireSteering of one volume in one renderer do not work together: one of them steers,
- * the Status of the other says so.
+ * itself may call any of its functions and may drop the last reference to it. Warnings are raised at the end
+ * of the frame. Two vtkEntireSteering of one volume in one renderer do not work together: one of them steers,
+ * and the Status of the other says so.
  *
- * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are
- * drawn by VTK alone, pixel for pixel; their times are learned from. So are frames that cannot be predicted:
- * GetStatus() then says why. What is drawn for a hardware selector (picking) is left to VTK and is no frame.
+ * A still frame is one for which the render window's DesiredUpdateRate is below StillUpdateRate. VTK draws it
+ * without steering, pixel for pixel; its time still corrects predictions. VTK also draws frames that cannot be
+ * predicted without steering; GetStatus() then gives the reason. Rendering for a hardware selector (picking) is
+ * left to VTK and does not count as a frame.
  *
- * No model file is needed. Without one a linear cost model starts from rough costs and learns the mapper and
- * the device from the first frames on; with one (see `entire train`) the first frame is predicted too.
+ * No model file is needed. Without one, a linear cost model starts from rough costs and learns the speed of the
+ * mapper and the device from the first frames; with one (see `entire train`), the first frame is predicted too.
  *
- * Not known to the prediction, and so left to what is learned from frame to frame: clipping planes, geometry
- * in front of the volume, gradient opacity, 2D transfer functions, masks, cropping other than to a box, and
- * all but one of several independent components.
+ * The prediction does not read clipping planes, geometry in front of the volume, gradient opacity, 2D transfer
+ * functions, masks, cropping other than to a box, and all but one of several independent components. Their
+ * effect on the time is corrected from frame to frame.
  */
 #ifndef vtkEntireSteering_h
 #define vtkEntireSteering_h
@@ -60,8 +61,8 @@ public:
   void PrintSelf(ostream& os, vtkIndent indent) override;
 
   /**
-   * Invoked after every frame of the window in which the volume was drawn, steered or not, when the read-outs
-   * below are up to date.
+   * Invoked after every frame of the window in which the volume was drawn, steered or not. PredictedTime,
+   * MeasuredTime and the other read-only properties below are then those of this frame.
    */
   enum EventIds
   {
@@ -69,40 +70,40 @@ public:
   };
 
   /**
-   * Clocks for a frame's time.
+   * Clocks that can time frames.
    */
   enum Clocks
   {
-    /// Time on the wall: the clock "wall" of models and of saved states.
+    /// Wall time; "wall" in models and saved states.
     WALL = 0,
-    /// Processor time of the process, all threads together: for renderers on the CPU of a shared machine. The
-    /// clock "cpu" of models and of saved states.
+    /// Processor time of the process, summed over all threads; for renderers on the CPU of a shared machine.
+    /// "cpu" in models and saved states.
     PROCESS_CPU = 1
   };
 
   /**
    * Steers this volume in this renderer from its next frame on; an earlier attachment ends. The mapper may be
-   * exchanged later. Neither object is kept alive. While the volume is not among the renderer's props nothing
-   * is planned. A volume that the mapper has already is read here, at once (see GetVolumeTime()): set Clock,
-   * ModelFileName, Tolerance and MissRate before, or it is read again. Returns false, sets Status and reports
-   * an error where there is nothing to attach to.
+   * exchanged later. Neither object is kept alive. While the volume is not among the renderer's props, nothing
+   * is planned. If the mapper already has its input, the voxels are read here (see GetVolumeTime()). Set Clock,
+   * ModelFileName, Tolerance and MissRate before this call; otherwise the voxels are read again. Returns false,
+   * sets Status and reports an error if an argument is nullptr or the mapper cannot be steered.
    */
   bool Attach(vtkRenderer* renderer, vtkVolume* volume);
 
   /**
-   * True if Attach() takes a volume with this mapper.
+   * Returns true if Attach() accepts a volume with this mapper.
    */
   static bool CanSteer(vtkAbstractVolumeMapper* mapper);
 
   /**
-   * Returns the reason why Attach() refuses a volume with this mapper; empty if it accepts it. A vtkSmartVolumeMapper in
-   * the render modes OSPRay and ANARI cannot be steered; if it is set to one while it is steered, VTK draws without
-   * steering, and Status says why, until it is set to another.
+   * Returns the reason why Attach() refuses a volume with this mapper; empty if it accepts the volume. A
+   * vtkSmartVolumeMapper in the render modes OSPRay and ANARI cannot be steered. While a steered mapper is set to one
+   * of these modes, VTK draws without steering, and Status gives the reason.
    */
   static std::string GetRefusal(vtkAbstractVolumeMapper* mapper);
 
   /**
-   * Releases the volume and drops the learned state. The mapper gets the application's settings.
+   * Releases the volume, drops the learned state, and restores the application's settings of the mapper.
    */
   void Detach();
 
@@ -116,7 +117,7 @@ public:
 
   ///@{
   /**
-   * Steering of frames, on or off. Default true.
+   * Turns steering of frames on or off. Default true.
    */
   vtkSetMacro(Enabled, bool);
   vtkGetMacro(Enabled, bool);
@@ -125,8 +126,8 @@ public:
 
   ///@{
   /**
-   * Seconds that a whole frame of the window may take, everything else that it draws included. 0, the
-   * default, takes them from the window: 1 / DesiredUpdateRate.
+   * Target time of a whole frame of the window in seconds, including everything else that the window draws.
+   * With 0, the default, the target is 1 / DesiredUpdateRate of the window.
    */
   vtkSetClampMacro(TargetFrameTime, double, 0.0, 10000.0);
   vtkGetMacro(TargetFrameTime, double);
@@ -134,7 +135,7 @@ public:
 
   ///@{
   /**
-   * The quality floor: the coarsest sample distance, as a multiple of the smallest voxel spacing. Default 8.
+   * The coarsest allowed sample distance, as a multiple of the smallest voxel spacing. Default 8.
    */
   vtkSetClampMacro(CoarsestSampleDistance, double, 1.0 / 64, 4096.0);
   vtkGetMacro(CoarsestSampleDistance, double);
@@ -142,8 +143,8 @@ public:
 
   ///@{
   /**
-   * The finest sample distance, as a multiple of the smallest voxel spacing. 0, the default, is the mapper's
-   * own.
+   * The finest sample distance, as a multiple of the smallest voxel spacing. 0, the default, stands for the
+   * mapper's own sample distance.
    */
   vtkSetClampMacro(FinestSampleDistance, double, 0.0, 4096.0);
   vtkGetMacro(FinestSampleDistance, double);
@@ -151,9 +152,9 @@ public:
 
   ///@{
   /**
-   * The coarsest image sample distance: pixels between rays along each side of the image. Ray step and image
-   * are coarsened together, since that changes the picture least. Default 4; 1 leaves the image's resolution
-   * alone.
+   * The coarsest allowed image sample distance: pixels between rays along each side of the image. Sample distance
+   * and image sample distance are coarsened together, since that changes the picture least. Default 4; with 1
+   * the image keeps its resolution.
    */
   vtkSetClampMacro(CoarsestImageSampleDistance, double, 1.0, 100.0);
   vtkGetMacro(CoarsestImageSampleDistance, double);
@@ -161,12 +162,12 @@ public:
 
   ///@{
   /**
-   * Law of the picture error and time of coarser steps and smaller images: image weight, step
-   * exponent, image exponent and share of rays as entire_session_set_quality() has them. They decide what of the
-   * two is coarsened first where a frame must be faster. Two sets: of vtkFixedPointVolumeRayCastMapper and of
-   * vtkGPUVolumeRayCastMapper. With an image weight of 0, the default, they are what the model states of this
-   * mapper's pictures (entire_session_record_picture; in Python entire.vtk.calibrate() measures them), and where it
-   * states nothing, what was measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py).
+   * Quality law of vtkFixedPointVolumeRayCastMapper and of vtkGPUVolumeRayCastMapper: picture error and time as
+   * functions of sample distance and image sample distance. It decides which of the two is coarsened first. The
+   * four numbers are image weight, step exponent, image exponent and ray share, as in
+   * entire_session_set_quality(). With an image weight of 0, the default, the law is the model's, if the model was
+   * calibrated with pictures of this mapper (entire_session_record_picture(); entire.vtk.calibrate() in Python).
+   * Otherwise it is a built-in law, measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py).
    */
   vtkSetVector4Macro(FixedPointQuality, double);
   vtkGetVector4Macro(FixedPointQuality, double);
@@ -176,9 +177,9 @@ public:
 
   ///@{
   /**
-   * A frame is a still one, and not steered, where the window's DesiredUpdateRate is below this. Default 1,
-   * as vtkSmartVolumeMapper has it. 0 steers every frame: set it, and a TargetFrameTime, where no interactor
-   * sets rates.
+   * A frame is a still frame, and not steered, if the window's DesiredUpdateRate is below this rate in frames
+   * per second. Default 1, as InteractiveUpdateRate of vtkSmartVolumeMapper. 0 steers every frame: set it, and a
+   * TargetFrameTime, if no interactor sets rates.
    */
   vtkSetClampMacro(StillUpdateRate, double, 0.0, 1.0e10);
   vtkGetMacro(StillUpdateRate, double);
@@ -196,8 +197,9 @@ public:
 
   ///@{
   /**
-   * Excess over the target above which a frame counts as missed, as a share of the target, and the
-   * share of frames that may be missed. Default 0.25 and 0.02. A changed value starts learning anew.
+   * Tolerance is the excess over the target above which a frame counts as missed, as a share of the target.
+   * MissRate is the share of frames that may be missed. Default 0.25 and 0.02. A change of either discards the
+   * learned state.
    */
   vtkSetClampMacro(Tolerance, double, 0.0, 10.0);
   vtkGetMacro(Tolerance, double);
@@ -207,45 +209,46 @@ public:
 
   ///@{
   /**
-   * A model file from `entire train`, or nullptr for none. A file that cannot be used switches steering off;
-   * Status says why. A changed name starts learning anew. Of a model of another clock than Clock a warning says
-   * that its scale is learned from the first frames; it is given once for each change of either.
+   * A model file from `entire train`, or nullptr for none. If the file cannot be used, frames are not steered, and
+   * Status gives the reason. A change of the name discards the learned state. If the model predicts times of another
+   * clock than Clock, a warning says that its scale is learned from the first frames; the warning is raised once
+   * for each change of the model's clock or Clock.
    */
   vtkSetFilePathMacro(ModelFileName);
   vtkGetFilePathMacro(ModelFileName);
   ///@}
 
   /**
-   * The clock whose seconds the model predicts, as its file states it: "cpu", "wall" or "device". nullptr where it
-   * states none, where no model was read yet, and while nothing is attached.
+   * The clock whose seconds the model predicts, from the model file: "cpu", "wall" or "device". nullptr if the file
+   * states no clock, if no model was read yet, and while nothing is attached.
    */
   const char* GetModelClock();
 
   ///@{
   /**
-   * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now (or
-   * at Attach()), and whenever learning starts anew, until Reset() or Detach(). A file is written whole or
-   * not at all. Read are regular files of at most 1 MiB. A file is bound to the model, the class of the mapper
-   * and Clock: another's is refused, or dropped with a warning where it was loaded before Attach(). Return
-   * false, set Status and report an error on failure.
+   * SaveState() writes the learned state of the mapper that was drawn last to a file, completely or not at all.
+   * LoadState() starts from such a file: now, or at Attach() if nothing is attached, and again whenever the learned
+   * state is discarded, until Reset() or Detach(). Only regular files of at most 1 MiB are read. A file is valid
+   * only for the same model, class of mapper, and Clock: otherwise it is refused, or dropped with a warning if it
+   * was loaded before Attach(). Both return false, set Status and report an error on failure.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
   bool LoadState(VTK_FILEPATH const char* fileName);
   ///@}
 
   /**
-   * Resets the learned state.
+   * Discards the learned state, and a state from LoadState().
    */
   void Reset();
 
   ///@{
   /**
-   * Read-outs of the last frame, seconds by the chosen clock; NaN where there is none. Predicted is of the
-   * mapper's work alone, as is Measured; FrameTime is of the whole frame. ShareTime is what the mapper was given
-   * of the target: all that steer in a window by the same clock share its frame's time, also two eyes and several
-   * renderers, and are coarsened alike. The sample distance is in the unit of the spacing, as the mapper has it. ObserverTime is what everything that vtkEntireSteering did during the
-   * frame took, whatever Clock is by the wall clock; the time that pipelines, the graphics device and observers
-   * of FrameEvent took meanwhile is no part of it.
+   * Values of the last frame. Times are seconds of the chosen clock; NaN stands for an unknown value. PredictedTime
+   * and MeasuredTime are those of the mappers alone, FrameTime is that of the window's whole frame. ShareTime is the
+   * mapper's share of the target: all vtkEntireSteering in a window with the same clock share its frame time, also
+   * those of two eyes and of several renderers, and their mappers are coarsened alike. SampleDistance is in the unit
+   * of the spacing, ImageSampleDistance in pixels. ObserverTime is the overhead of vtkEntireSteering in the frame,
+   * always in wall time; it excludes pipelines, the graphics device and observers of FrameEvent.
    */
   vtkGetMacro(PredictedTime, double);
   vtkGetMacro(MeasuredTime, double);
@@ -257,19 +260,20 @@ public:
   ///@}
 
   /**
-   * Reason of the last frame's settings: a word such as "fits" or "held", "still", "off", or "fallback".
+   * Reason for the last frame's settings: a word such as "fits" or "held" for a steered frame, "still", "off", or
+   * "fallback" for a frame that could not be predicted.
    */
   vtkGetStringMacro(Reason);
 
   /**
-   * Reason why the last frame was not steered, or an error; empty without either.
+   * Reason why the last frame was not steered, or the last error; empty if there is neither.
    */
   vtkGetStringMacro(Status);
 
   ///@{
   /**
-   * Frames since Attach(): steered ones, and those that VTK drew on its own because they could not be
-   * predicted.
+   * Number of frames since Attach() that were steered, and number of frames that VTK drew without steering because
+   * they could not be predicted. A mapper's drawing counts as one frame.
    */
   vtkGetMacro(NumberOfSteeredFrames, vtkIdType);
   vtkGetMacro(NumberOfFallbackFrames, vtkIdType);
@@ -277,14 +281,15 @@ public:
 
   ///@{
   /**
-   * Number of readings of the voxels and of the transfer function since Attach(): at first, and where they changed.
+   * Numbers of times that the voxels and the transfer function were read since Attach(): once at first, and after
+   * each change.
    */
   vtkGetMacro(NumberOfVolumeReadings, vtkIdType);
   vtkGetMacro(NumberOfTransferFunctionReadings, vtkIdType);
   ///@}
 
   /**
-   * Seconds of the last reading of a volume (at its first frame, and when it changes).
+   * Wall time in seconds of the last reading of a volume's voxels.
    */
   vtkGetMacro(VolumeTime, double);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// The window's and the renderer's events.
+// Handlers of the window's and the renderer's events, and sessions of leaves.
 #include "vtkEntireSteeringInternals.h"
 
 #include "vtkCommand.h"
@@ -16,10 +16,11 @@
 
 namespace
 {
-// Rays along each side of the finest probe for a linear cost model, and the probe error below which a plan looks no
-// further; a network's file names its own. Fewer than the library's default: between frames that sweep the caches a ray
-// costs most of a microsecond. A plan begins with 4 rays along each side, which are enough except for sparse volumes.
+// Rays along each side of the finest probe for a linear cost model; a network's file states its own. Fewer than the
+// library's default, since a ray takes almost a microsecond after a frame has evicted the probe's data from the caches.
 constexpr std::uint32_t PROBE_SIDE = 7;
+// Estimated error of the probe, as a share of the frame's time, up to which a plan keeps its first probe of 4 rays
+// along each side. These are enough except for sparse volumes.
 constexpr float PROBE_TOLERANCE = 0.3f;
 
 void Copy(char*& to, const char* text)
@@ -35,7 +36,7 @@ void Copy(char*& to, const char* text)
   to = copied;
 }
 
-// Name as in models; nullptr for none.
+// Name of a clock as in model files; nullptr if unstated.
 const char* NameOf(entire_clock clock)
 {
   switch (clock)
@@ -60,7 +61,7 @@ std::shared_ptr<vtkEntireSteering::vtkInternals::WindowFrame> vtkEntireSteering:
   {
     return {};
   }
-  // Windows may be drawn by different threads.
+  // Different threads may draw different windows.
   static std::mutex mutex;
   static std::map<std::pair<vtkRenderWindow*, int>, std::weak_ptr<WindowFrame>> frames;
   const std::lock_guard<std::mutex> lock(mutex);
@@ -220,7 +221,7 @@ void vtkEntireSteering::vtkInternals::SayWarnings()
 void vtkEntireSteering::vtkInternals::Observe(vtkRenderer* renderer)
 {
   this->Renderer = renderer;
-  // Before other observers of the start, so that their time counts as part of the frame.
+  // With a priority before other observers of StartEvent, so that their time counts as part of the frame.
   this->RendererTags[0] =
     renderer->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::RendererStart, 1.0f);
   this->RendererTags[1] = renderer->AddObserver(vtkCommand::EndEvent, this, &vtkInternals::RendererEnd);
@@ -276,7 +277,7 @@ void vtkEntireSteering::vtkInternals::ObserveWindow(vtkRenderWindow* window)
   }
   if (this->InFrame && this->Shared)
   {
-    // The others' next frame begins anew.
+    // Lets the next frame of the window's other steerings begin anew.
     this->Shared->Drawing = false;
   }
   this->InFrame = false;
@@ -321,7 +322,7 @@ void vtkEntireSteering::vtkInternals::FindMappers()
       kept.push_back(std::make_shared<Leaf>(this, each));
     }
   }
-  // The remaining leaves; their mappers' observers are called once the list is complete.
+  // Releases the leaves whose mappers are not found. Last, since this may invoke observers.
   kept.swap(this->Drawing);
   ReleaseAll(kept);
 }
@@ -331,7 +332,7 @@ void vtkEntireSteering::vtkInternals::ForEach(void (Leaf::*handle)())
 {
   if (this->Drawing.size() == 1)
   {
-    // The usual case; a list costs memory.
+    // The usual case, without the allocation of a copied list.
     const std::shared_ptr<Leaf> leaf = this->Drawing[0];
     (leaf.get()->*handle)();
     return;
@@ -356,7 +357,7 @@ void vtkEntireSteering::vtkInternals::RendererStart()
   }
   this->Rendering = true;
   this->ObserveWindow(renderer->GetRenderWindow());
-  // A renderer without a camera makes one on request, with an event.
+  // A renderer without a camera creates one here and invokes an event.
   renderer->GetActiveCamera();
   if (this->Attachment != attachment)
   {
@@ -373,7 +374,8 @@ void vtkEntireSteering::vtkInternals::RendererStart()
     this->Report(nullptr, "the volume is not among the props of the renderer that Attach() was given");
     return;
   }
-  // A mapper of its own is what it is; one that holds others may be told to draw without them.
+  // A leaf that is the volume's own mapper needs no check. Without leaves the mapper may be of another class, and a
+  // smart mapper may have been set to another render mode.
   vtkAbstractVolumeMapper* const mapper = this->Volume->GetMapper();
   if (mapper && (this->Drawing.empty() || this->Drawing[0]->Outer))
   {
@@ -421,7 +423,7 @@ void vtkEntireSteering::vtkInternals::WindowStart()
       leaf->Forget();
     }
   }
-  // The first of those that steer in this window begins the frame.
+  // The first steering of this window begins the frame.
   WindowFrame& frame = *this->Shared;
   if (!frame.Drawing)
   {
@@ -454,7 +456,7 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
     frame->Drawing = false;
     static_cast<void>(frame->Budget.end(static_cast<float>(seconds), frame->Usual));
   }
-  // A multi-block mapper makes its mappers while it draws: they are steered from the next frame on.
+  // A multi-block mapper creates its inner mappers while it draws; they are steered from the next frame on.
   this->FindMappers();
   if (this->Attachment != attachment)
   {
@@ -552,7 +554,7 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
     auto loaded = made->load_state(this->State);
     if (!loaded)
     {
-      // The frame is drawn without it: a state of another renderer does not apply to this one.
+      // The frame is drawn without the state: it belongs to another mapper, model or clock.
       this->Warn("LoadState(): " + loaded.message());
       this->State.clear();
     }
@@ -575,7 +577,7 @@ std::string vtkEntireSteering::vtkInternals::Try(const std::vector<std::uint8_t>
     auto loaded = any.value().load_state(state);
     return loaded || loaded.code() == ENTIRE_UNSUPPORTED ? std::string() : loaded.message();
   }
-  // If none accepts it, the reason is that of the leaf whose state would be saved: the last drawn one.
+  // If no leaf accepts the state, returns the error of the last drawn leaf, whose state SaveState() would write.
   std::string failure;
   const Leaves leaves = this->Drawing;
   const std::shared_ptr<Leaf> last = this->LastLeaf.lock();

@@ -3,9 +3,9 @@
 // draws (Leaf).
 //
 // Observers of any event may call back: detach, attach elsewhere, drop the last reference to the steering.
-// A handler of an event therefore holds the owner and the leaf, runs over copies of lists, and asks after
-// each call into VTK that can invoke an event whether the attachment still stands. Warnings wait for the end
-// of the frame.
+// A handler of an event therefore holds references to the owner and the leaf, iterates over copies of lists, and
+// checks after each call into VTK that can invoke an event that the attachment has not ended. Warnings are raised
+// at the end of the frame.
 #ifndef vtkEntireSteeringInternals_h
 #define vtkEntireSteeringInternals_h
 
@@ -36,11 +36,12 @@ namespace vtkEntire
 {
 constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// Shading, interpolation, blend mode, gradient opacity; of GPU mappers also jittering and scattering.
+// Settings whose change is announced as a change of mode: shading, interpolation, blend mode, gradient opacity; of GPU
+// mappers also jittering and scattering.
 using ModeKey = std::array<int, 6>;
 
 // Keeps an object alive during a call, as a smart pointer does. A smart pointer that releases an algorithm or a data
-// object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so only if another
+// object makes VTK's garbage collector traverse its pipeline, in every frame; this class does so only if another
 // reference was released meanwhile.
 template <class T>
 class Hold
@@ -83,11 +84,11 @@ private:
   int Count = 0;
 };
 
-// Measures the wall time of handling a frame's events, without calls to VTK and the application meanwhile.
+// Measures the wall time of handling a frame's events, excluding calls to VTK and to the application.
 class Busy
 {
 public:
-  // Marks the handling of an event during its lifetime; handlers may call each other.
+  // During its lifetime an event is handled, and time is counted; handlers may call each other.
   class Handling
   {
   public:
@@ -111,7 +112,7 @@ public:
     Busy& Of;
   };
 
-  // Marks other code's work during its lifetime, which may cause events.
+  // During its lifetime other code runs, and no time is counted, except for events that this code invokes.
   class Elsewhere
   {
   public:
@@ -164,13 +165,13 @@ private:
 class vtkEntireSteering::vtkInternals
 {
 public:
-  // A window's frame, shared by all that steer in the window by the same clock.
+  // A window's frame, shared by all steerings in the window with the same clock.
   struct WindowFrame
   {
-    // The one of a window and a clock; null without a window.
+    // The frame of a window and a clock; null without a window.
     static std::shared_ptr<WindowFrame> Of(vtkRenderWindow* window, int clock);
 
-    // Another window may get the address of one that is gone.
+    // Weak, since a new window may get the address of a deleted one.
     vtkWeakPointer<vtkRenderWindow> Window;
     entire::frame_budget Budget;
     // True while the window draws.
@@ -178,7 +179,7 @@ public:
     double Start = 0;
     // False if the frame includes the reading of voxels.
     bool Usual = true;
-    // Those that steer in the window.
+    // The steerings in the window.
     std::vector<vtkInternals*> Steerings;
   };
 
@@ -215,12 +216,12 @@ public:
     std::shared_ptr<entire::session> Session;
 
   private:
-    // vtkFixedPointVolumeRayCastMapper takes its sample distances, and the opacities that go with them, before it
-    // announces its start: it is set at its renderer's start, and restored at its renderer's end. That early setting
-    // lasts only if nobody else sets it in between, so not inside a smart mapper that draws otherwise.
+    // True for a vtkFixedPointVolumeRayCastMapper. It reads its sample distances, and computes the opacities for them,
+    // before it invokes its start event: so its settings are written at its renderer's start, and restored at its
+    // renderer's end. Inside a smart mapper this is done only if the smart mapper is about to draw with it.
     bool SetEarly() const { return !this->Gpu; }
-    // Brings the mapper's input up to date. False where an observer of its pipeline let go of the volume, or took it from
-    // the renderer.
+    // Brings the mapper's input up to date. Returns false if an observer of its pipeline ended the attachment, or
+    // removed the volume from the renderer.
     bool UpdateInput(vtkVolumeMapper* mapper);
     void Plan();
     void Restore();
@@ -233,22 +234,22 @@ public:
     std::string SetTransferFunction(vtkVolumeProperty* property);
     std::string SetLimits(float finest, float coarsest, float image);
     void MarkChanges(const vtkEntire::ModeKey& mode, const entire::frame& frame);
-    // A frame that VTK draws alone: observed if its resolution is known.
+    // Plans a frame that VTK draws without steering; its time is observed if its resolution is known.
     void PlanUnsteered(const entire::frame& frame, float target, bool still);
     // Writes the settings to the mapper.
     std::string Steer(vtkVolumeMapper* mapper, const vtkEntire::MapperSettings& settings);
 
     unsigned long Tags[2];
     bool Alive = true;
-    // Position of the voxels, with its stamp.
+    // Position of the voxels, and the stamp of the inputs that it was read from.
     vtkEntire::GridStamp Stamp;
     vtkEntire::VoxelGrid Grid;
-    // The session's own values.
+    // The values that the session has.
     vtkEntire::VolumeKey Volume;
     vtkEntire::TransferNodes Transfer;
     bool HasTransfer = false;
     std::array<float, 7> Limits{};
-    // State of the property when its functions were read.
+    // The property and its MTime when its functions were read, and these functions.
     const vtkVolumeProperty* Property = nullptr;
     vtkMTimeType PropertyTime = 0;
     vtkEntire::TransferNodes Nodes;
@@ -259,7 +260,8 @@ public:
     entire_plan Planned{};
     // The renderer whose frame is being steered.
     vtkWeakPointer<vtkRenderer> DrawnIn;
-    // The mapper's settings by the application, and in this frame.
+    // The settings of the mapper (and of the smart mapper around it) that the application set, and those that are
+    // written for this frame.
     vtkEntire::MapperSettings Own;
     vtkEntire::MapperSettings Written;
     vtkEntire::SmartSettings OwnOuter;
@@ -268,7 +270,7 @@ public:
     bool Drawing = false;
     bool Steered = false;
     double StartTime = 0;
-    // Share of the window's frame, and the factor from the planned frame's time to that of full quality.
+    // State of this mapper's share of the window's frame, and its time at full quality divided by its planned time.
     entire::pass Pass;
     double Coarsening = 1;
   };
@@ -283,27 +285,28 @@ public:
   // Seconds by the owner's clock.
   double Now() const;
 
-  // The owner's clock and the model's, by name; nullptr if the model states none.
+  // Names of the owner's clock and of the model's clock; nullptr if the model states none.
   const char* ClockName() const;
   const char* ModelClockName() const;
-  // Both, in words.
+  // A sentence about both clocks, for Status.
   std::string ClocksText() const;
   // Stores the clock of a session's model, and warns if frames have another one: once for each change of either.
   void NoteClocks(const entire::session& session);
 
-  // Ends the attachment. Returns the leaves: their holder releases them, for which mappers' observers are called.
+  // Ends the attachment. Returns the leaves, which the caller must release; this invokes observers of the mappers.
   Leaves TakeApart();
   static void ReleaseAll(const Leaves& leaves);
 
-  // Shares a window's frame; null for none.
+  // Joins the shared frame of a window, or leaves that of the last window if `window` is null.
   void Share(vtkRenderWindow* window);
-  // True while a renderer of the window draws for a selector: no frame, it is invisible and takes another time.
+  // True while a renderer of the window draws for a selector. Such a drawing is invisible, takes a different time, and
+  // does not count as a frame.
   static bool IsPicking(vtkRenderWindow* window);
 
   void Observe(vtkRenderer* renderer);
   void ObserveWindow(vtkRenderWindow* window);
   void FindMappers();
-  // Passes an event to every current leaf, whatever happens to the list meanwhile.
+  // Passes an event to every current leaf, even if the list changes meanwhile.
   void ForEach(void (Leaf::*handle)());
   void RendererStart();
   void RendererEnd();
@@ -311,18 +314,19 @@ public:
   void WindowEnd();
   // Restarts if model, tolerance or miss rate changed.
   void MatchOwner();
-  // A session for a leaf, bound to the leaf's mapper and the owner's clock; returns an error text on failure.
+  // Makes a session for a leaf, with the names of the leaf's mapper and the owner's clock; returns an error text on
+  // failure.
   std::string NewSession(const Leaf& leaf, std::optional<entire::session>& session);
   // Gives the leaf a session if it has none.
   std::string MakeSession(Leaf& leaf);
-  // Checks that a leaf's session would load the state; a leaf that does not exist yet only checks that
-  // the state is whole. Returns why not.
+  // Checks that the session of at least one leaf accepts the state; without leaves, only that the state is valid.
+  // Returns an error text if not.
   std::string Try(const std::vector<std::uint8_t>& state);
 
-  // Sets the owner's Reason and Status; nullptr leaves the one or the other. Without an event, since read-outs change
-  // with every frame.
+  // Sets the owner's Reason and Status; nullptr leaves one unchanged. Invokes no event, since both change in every
+  // frame.
   void Report(const char* reason, const char* status);
-  // VTK draws the frame at hand alone: says why, and warns where that is news.
+  // Called if VTK draws the current frame without steering: sets Status to the reason, and warns if the reason is new.
   void FallBack(const std::string& why);
   // Keeps a warning until the frame is over.
   void Warn(const std::string& text) { this->Warnings.push_back(text); }
@@ -336,7 +340,7 @@ public:
   vtkWeakPointer<vtkVolume> Volume;
   unsigned long RendererTags[2] = { 0, 0 };
   unsigned long WindowTags[2] = { 0, 0 };
-  // Counts attachments that ended.
+  // Number of attachments that have ended.
   std::size_t Attachment = 0;
   Leaves Drawing;
   std::vector<std::string> Warnings;
@@ -347,7 +351,7 @@ public:
   double Tolerance = -1;
   double MissRate = -1;
   entire_clock ModelClock = ENTIRE_CLOCK_UNSTATED;
-  // The last warning about the clocks; empty if they agree.
+  // The last warning about the model's clock; empty if the two clocks agree.
   std::string ClocksSaid;
   std::vector<std::uint8_t> State;
 

@@ -152,7 +152,7 @@ struct Scene
     this->Renderer->ResetCameraClippingRange();
   }
 
-  // As if the mouse were down.
+  // Sets the update rate that an interactor sets while a mouse button is down.
   void Interactive() { this->Window->SetDesiredUpdateRate(15); }
 
   std::vector<unsigned char> Draw()
@@ -205,7 +205,7 @@ inline Settings Read(vtkVolumeMapper* mapper)
   return { 0, 0, 0, 0 };
 }
 
-// Runs the behavior and the mapper of the program's arguments.
+// Runs the test that the program's arguments name, with the mapper that they name.
 inline int Main(int argc, char* argv[], const std::map<std::string, std::function<void(Kind)>>& tests)
 {
   const auto test = argc == 3 ? tests.find(argv[1]) : tests.end();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// The behaviors of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how
-// fast anything is: targets are so long that every frame fits, or so short that none does.
+// Tests of vtkEntireSteering, one behavior per name: TestEntireSteering NAME MAPPER. No test depends on the
+// machine's speed: targets are so long that every frame fits, or so short that none does.
 #include "Scene.h"
 
 #include "vtkAssembly.h"
@@ -22,7 +22,8 @@ using namespace EntireTest;
 
 namespace
 {
-// Draws frames with an impossible target until the first of them was steered, and one more.
+// Draws up to three frames, until two were steered; at least one must be. The first frame of some mappers cannot be
+// steered.
 void Warm(Scene& scene, vtkEntireSteering* steering)
 {
   for (int i = 0; i < 3 && steering->GetNumberOfSteeredFrames() < 2; ++i)
@@ -74,7 +75,7 @@ void LeavesStillFramesAlone(Kind kind)
   CHECK(steering->Attach(steered.Renderer, steered.Volume));
   if (kind == BLOCKS || kind == SMART_FIXED)
   {
-    // Makes or connects its mappers in its first frame.
+    // These mappers create or connect their inner mappers in their first frame.
     CHECK(plain.Draw() == steered.Draw());
   }
   for (int round = 0; round < 2; ++round)
@@ -106,7 +107,8 @@ void DrawsWhatVtkDraws(Kind kind)
   CHECK(steering->Attach(steered.Renderer, steered.Volume));
   steered.Interactive();
   Warm(steered, steering);
-  // A smart mapper ignores distances (it locks its mappers to the spacing): it is compared with the mapper inside.
+  // A smart mapper ignores its sample distance (it locks its inner mapper to the spacing), so its frames are compared
+  // with those of a mapper of the inner class.
   Scene plain(kind == SMART ? GPU : kind == SMART_FIXED ? FIXED : kind);
   const auto set = [&](auto* mapper) {
     mapper->SetAutoAdjustSampleDistances(0);
@@ -116,7 +118,7 @@ void DrawsWhatVtkDraws(Kind kind)
   };
   plain.Interactive();
   std::vector<unsigned char> shown;
-  // Also if a frame's distances differ from those of the frame before.
+  // The distances differ from those of the previous frames.
   for (const double coarsest : { 3.0, 2.0, 5.0 })
   {
     steering->SetCoarsestSampleDistance(coarsest);
@@ -135,7 +137,7 @@ void DrawsWhatVtkDraws(Kind kind)
     CHECK(plain.Draw() == shown);
     steering->SetCoarsestImageSampleDistance(kind == FIXED || kind == GPU ? 1.5 : 1);
   }
-  // And it is coarser than a frame without steering.
+  // The steered frame differs from a frame without steering.
   Scene full(kind);
   full.Window->SetDesiredUpdateRate(0.0001);
   CHECK(full.Draw() != shown);
@@ -191,7 +193,7 @@ void KeepsToItsLimits(Kind kind)
   CHECK(steering->GetImageSampleDistance() > 2 && steering->GetImageSampleDistance() <= 3.0001);
 }
 
-// With steering off, VTK draws, and the read-outs say so.
+// With steering off, VTK draws without it, and Reason says so.
 void SwitchesOff(Kind kind)
 {
   Scene scene(kind);
@@ -207,7 +209,7 @@ void SwitchesOff(Kind kind)
   steering->EnabledOn();
   scene.Draw();
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
-  // Without a target, the window's is used.
+  // Without a target, the window's DesiredUpdateRate is used.
   steering->SetTargetFrameTime(0);
   scene.Window->SetDesiredUpdateRate(1.0e9);
   scene.Draw();
@@ -219,7 +221,7 @@ void SwitchesOff(Kind kind)
   CHECK(!Is(steering->GetReason(), "still") && !Is(steering->GetReason(), "target unreachable"));
 }
 
-// Frames that cannot be predicted are drawn by VTK, and the status says why.
+// VTK draws frames that cannot be predicted without steering, and Status gives the reason.
 void FallsBack(Kind kind)
 {
   Scene plain(kind), scene(kind);
@@ -238,7 +240,7 @@ void FallsBack(Kind kind)
   CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "/nowhere/model.safetensors"));
   CHECK(warnings->GetWarning() && steering->GetNumberOfFallbackFrames() > 0);
   CHECK(steering->GetNumberOfSteeredFrames() == 0);
-  // Without the name there is no failure.
+  // Without a model file frames are steered.
   steering->SetModelFileName(nullptr);
   scene.Draw();
   CHECK(steering->GetNumberOfSteeredFrames() == 1 && Empty(steering->GetStatus()));
@@ -253,7 +255,7 @@ void FallsBack(Kind kind)
   CHECK(Empty(steering->GetStatus()));
 }
 
-// Changes of cameras, matrices, cropping and shading, and edits, are noticed.
+// Frames are steered after changes of camera, matrix, cropping, shading, transfer function and voxels.
 void FollowsTheScene(Kind kind)
 {
   Scene scene(kind);
@@ -295,7 +297,7 @@ void FollowsTheScene(Kind kind)
     CHECK(fine());
     scene.Mapper->SetCropping(0);
   }
-  // New voxels in place, and a new object.
+  // Voxels that are changed in place, and a new image.
   const double before = steering->GetVolumeTime();
   std::memset(scene.Data->GetScalarPointer(), 0, EDGE * EDGE * EDGE);
   scene.Data->GetPointData()->GetScalars()->Modified();
@@ -338,7 +340,7 @@ void KnowsItsRenderer(Kind kind)
     scene.Draw();
   }
   CHECK(first->GetSampleDistance() > 7.9 && other->GetSampleDistance() <= 1.01);
-  // A view away from the window's origin is never empty, however coarse.
+  // The picture of a viewport away from the window's origin is not empty, even with the coarsest settings.
   const auto shown = [&] {
     const int* size = scene.Window->GetSize();
     vtkNew<vtkUnsignedCharArray> rgb;
@@ -360,7 +362,7 @@ void KnowsItsRenderer(Kind kind)
   CHECK(other->GetSampleDistance() > 7.9 && (other->GetImageSampleDistance() > 1) == (kind == FIXED || kind == SMART_FIXED));
 }
 
-// The learned state outlives the object; bytes that are no state are refused.
+// The learned state can be saved and loaded; a file that is not a state is refused.
 void KeepsState(Kind kind)
 {
   Scene scene(kind);
@@ -378,7 +380,7 @@ void KeepsState(Kind kind)
   }
   CHECK(!steering->SaveState("/nowhere/state") && Says(steering->GetStatus(), "/nowhere/state"));
   CHECK(steering->SaveState(file));
-  // The same frame, predicted from scratch, from the file, and from the file again.
+  // Predicts the same frame without a learned state, and twice with the state of the file.
   steering->Reset();
   scene.Draw();
   const double untaught = steering->GetPredictedTime();
@@ -402,7 +404,7 @@ void KeepsState(Kind kind)
     CHECK(!elsewhere->LoadState(file) && Says(elsewhere->GetStatus(), "renderer"));
     elsewhere->Detach();
   }
-  // A file that is loaded first takes effect at Attach(), also if that ends another attachment, until Detach().
+  // A file that is loaded before Attach() takes effect at each Attach(), until Detach().
   steering->Detach();
   vtkNew<vtkEntireSteering> early;
   early->SetTargetFrameTime(1000);
@@ -490,7 +492,7 @@ void KeepsSettingsMadeDuringFrames(Kind kind)
     }
   });
   const bool smart = kind == SMART || kind == SMART_FIXED;
-  // A smart mapper copies its settings as it begins to draw, before the mapper inside it does.
+  // A smart mapper copies its settings to its inner mapper before that one invokes its start event.
   vtkObject* subject = smart ? static_cast<vtkObject*>(scene.Renderer) : scene.Mapper;
   const unsigned long tag = subject->AddObserver(
     smart ? vtkCommand::StartEvent : vtkCommand::VolumeMapperRenderStartEvent, command, -1.0f);
@@ -546,7 +548,7 @@ void LeavesRemovedVolumesAlone(Kind kind)
   CHECK(updates == (kind == BLOCKS ? 0 : 1));
 }
 
-// Of two attachments to one volume in one renderer one steers, and the mapper gets its settings back.
+// Of two attachments to one volume in one renderer, one steers, and the mapper's settings are restored.
 void OneSteersAMapper(Kind kind)
 {
   Scene scene(kind);
@@ -576,7 +578,7 @@ void OneSteersAMapper(Kind kind)
   CHECK(second->GetNumberOfSteeredFrames() == 1 && Read(scene.Mapper) == before);
 }
 
-// Names that are no file of a saved state are refused at once, with the reason.
+// Names of files that cannot be a saved state are refused at once, with the reason.
 void RefusesOddStateFiles(Kind kind)
 {
   Scene scene(kind);
@@ -605,7 +607,7 @@ void RefusesOddStateFiles(Kind kind)
   {
     CHECK(!steering->LoadState(name) && !steering->SaveState(name));
   }
-  // Without a learned state no file is written, and a folder is not replaced.
+  // A folder is not replaced.
   steering->SetTargetFrameTime(1000);
   scene.Interactive();
   Warm(scene, steering);

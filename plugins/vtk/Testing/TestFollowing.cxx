@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Detection of changes, frames and frame times by vtkEntireSteering: TestFollowing NAME MAPPER.
+// Tests of how vtkEntireSteering detects changes, frames and frame times: TestFollowing NAME MAPPER.
 #include "Scene.h"
 
 #include "vtkCallbackCommand.h"
@@ -16,7 +16,7 @@
 #include <iterator>
 #include <sstream>
 
-// Included last because of the macros of X11.
+// Last, since X11's headers define macros that break other headers.
 #include "vtkXOpenGLRenderWindow.h"
 
 using namespace EntireTest;
@@ -91,19 +91,19 @@ void NoticesChangedVoxels(Kind kind)
     scene.Data->GetPointData()->GetScalars()->Modified();
   }
   bool counted = false;
-  // A smart mapper passes its input on while it draws.
+  // Two frames, since a smart mapper passes its input to its inner mapper while it draws.
   for (int i = 0; i < 2; ++i)
   {
     const vtkIdType readings = scene.Steering->GetNumberOfVolumeReadings();
     scene.Draw();
-    // Reading time is part of the steering's time.
+    // The time to read the voxels is part of ObserverTime.
     counted |= scene.Steering->GetNumberOfVolumeReadings() > readings &&
       scene.Steering->GetObserverTime() >= scene.Steering->GetVolumeTime();
   }
   CHECK(scene.Steering->GetNumberOfVolumeReadings() == before + 1 && counted);
 }
 
-// The transfer function is new if its functions are, not if anything else of the property is.
+// The transfer function is read again only if its nodes or unit distance change, not for other changes of the property.
 void NoticesNewFunctionsOnly(Kind kind)
 {
   Work scene(kind);
@@ -130,13 +130,13 @@ void NoticesNewFunctionsOnly(Kind kind)
   CHECK(readings() == expected);
 }
 
-// A drawing for a hardware selector is the application's own: it is no frame, and the session learns nothing from it.
+// A drawing for a hardware selector is not steered and does not count as a frame, and its time is not observed.
 void LeavesPickingAlone(Kind kind)
 {
   Work scene(kind);
   if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(scene.Mapper))
   {
-    // It sets coarse distances itself.
+    // With AutoAdjustSampleDistances, the fixed-point mapper sets coarse distances itself.
     cpu->AutoAdjustSampleDistancesOff();
     scene.Draw();
   }
@@ -159,14 +159,14 @@ void LeavesPickingAlone(Kind kind)
   CHECK(scene.Steering->GetNumberOfSteeredFrames() == steered);
   CHECK(scene.Steering->SaveState(after.c_str()));
   CHECK(!Bytes(before).empty() && Bytes(before) == Bytes(after));
-  // A frame does.
+  // A frame changes the learned state.
   scene.Draw();
   CHECK(scene.Steering->GetNumberOfSteeredFrames() == steered + 1);
   CHECK(scene.Steering->SaveState(later.c_str()));
   CHECK(Bytes(later) != Bytes(before));
 }
 
-// A mapper's MTime is not changed by steering: the GPU mapper would compose its shader again.
+// Steering does not change a mapper's MTime, since the GPU mapper would then compose its shader again.
 void LeavesModifiedTimesAlone(Kind kind)
 {
   Work scene(kind);
@@ -224,8 +224,7 @@ void WaitsForTheDevice(Kind kind)
   scene.Window->AddRenderer(scene.Renderer);
 }
 
-// The quality law is that of the mapper which draws, and goes to the library, which checks
-// it.
+// The quality law of the class of the mapper that draws is passed to the library, which checks it.
 void KnowsItsPictures(Kind kind)
 {
   Work scene(kind);
@@ -287,7 +286,7 @@ void SaysItsClocks(Kind kind)
   std::ostringstream text;
   steering->Print(text);
   CHECK(Says(text.str().c_str(), "Clock: wall") && Says(text.str().c_str(), "ModelClock: cpu"));
-  // A learned state is no model, and a volume that is attached again is another attachment.
+  // Reset() does not repeat the warning; a change of clock or model, and a new attachment, do.
   steering->Reset();
   CHECK(said().empty());
   steering->SetClockToProcessCPU();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Ways of keeping scalars and of drawing them that not every version of VTK has: TestModes NAME MAPPER. A test
-// of what this version lacks is skipped, and says so.
+// Tests of array layouts and render modes that not every version of VTK has: TestModes NAME MAPPER. A test of a
+// feature that this version lacks is skipped and prints the reason.
 #include "Scene.h"
 
 #include "vtkEntireSteering.h"
@@ -27,7 +27,7 @@ namespace
   std::exit(77);
 }
 
-// Settings of vtkSmartVolumeMapper of newer versions: false where this one has none.
+// Set properties of mappers that newer versions of VTK have; return false if this version does not have the property.
 template <class Mapper>
 auto DrawByAnari(Mapper* smart, int) -> decltype(smart->SetRequestedRenderMode(Mapper::AnariRenderMode), true)
 {
@@ -76,7 +76,7 @@ void SetMode(Scene& scene, Kind kind, int mode)
   }
 }
 
-// A mode that draws outside of VTK's mappers is refused by its name, also where it is chosen while frames are steered.
+// A mode that draws outside of VTK's mappers is refused, also if it is set while frames are steered; the text names it.
 void Refuses(Kind kind, int mode, const char* name)
 {
   Scene scene(kind);
@@ -133,7 +133,7 @@ void RefusesAnari(Kind kind)
   Refuses(kind, smart->GetRequestedRenderMode(), "ANARI");
 }
 
-// Scalars whose values do not lie one after another are predicted as those that do, and are not copied as a whole.
+// Scalars in a structure of arrays give the same prediction as contiguous ones, and are not copied as a whole.
 void ReadsScalarsOfAnyLayout(Kind kind)
 {
   const char* const model = std::getenv("ENTIRE_TEST_MODEL");
@@ -166,7 +166,7 @@ void ReadsScalarsOfAnyLayout(Kind kind)
   CHECK(predicted[0] > 0 && predicted[0] == predicted[1]);
 }
 
-// Frames whose rays begin at noise are steered ones, and those that VTK draws with the same sample distances.
+// Frames with jittered ray starts are steered, and equal those that VTK draws with the same sample distances.
 void DrawsWithJitter(Kind kind)
 {
   Scene plain(GPU), steered(kind);
@@ -199,7 +199,7 @@ void DrawsWithJitter(Kind kind)
   CHECK(steering->GetNumberOfFallbackFrames() == 0 && Empty(steering->GetStatus()));
 }
 
-// A volume that does not fit into the device's memory is drawn from a smaller one, whose frames are planned by what it is.
+// If a volume does not fit into the device's memory, a smart mapper draws a resampled one, by which frames are planned.
 void SteersResampledVolumes(Kind kind)
 {
   Scene plain(kind), scene(kind);
@@ -229,7 +229,7 @@ void SteersResampledVolumes(Kind kind)
   steering->SetTargetFrameTime(1e-6);
   scene.Draw();
   scene.Draw();
-  // Eight of the smaller volume's voxels.
+  // The coarsest distance is 8 voxels of the resampled volume, which are larger than 1.
   CHECK(Is(steering->GetReason(), "target unreachable") && steering->GetSampleDistance() > 8.5);
   CHECK(steering->GetNumberOfFallbackFrames() == 0);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 // Observers that call back into vtkEntireSteering, or end what it is attached to: TestReentry EVENT MAPPER.
 // Every action is tried in the event, by an observer that is called before the steering's own and by one that
-// is called after it. Built with AddressSanitizer this shows that nothing is used after it is gone.
+// is called after it. Built with AddressSanitizer, the test shows that no object is used after it was deleted.
 #include "Scene.h"
 
 #include "vtkCallbackCommand.h"
@@ -17,7 +17,7 @@ using namespace EntireTest;
 
 namespace
 {
-// The scene behind a pipeline, and the event in it.
+// A scene whose mapper gets its input from a pipeline, with a steering.
 struct Stage : Scene
 {
   Kind MapperKind;
@@ -49,7 +49,7 @@ struct Stage : Scene
     this->Draw();
   }
 
-  // So that image sample distances are only the application's.
+  // Turns automatic adjustment off, so that only the application and the steering set image sample distances.
   void StopAdjusting()
   {
     if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(this->Mapper))
@@ -159,10 +159,10 @@ struct Event
   // Objects that invoke the event.
   std::function<std::vector<vtkObject*>(Stage&)> Subjects;
   unsigned long Id;
-  // Makes the event happen in the next frame; nullptr where every frame has it.
+  // Makes the event happen in the next frame; nullptr if it happens in every frame.
   std::function<void(Stage&)> Provoke;
-  // True if it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK
-  // itself does not bear that its mapper or its context is exchanged.
+  // True if the event comes between a mapper's start and end, or while VTK updates the mapper's input: then VTK
+  // itself cannot handle an exchange of its mapper or its OpenGL context.
   std::function<bool(Kind)> InsideMapper;
 };
 
@@ -230,7 +230,7 @@ const std::map<std::string, Event> EVENTS = {
   { "Frame", { SteeringOf, vtkEntireSteering::FrameEvent, nullptr, Never } },
 };
 
-// Frames after the event, until steering has resumed.
+// Draws frames after the event and checks that steering has resumed.
 void GoesOn(Stage& stage)
 {
   stage.Steering->SetModelFileName(nullptr);
@@ -248,8 +248,9 @@ struct Action
   std::function<void(Stage&)> Do;
   // Called after the frame.
   std::function<void(Stage&)> Check;
+  // False if the action cannot be done in an event with Event::InsideMapper.
   bool InsideMapper;
-  // True if the settings must be the application's once the frame is over, whatever comes later in it.
+  // False if the action cannot be done in an event during the renderer's frame.
   bool InsideRenderer = true;
 };
 
@@ -347,7 +348,7 @@ void Run(const std::string& name, const Event& event, Kind kind)
     }
     if (name == "Error" && (each.first == "LoadNoState" || each.first == "AttachToNothing"))
     {
-      // An error in answer to an error would recur for ever.
+      // Actions that report an error would invoke the event again, without end.
       continue;
     }
     for (const float priority : { 2.0f, -1.0f })

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Runs a behavior of TestEntireSteering under valgrind's memcheck. Only findings with the adapter or the library on
+"""Runs a test of TestEntireSteering under valgrind's memcheck. Only findings with the adapter or the library on
 their stack count: invalid accesses, and lost memory at the end. The many findings of OpenGL and VTK do not count.
 
     memcheck.py TestEntireSteering NAME MAPPER
@@ -40,7 +40,7 @@ def main():
         print(f"{kind}: {error.findtext('what') or error.findtext('xwhat/text')}")
         for frame in stacks[0].findall("frame")[:16]:
             print(f"    {frame.findtext('fn', '?')} ({os.path.basename(frame.findtext('obj', '?'))})")
-    print(f"memcheck: {found} of the adapter's or the library's, {others} of others")
+    print(f"memcheck: {found} findings in the adapter or the library, {others} elsewhere")
     sys.exit(1 if found else 0)
 
 

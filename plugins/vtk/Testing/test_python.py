@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The Python module steers, and the collector draws the same frames as `entire collect`."""
+"""Tests that the Python module steers, and that the collector draws the same frames as `entire collect`."""
 import csv
 import os
 import sys
@@ -39,7 +39,7 @@ assert (scene.width, scene.height, scene.step) == (36, 312, 1.0)
 
 
 class Clockwork:
-    """A renderer that draws nothing and takes a second longer every time."""
+    """A renderer that draws nothing; each frame's time is one second longer than the previous one's."""
 
     name, device, driver, skipping, termination, warm_up = "clockwork", "none", "none", "none", 1.0, 0
     drawn = 0
@@ -70,7 +70,7 @@ with tempfile.TemporaryDirectory() as folder:
     assert [(r[0], "0", r[2], r[4]) for r in rows[4:]] == [(r[0], "0", r[2], r[4]) for r in rows[:4]]
     assert {r[1] for r in rows[4:]} == {"1"}
 
-    # A scene's pictures, each compared with the first, at full quality.
+    # Each picture of a scene is compared with the first, which has full quality.
     noise = os.path.join(folder, "noise.nrrd")
     timing_table.write_nrrd(noise, vtk_scene.noise_volume(32))
     words = [noise, "--out", out, "--frames", "2", "--repeats", "1", "--max-size", "64"]

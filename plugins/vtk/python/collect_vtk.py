@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of VTK's volume mappers, in the format of `entire collect`.
+"""Writes timing tables of VTK's volume mappers, in the format of `entire collect`.
 
     xvfb-run -a python3 collect_vtk.py --mapper fixed --out fixed.csv --max-size 256 VOLUME.nrrd...
     entire train --data fixed.csv --clock cpu --out fixed.safetensors
 
-With --pictures FILE some scenes of each volume are then drawn at every pair of some sample distances and image sample
-distances and compared with full quality (root mean squared difference of 8-bit colors): `entire train --pictures FILE` puts
-what it costs the mapper's pictures into the model, which vtkEntireSteering goes by.
+With --pictures FILE, some scenes of each volume are then drawn with several pairs of sample distance and image sample
+distance and compared with full quality (root mean square difference of 8-bit colors). `entire train --pictures FILE`
+fits the mapper's quality law to this table and stores it in the model, where vtkEntireSteering finds it.
 
-Timed is the mapper's work, from its VolumeMapperRenderStartEvent to its VolumeMapperRenderEndEvent: what
-vtkEntireSteering predicts. `seconds_cpu` is processor time of the process, llvmpipe's threads included.
+The times are those of the mapper's work, from its VolumeMapperRenderStartEvent to its VolumeMapperRenderEndEvent, which
+vtkEntireSteering predicts. `seconds_cpu` is processor time of the process, including llvmpipe's threads.
 """
 import csv
 import os
@@ -24,11 +24,12 @@ import vtk_scene  # noqa: E402
 from vtkmodules.vtkCommonCore import vtkVersion  # noqa: E402
 
 
-# Sample distances, in finest ones, and image sample distances of the pictures that are compared with full quality.
+# Sample distances (as multiples of the finest) and image sample distances of the pictures that are compared with full
+# quality.
 STEPS = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)
 IMAGES = (1.0, 1.2, 1.44, 2.0)
 
-# Smallest image side in a comparison, pixels: smaller images say little.
+# Smallest image side in a comparison, in pixels; smaller images give no reliable errors.
 LEAST_SIDE = 256
 
 
@@ -37,9 +38,9 @@ class VtkRenderer:
 
     def __init__(self, mapper, shade):
         self.mapper, self.shade = mapper, shade
-        # Renderer name of vtkEntireSteering's timings: a model's quality law holds for the renderer that it names.
+        # The renderer name that vtkEntireSteering uses: a model's quality law is valid only for the renderer it names.
         self.name = vtk_scene.MAPPERS[mapper]().GetClassName()
-        # The mappers' own skipping: the fixed-point mapper leaps over blocks without opacity.
+        # Empty-space skipping of the mappers: the fixed-point mapper skips transparent blocks.
         self.skipping = {"fixed": "blocks", "gpu": "none"}[mapper]
         self.termination = {"fixed": 0.99, "gpu": 0.996}[mapper]
         self.driver = vtkVersion.GetVTKVersionFull() if hasattr(vtkVersion, "GetVTKVersionFull") else vtkVersion.GetVTKVersion()
@@ -81,7 +82,7 @@ class VtkRenderer:
 
 
 def compared(renderer, scene, name, repeats):
-    """A scene at every pair of steps and image sample distances, as rows of a table of pictures."""
+    """Draws a scene at every pair of step and image sample distance; returns rows of the table of pictures."""
     draw = renderer.prepare(scene)
     found = vtk_scene.compared(renderer.view, draw, scene.step * renderer.volume.reference_step, IMAGES, STEPS, repeats)
     rows = [(name, step, image, float(np.median(seconds)), error) for image, step, seconds, error in found]
@@ -90,14 +91,14 @@ def compared(renderer, scene, name, repeats):
 
 
 def compare(options, renderer):
-    """Writes the table of compared pictures, scene by scene: an interruption keeps the finished ones."""
+    """Writes the table of compared pictures after each scene, so that an interruption keeps the finished scenes."""
     with open(options.pictures, "x", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("scene", "step", "image_sample_distance", "seconds", "error"))
         for path in options.volumes:
             renderer.load(timing_table.read_nrrd(path))
             for index in range(options.scenes):
-                # Other frames than the timed ones.
+                # Indices after those of the timed frames, for other scenes.
                 scene = timing_table.draw_scene(
                     options.seed, path, options.frames + index, max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size)
                 )
@@ -109,7 +110,7 @@ def compare(options, renderer):
 if __name__ == "__main__":
     parser = timing_table.arguments(__doc__.splitlines()[0])
     parser.add_argument("--mapper", choices=("fixed", "gpu"), default="fixed")
-    parser.add_argument("--pictures", metavar="FILE.csv", help="compare pictures, too, and write this table of them")
+    parser.add_argument("--pictures", metavar="FILE.csv", help="also compare pictures and write their table here")
     parser.add_argument("--scenes", type=int, default=4, help="scenes per volume whose pictures are compared")
     options = parser.parse_args()
     if options.pictures and os.path.exists(options.pictures):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A steered VTK volume in Python: three lines make it so.
+"""Steers a VTK volume in Python with three lines.
 
     PYTHONPATH=build/lib/python3/site-packages xvfb-run -a python3 steer.py [--mapper fixed|gpu|smart] [--target-ms 40]
 """
@@ -27,7 +27,7 @@ steering = vtkEntireSteering()
 steering.SetTargetFrameTime(1e-3 * options.target_ms)
 steering.Attach(view.renderer, view.volume)
 
-# Update rate that an interactor sets while the mouse is down; without it frames are still ones, which are never degraded.
+# Update rate that an interactor sets while a mouse button is down; without it, frames are still and never coarsened.
 view.window.SetDesiredUpdateRate(15)
 for frame in range(options.frames):
     view.functions(functions[frame * 2 // options.frames], color)
@@ -36,5 +36,5 @@ for frame in range(options.frames):
     print(
         f"frame {frame:3}  predicted {1e3 * steering.GetPredictedTime():7.1f} ms  measured {1e3 * steering.GetMeasuredTime():7.1f} ms"
         f"  whole frame {1e3 * steering.GetFrameTime():7.1f} ms  sample distance {steering.GetSampleDistance():.2f}"
-        f"  of image {steering.GetImageSampleDistance():.1f}  {steering.GetReason()} {steering.GetStatus() or ''}"
+        f"  image {steering.GetImageSampleDistance():.1f}  {steering.GetReason()} {steering.GetStatus() or ''}"
     )

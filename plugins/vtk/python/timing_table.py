@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of any renderer in Python, in the format of `entire collect`.
+"""Writes timing tables of any renderer in Python, in the format of `entire collect`.
 
 The same seed draws the same frames of a volume as `entire collect` does (camera, image size, ray step, transfer
 function), so that tables of several renderers can be compared frame by frame. `entire train` and `entire evaluate` read
-them. A renderer is a class with `load(volume)`, with `prepare(scene)` that returns a function which draws the scene and
-returns its wall and processor seconds, and with a few names; see collect_vtk.py.
+them. A renderer is a class with `load(volume)` and `prepare(scene)`, which returns a function that draws the scene and
+returns its wall and processor seconds, and with a few attributes; see collect_vtk.py.
 """
 import argparse
 import csv
@@ -33,7 +33,7 @@ _MASK32, _MASK64 = 0xFFFFFFFF, 0xFFFFFFFFFFFFFFFF
 
 
 def machine():
-    """Processor with its widest vectors, number of logical processors, system and architecture; no name of the host."""
+    """Describes the machine: processor, its widest vector instructions, logical processors, system, architecture."""
     model = platform.processor()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
@@ -49,7 +49,7 @@ def machine():
 
 
 def fnv1a(data):
-    """64-bit FNV-1a."""
+    """64-bit FNV-1a hash of bytes."""
     value = 0xCBF29CE484222325
     for byte in data:
         value = (value ^ byte) * 0x100000001B3 & _MASK64
@@ -89,7 +89,7 @@ class ChaCha8:
         self._block += 1
 
     def unit(self):
-        """A number in [0, 1) with 53 bits."""
+        """Returns the next number of the stream, in [0, 1) with 53 bits."""
         if len(self._words) < 2:
             self._refill()
         low, high = self._words.pop(0), self._words.pop(0)
@@ -178,19 +178,19 @@ def read_nrrd(path):
         data = file.read()
     end = data.find(b"\n\n")
     if not data.startswith(b"NRRD") or end < 0:
-        raise ValueError(f"{path} is no NRRD file with its data in it")
+        raise ValueError(f"{path} is not an NRRD file that contains its data")
     fields = {}
     for line in data[:end].decode("ascii", "replace").splitlines()[1:]:
         if ":" in line and not line.startswith("#"):
             key, value = line.split(":", 1)
             fields[key.strip().lower()] = value.lstrip("=").strip()
     if fields.get("type") not in ("uint8", "uchar", "unsigned char", "uint8_t") or fields.get("dimension") != "3":
-        raise ValueError(f"{path} holds {fields.get('type')} in {fields.get('dimension')} dimensions; uint8 in 3 is read")
+        raise ValueError(f"{path} holds {fields.get('type')} in {fields.get('dimension')} dimensions; only uint8 in 3 works")
     body = data[end + 2 :]
     if fields.get("encoding") in ("gzip", "gz"):
         body = zlib.decompress(body, 47)
     elif fields.get("encoding") != "raw":
-        raise ValueError(f"{path} has encoding {fields.get('encoding')}; raw and gzip are read")
+        raise ValueError(f"{path} has encoding {fields.get('encoding')}; only raw and gzip are read")
     x, y, z = (int(n) for n in fields["sizes"].split())
     if "spacings" in fields:
         spacing = tuple(float(s) for s in fields["spacings"].split())
@@ -203,7 +203,7 @@ def read_nrrd(path):
 
 
 def resampled(volume, edge):
-    """A volume of `edge` voxels along every axis, trilinear at the new voxels' centers; the box stays."""
+    """Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers; its box stays."""
     voxels = volume.voxels.astype(np.float64)
     for axis, size in enumerate(voxels.shape):
         at = np.clip((np.arange(edge) + 0.5) * size / edge - 0.5, 0.0, size - 1.0)
@@ -217,7 +217,7 @@ def resampled(volume, edge):
 
 
 def write_nrrd(path, voxels, spacing=(1.0, 1.0, 1.0)):
-    """Writes [z, y, x] bytes."""
+    """Writes [z, y, x] bytes to a gzip-compressed NRRD file."""
     z, y, x = voxels.shape
     header = (
         f"NRRD0004\ntype: uint8\ndimension: 3\nsizes: {x} {y} {z}\nspacings: {' '.join(map(str, spacing))}\n"
@@ -228,7 +228,7 @@ def write_nrrd(path, voxels, spacing=(1.0, 1.0, 1.0)):
 
 
 def timed(work):
-    """Wall and processor seconds of a call."""
+    """Calls `work`; returns its wall and processor seconds."""
     cpu, wall = time.process_time(), time.perf_counter()
     work()
     return time.perf_counter() - wall, time.process_time() - cpu
@@ -240,24 +240,24 @@ def single_text(value):
 
 
 def arguments(description):
-    """The options of every collector, with the meaning of those of `entire collect`."""
+    """Returns a parser with the options of every collector, which have the same meaning as in `entire collect`."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("volumes", nargs="+", metavar="VOLUME", help="NRRD files of bytes")
     parser.add_argument("--out", required=True, metavar="FILE.csv")
     parser.add_argument("--frames", type=int, default=100, help="frames per volume")
-    parser.add_argument("--repeats", type=int, default=5, help="how often each frame is drawn")
+    parser.add_argument("--repeats", type=int, default=5, help="measured drawings of each frame")
     parser.add_argument(
         "--passes", type=int, default=1,
-        help="go through all volumes so often: repeats minutes apart show the machine's drift, which repeats at once do not",
+        help="passes through all volumes: repeats that are minutes apart show the machine's drift",
     )
-    parser.add_argument("--warm-up", type=int, default=2, help="frames drawn and thrown away after a volume is loaded")
+    parser.add_argument("--warm-up", type=int, default=2, help="frames drawn but not recorded after a volume is loaded")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--min-size", type=int, default=32, help="shortest image side, pixels")
     parser.add_argument("--max-size", type=int, default=1024, help="longest image side, pixels")
     parser.add_argument("--steps", default="1", help="ray steps to draw from, smallest voxel spacings, comma-separated")
     parser.add_argument("--shade", choices=("none", "local"), default="none")
     parser.add_argument(
-        "--proxy", type=int, metavar="EDGE", help="draw every volume resampled to so many voxels an edge instead"
+        "--proxy", type=int, metavar="EDGE", help="draw every volume resampled to this many voxels along each axis"
     )
     return parser
 
@@ -267,7 +267,7 @@ def collect(options, renderer):
     if os.path.exists(options.out):
         sys.exit(f"{options.out} exists already; remove it or choose another name")
     steps = tuple(float(s) for s in options.steps.split(","))
-    # Written first, so that an interrupted table can be used.
+    # The manifest is written first, so that an interrupted table can be used.
     manifest = {
         "format": "entire-timings-1",
         "created": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -298,7 +298,7 @@ def collect(options, renderer):
 
 
 def volume_frames(options, renderer, path, steps, number, repeat):
-    """Draws a volume's frames and yields each one's rows; the first has this number and this repeat."""
+    """Draws a volume's frames and yields the rows of each. `number` and `repeat` are those of the first row."""
     volume = read_nrrd(path)
     if options.proxy:
         volume = resampled(volume, options.proxy)
@@ -307,7 +307,7 @@ def volume_frames(options, renderer, path, steps, number, repeat):
     for index in range(options.frames):
         scene = draw_scene(options.seed, path, index, options.min_size, options.max_size, steps)
         draw = renderer.prepare(scene)
-        # The first frame of another size or transfer function includes one-time work.
+        # The first frame with a new image size or transfer function includes one-time work.
         for _ in range(options.warm_up if index == 0 else renderer.warm_up):
             draw()
         rows = []

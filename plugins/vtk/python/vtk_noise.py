@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The volume of noise that comparisons, bars and tests draw."""
+"""A volume of noise for comparisons, bars and tests."""
 
 import numpy as np
 
 
 def noise_volume(n, seed=7):
-    """Five octaves of value noise, thresholded, falling off towards the corners: about 60 % of it is not empty."""
+    """Returns [z, y, x] bytes: five octaves of value noise, thresholded, less toward the corners; 60 % are not 0."""
     rng = np.random.default_rng(seed)
     total = np.zeros((n, n, n), np.float32)
     weight, cells = 1.0, 4

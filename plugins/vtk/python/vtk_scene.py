@@ -34,7 +34,7 @@ OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
 
 
 def camera(frame, frames, n):
-    """Position of the eye on the orbit, in voxels from the volume's center."""
+    """Position of the eye in frame `frame` of `frames` on an orbit, in voxels from the center of n x n x n voxels."""
     t = frame / frames
     azimuth = 2 * math.pi * t
     elevation = math.radians(25) * math.sin(4 * math.pi * t)
@@ -84,19 +84,20 @@ def pixels(window):
 
 
 def rmse(picture, full):
-    """Root of the mean squared difference of two pictures' 8-bit colors."""
+    """Root mean square difference of two pictures' 8-bit colors."""
     return float(np.sqrt(np.mean((picture.astype(np.float32) - full) ** 2)))
 
 
 def compared(view, draw, finest, images, steps, repeats):
-    """A scene at every pair of image sample distance and step (times the finest sample distance), compared with the first,
-    at full quality: image, step, processor seconds of the repeats, error. `draw` gives wall and processor seconds."""
+    """Draws a scene at every pair of image sample distance and step (a multiple of the finest sample distance), and
+    compares each picture with the first, which has full quality. Yields image sample distance, step, processor seconds
+    of the repeats, and error. `draw` returns wall and processor seconds."""
     full = None
     for image in images:
         for step in steps:
             view.mapper.SetSampleDistance(step * finest)
             view.mapper.SetImageSampleDistance(image)
-            # The first frame makes buffers and tables.
+            # The first frame creates buffers and tables, so its time is dropped.
             seconds = [draw()[1] for _ in range(1 + repeats)][1:]
             picture = view.pixels()
             full = picture if full is None else full
@@ -124,7 +125,7 @@ class View:
         self.renderer.AddVolume(self.volume)
 
     def adjust_off(self, sample_distance=1.0):
-        """Full quality: without VTK's own adjustment."""
+        """Turns VTK's automatic adjustment off and sets the sample distance."""
         self.mapper.SetAutoAdjustSampleDistances(0)
         if hasattr(self.mapper, "SetLockSampleDistanceToInputSpacing"):
             self.mapper.SetLockSampleDistanceToInputSpacing(0)

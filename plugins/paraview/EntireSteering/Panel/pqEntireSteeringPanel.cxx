@@ -34,9 +34,9 @@ struct pqEntireSteeringPanel::pqInternals
   QPointer<pqRenderView> View;
   // One steering per view, kept while the view lives.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Proxies;
-  // The proxies above are read in the client, these if a server draws.
+  // ParaView reads the values of the proxies above in the client, and those of these on the server, if a server draws.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Remotes;
-  // Frame counts at the last read-out, and the proxy that drew the last frame.
+  // Number of frames of each proxy at the last update of the labels, and the proxy of the process that drew last.
   QMap<vtkSMProxy*, double> Seen;
   QPointer<pqRenderView> ReadView;
   vtkSMProxy* DrawnBy = nullptr;
@@ -90,14 +90,15 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
   auto* column = new QVBoxLayout(body);
   in.On = new QCheckBox("Hold the frame time of this view");
   in.On->setObjectName("On");
-  in.On->setToolTip("Steers volumes while the view is moved. Leaves still renders alone.");
+  in.On->setToolTip("Steers volumes while the view is moved. Still renders are not changed.");
   column->addWidget(in.On);
 
   auto* form = new QFormLayout;
-  in.Target = Spin(1, 10000, 100, " ms", "What an interactive frame may take", "Target");
-  in.Step = Spin(1, 64, 8, " voxels", "The coarsest distance between samples along rays", "SampleDistance");
+  in.Target = Spin(1, 10000, 100, " ms", "Target time of an interactive frame", "Target");
+  in.Step = Spin(1, 64, 8, " voxels", "Coarsest distance of samples along rays, in smallest voxel spacings",
+    "SampleDistance");
   in.ImageDistance = Spin(1, 16, 4, " pixels",
-    "The most pixels between rays along each side of the image; 1 leaves its resolution alone",
+    "Coarsest distance of rays along each side of the image; 1 keeps its full resolution",
     "ImageSampleDistance");
   in.Clock = new QComboBox;
   in.Clock->addItems({ "Wall", "Process CPU" });
@@ -310,7 +311,7 @@ void pqEntireSteeringPanel::readOut()
     }
     return;
   }
-  // The process that drew the last frame: the client, or its server.
+  // Finds the process that drew the last frame: the client, or its server.
   if (in.ReadView != in.View)
   {
     in.ReadView = in.View;
@@ -336,7 +337,7 @@ void pqEntireSteeringPanel::readOut()
   const QString status = vtkSMPropertyHelper(proxy, "Status").GetAsString();
   in.Reason->setText(status.isEmpty() ? reason : reason + ": " + status);
   in.Frames->setText(QString::number(number("NumberOfSteeredFrames")));
-  // Still frames follow the moving ones: the read-out of the last moving frame stays.
+  // A still frame follows interactive ones: the labels keep the values of the last interactive frame.
   if (reason == "still" || !in.On->isChecked())
   {
     return;

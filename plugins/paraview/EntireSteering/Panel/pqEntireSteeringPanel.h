@@ -9,8 +9,8 @@
 class pqView;
 
 /**
- * A panel with the settings and the live read-out of the active render view's frame-time steering. Steering
- * starts when its box is ticked.
+ * A panel with the settings of the active render view's frame-time steering, and the values of its last frame.
+ * Steering starts when the check box is ticked.
  */
 class pqEntireSteeringPanel : public QDockWidget
 {

@@ -41,7 +41,7 @@ public:
       this->Renderer->RemoveObserver(this->Tag);
     }
     this->Renderer = nullptr;
-    // Releasing restores mappers' settings, for which their observers are called.
+    // A copy, since releasing restores mappers' settings, which invokes observers.
     const auto volumes = std::move(this->Volumes);
     this->Volumes.clear();
   }
@@ -52,7 +52,7 @@ public:
     this->Renderer = renderer;
     if (renderer)
     {
-      // Before the observers of each volume's own steering.
+      // With a priority before the observers of each vtkEntireSteering.
       this->Tag = renderer->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::Start, 2.0f);
     }
   }
@@ -91,7 +91,7 @@ public:
         continue;
       }
       auto steering = vtkSmartPointer<vtkEntireSteering>::New();
-      // Before the volume is read, since its reading depends on the clock and the model.
+      // Before Attach() reads the volume, since a later change of clock or model would read it again.
       this->Configure(steering);
       if (steering->Attach(renderer, volume))
       {
@@ -125,7 +125,7 @@ public:
     steering->SetModelFileName(model && *model ? model : nullptr);
   }
 
-  // The source of the read-outs.
+  // The internals whose values are returned: those of the source, if one is set.
   vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
 
   // The steering of the volume that took longest in its last frame.
@@ -181,7 +181,7 @@ void vtkEntireViewSteering::SetView(vtkPVRenderView* view)
 //------------------------------------------------------------------------------
 void vtkEntireViewSteering::SetSource(vtkEntireViewSteering* source)
 {
-  // A source that reads another one in turn would make a cycle.
+  // A source that has a source itself could make a cycle.
   this->Internals->Source = source && source != this && !source->Internals->Source ? source : nullptr;
 }
 

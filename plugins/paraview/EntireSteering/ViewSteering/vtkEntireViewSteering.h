@@ -3,9 +3,9 @@
  * @class   vtkEntireViewSteering
  * @brief   holds every volume of a render view to a frame time
  *
- * Gives each volume that the view draws a vtkEntireSteering of its own, before each frame, with the settings
- * below. Interactive frames are steered; still frames and screenshots are drawn by ParaView alone. In a
- * parallel server every rank steers the part of the volume that it draws, by its own clock.
+ * Before each frame, it attaches a vtkEntireSteering with the settings below to each volume that the view draws
+ * and that has none yet. Interactive frames are steered; ParaView draws still frames and screenshots without
+ * steering. In a parallel server every rank steers the part of the volume that it draws, by its own clock.
  */
 #ifndef vtkEntireViewSteering_h
 #define vtkEntireViewSteering_h
@@ -25,19 +25,19 @@ public:
   void PrintSelf(ostream& os, vtkIndent indent) override;
 
   /**
-   * The view; nullptr releases it. The view is not kept alive.
+   * Sets the view whose volumes are steered; nullptr releases it. The view is not kept alive.
    */
   void SetView(vtkPVRenderView* view);
 
   /**
-   * Another steering in this process whose read-outs are returned instead of this one's own; nullptr for none. It is
-   * not kept alive.
+   * Sets another steering in this process whose values the getters below return instead of this one's own; nullptr
+   * for none. It is not kept alive.
    */
   void SetSource(vtkEntireViewSteering* source);
 
   ///@{
   /**
-   * As in vtkEntireSteering. They take effect with the next frame.
+   * Settings as in vtkEntireSteering. Changes take effect in the next frame.
    */
   vtkSetMacro(Enabled, bool);
   vtkGetMacro(Enabled, bool);
@@ -55,25 +55,26 @@ public:
 
   ///@{
   /**
-   * A file from which learning starts, read when it is set; nullptr or an empty name for none.
+   * A file with a learned state from which steering starts, read when it is set; nullptr or an empty name for none.
    */
   void SetStateFileName(VTK_FILEPATH const char* fileName);
   vtkGetFilePathMacro(StateFileName);
   ///@}
 
   /**
-   * Writes the learned state of the last drawn volume.
+   * Writes the learned state of the volume that took longest in the last frame. Returns false on failure.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
 
   /**
-   * Resets the learned state.
+   * Discards the learned state.
    */
   void Reset();
 
   ///@{
   /**
-   * Read-outs of the last frame in this process, as in vtkEntireSteering: of the volume that took longest.
+   * Values of the last frame in this process, as in vtkEntireSteering, for the volume that took longest. The numbers of
+   * frames are sums over all volumes.
    */
   double GetPredictedTime();
   double GetMeasuredTime();

@@ -7,8 +7,8 @@ With PyVista::
     pl.add_volume(v)
     pl.entire.hold(fps=30)
 
-with any VTK: :func:`entire.vtk.hold`; with any other renderer: :class:`Session`; without one:
-:func:`predict`.
+With any VTK, use :func:`entire.vtk.hold`; with any other renderer, :class:`Session`. :func:`predict` predicts the
+times of many views without a renderer.
 """
 
 from __future__ import annotations

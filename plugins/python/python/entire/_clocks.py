@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The clock of the frames, and the clock that their model predicts."""
+"""Comparison of the clock that times frames with the clock whose times the model predicts."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ._core import Session
 
 
 def difference(session: Session) -> str:
-    """Warning for a model that predicts another clock than the one that times frames; empty where it does not.
+    """Warning that the model predicts times of another clock than the one that times frames; empty if the clocks agree.
 
-    In the words of vtkEntireSteering.
+    The text is that of vtkEntireSteering.
     """
     own, model = session.clock, session.model_clock
     if own is None or model is None or own == model:
@@ -23,13 +23,13 @@ def difference(session: Session) -> str:
 
 
 def warn(session: Session, also: str = "", *, stacklevel: int) -> None:
-    """Warns, and names the ways to make a model of the clock. The caller's own frame is `stacklevel` 1."""
+    """Warns if the two clocks differ. `also` is added to the text. `stacklevel` 1 is the caller's frame."""
     text = difference(session)
     if text:
         warnings.warn(text + also, stacklevel=stacklevel + 1)
 
 
 def both(session: Session) -> str:
-    """Both clocks, for a holder's representation."""
+    """Text about both clocks, for a holder's `repr`."""
     model = session.model_clock
     return f"{session.clock} clock" + ("" if model is None else f", model of the {model} clock")

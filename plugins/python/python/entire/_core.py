@@ -83,13 +83,13 @@ class Model(_native.Model):
 
     @classmethod
     def machine(cls, shading: Shading = "none") -> Self:
-        """The model of this machine that ``entire calibrate`` stored in the user's data folder. It predicts seconds of
-        entire's own raycaster, by the clock in ``metadata["entire.clock"]``.
+        """Opens the model of this machine that ``entire calibrate`` stored in the user's data folder. It predicts
+        seconds of entire's own raycaster, by the clock in ``metadata["entire.clock"]``.
 
         Parameters
         ----------
         shading : {"none", "local", "scatter"}, optional
-            The shading mode, as in ``--shade``.
+            Shading mode, as in ``--shade``.
 
         Returns
         -------
@@ -100,12 +100,12 @@ class Model(_native.Model):
         ValueError
             For another shading mode.
         FileNotFoundError
-            If the machine was not calibrated for the mode; the text has the command.
+            If the machine was not calibrated for the mode; the text gives the command to do so.
         """
         return cls(_native.machine_file(shading))
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Writes the model file, whole or not at all.
+        """Writes the model file, completely or not at all.
 
         Parameters
         ----------
@@ -130,18 +130,18 @@ class Calibrated(NamedTuple):
 
     #: The model.
     model: Model
-    #: Frames that it was fitted to.
+    #: Number of frames that the model was fitted to.
     frames: int
     #: Groups of the cross-validation that gave the errors below: "volumes", "transfer functions", "stretches
     #: of time", or "nothing" if there were too few frames.
     held_out: str
-    #: Median of |predicted / measured - 1| over frames that were left out.
+    #: Median of |predicted / measured - 1| over held-out frames.
     median_error: float
-    #: Root of their mean squared error over the standard deviation of their times.
+    #: Root mean square error in seconds over held-out frames, divided by the standard deviation of their times.
     rmse_over_sd: float
-    #: Upper bound divided by the prediction: 95 % of frames take no longer.
+    #: Upper bound divided by the prediction: 95 % of frames take no longer than this bound.
     upper_factor: float
-    #: Number of scenes of :meth:`Calibration.add_picture` in the fit of the quality law; 0 without a law.
+    #: Number of scenes of :meth:`Calibration.add_picture` that the quality law was fitted to; 0 without a law.
     scenes: int = 0
 
 
@@ -157,7 +157,7 @@ class Session(_native.Session):
         The volume to draw; :meth:`set_volume` replaces it.
     model : Model, str, os.PathLike or bytes, optional
         Predictor, or an argument of :class:`Model`. Without one, a linear cost model adapts to the renderer
-        with its first frames.
+        in the first frames.
     tolerance : float, optional
         Excess over the target above which a frame counts as missed, as a share of the target. Default 0.1.
     miss_rate : float, optional
@@ -165,7 +165,7 @@ class Session(_native.Session):
     trust_limit : float, optional
         Out-of-range score above which recent frames are used instead of the prediction. Default 2.
     damping : bool, optional
-        If true, changes of the step are limited in calm phases. Default True.
+        If true, the step changes only slowly while nothing in the scene changes abruptly. Default True.
     probe_side : int, optional
         Rays along each side of the probe that estimates a frame's work, 1 to 24, for linear cost models.
         Default 11.
@@ -257,8 +257,7 @@ class Session(_native.Session):
         return Calibrated(Model(data), **report)
 
     def set_model(self, model: ModelLike) -> None:
-        """Replaces the session's model. Observations are dropped; volume, transfer function, limits and
-        recorded
+        """Replaces the session's model. Observations are dropped; volume, transfer function, limits and recorded
         frames stay. If the model takes volume features, set the volume again.
 
         Parameters
@@ -268,7 +267,7 @@ class Session(_native.Session):
         Raises
         ------
         ModelError
-            For a model that predicts nothing.
+            For a model without a prediction network.
         ValueError
             While frames are recorded with another probe than the model's.
         """
@@ -280,7 +279,7 @@ class Session(_native.Session):
         return History(self.columns())
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Writes the learned state to a file, whole or not at all.
+        """Writes the learned state to a file, completely or not at all.
 
         Parameters
         ----------
@@ -289,12 +288,12 @@ class Session(_native.Session):
         Raises
         ------
         OSError
-            Names the file that cannot be written.
+            If the file cannot be written; the text names it.
         """
         _native.write_whole(path, self.save_state())
 
     def load(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Loads a file of :meth:`save`; on an error nothing changes.
+        """Loads the learned state from a file of :meth:`save`; on an error nothing changes.
 
         Parameters
         ----------
@@ -304,6 +303,8 @@ class Session(_native.Session):
         ------
         ValueError
             For a file that is not a saved state.
+        ModelError
+            For a valid state of another model, renderer or clock (:meth:`set_timing_source`).
         """
         self.load_state(Path(path).read_bytes())
 
@@ -312,7 +313,7 @@ class Session(_native.Session):
 
 
 def explain(plan: _native.Plan) -> str:
-    """Reason of a plan, in a sentence.
+    """Explains the reason of a plan in a sentence.
 
     Parameters
     ----------
@@ -328,7 +329,7 @@ def explain(plan: _native.Plan) -> str:
 class Calibration(_native.Calibration):
     __doc__ = _native.Calibration.__doc__
 
-    #: What is known of the last fit; None before.
+    #: Result of the last :meth:`fit`; None before.
     report: Calibrated | None = None
 
     def __new__(cls, model: ModelLike | None = None, *, frames: int = 1000) -> Self:
@@ -336,17 +337,18 @@ class Calibration(_native.Calibration):
 
     @property
     def median_error(self) -> float:
-        """float : Median of |predicted / measured - 1| over the frames that the last fit held out; NaN before."""
+        """float : Median of |predicted / measured - 1| over the held-out frames of the last fit; NaN before a fit."""
         return float("nan") if self.report is None else self.report.median_error
 
     def fit(self, renderer: str = "", clock: str = "") -> Model:
-        """Fits the model to the frames so far: some 50 from various sides, with various steps and transfer functions,
-        of several volumes if it must hold for others.
+        """Fits the model to the added frames. About 50 frames are enough, from various directions, with various steps
+        and transfer functions; add frames of several volumes if the model is to be used for other volumes.
 
         Parameters
         ----------
         renderer, clock : str, optional
-            Whose seconds they are, and by which clock ("cpu", "wall" or "device"): stands in the model's metadata.
+            Names of the renderer and of the clock that timed the frames ("cpu", "wall" or "device"), for the model's
+            metadata.
 
         Returns
         -------
@@ -388,7 +390,7 @@ def predict(
     size : (int, int)
         Width and height of the image in pixels.
     model : Model, str, os.PathLike or bytes, optional
-        A model, or an argument of :class:`Model`. It predicts the seconds of one machine and renderer;
+        A model, or an argument of :class:`Model`. A model predicts the seconds of one machine and renderer;
         calibrate for yours. Without a model the seconds are those of a typical software renderer, so only
         ratios between views are meaningful.
     step : float, optional
@@ -401,7 +403,7 @@ def predict(
     Returns
     -------
     numpy.ndarray
-        float32, shape (n,): bit for bit the same as predictions of single views.
+        float32, shape (n,): seconds, bit for bit the same as predictions of single views.
 
     Examples
     --------

@@ -19,9 +19,10 @@ _MOST = 600
 class History:
     """Observed frames of a session, oldest first.
 
-    Columns are reached as attributes or by name: ``plan``, ``target``, ``predicted``, ``upper``, ``measured``
+    Columns are accessed as attributes or by name: ``plan``, ``target``, ``predicted``, ``upper``, ``measured``
     (seconds), ``step`` (reference steps), ``image_sample_distance`` (pixels), ``reason`` and ``verdict``.
-    Notebooks show it as two plots: predicted and measured time with the target, and the step.
+    Notebooks show a history as two plots: predicted and measured time with the target, and the factor by which the
+    number of samples is reduced.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ class History:
             raise AttributeError(f"a history has no column {name!r}") from None
 
     def relative_error(self) -> npt.NDArray[np.float64]:
-        """|measured - target| / target of every frame.
+        """Returns abs(measured - target) / target of every frame.
 
         Returns
         -------
@@ -68,12 +69,12 @@ class History:
         )
 
     def svg(self) -> str:
-        """The history as a picture.
+        """Draws the history.
 
         Returns
         -------
         str
-            An SVG element; text that stands alone as a file.
+            An SVG element, which is also a complete SVG file.
         """
         return _svg(self)
 
@@ -89,7 +90,7 @@ def _ticks(high: float) -> list[float]:
 
 
 def _line(x: Any, y: Any, color: str, dash: str = "", width: float = 1.5) -> str:
-    """A line through the points that exist."""
+    """SVG path through the points (x, y), with gaps where y is not finite."""
     text: list[str] = []
     for a, b in zip(x, y):
         text.append("M" if not text or text[-1] == "" else "L")
@@ -130,7 +131,7 @@ def _svg(history: History) -> str:
     )
     for label, top, lines in series:
         finite = np.concatenate([y[np.isfinite(y)] for y, _, _ in lines])
-        # One outlier must not compress the rest of the scale.
+        # The scale ends at the 99th percentile, so that an outlier does not compress the other values.
         high = 1.1 * max(float(np.percentile(finite, 99)), float(np.nanmedian(lines[-1][0])), 1e-6)
         tall = _HEIGHT - 20
 

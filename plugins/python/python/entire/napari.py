@@ -17,7 +17,7 @@ from ._core import ModelLike
 from .vispy import CannotSteer, Holder
 from .vispy import hold as _hold
 
-# Seconds after the camera's last move from which the view counts as still.
+# Time in seconds after the camera's last move, from which on the view counts as still.
 _REST = 0.25
 
 
@@ -40,8 +40,8 @@ def hold(
 ) -> Holder:
     """Holds the 3D view of an image layer to a frame time while its camera moves.
 
-    A quarter of a second after the last move the view is drawn once more at the layer's own step; screenshots
-    always are.
+    A quarter of a second after the last move, the view is drawn once more at the layer's own step. Screenshots are
+    always drawn at that step.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""``plotter.entire``: frame times of PyVista's plotters. PyVista (0.48 or newer) finds it by itself; nothing
-is imported."""
+"""``plotter.entire``: holds PyVista's plotters to a frame time. PyVista (0.48 or newer) loads this module by itself; it
+needs no import."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .vtk._mappers import gpu_in_place_of
 
 
 def _gpu_wrapper(smart: Any) -> Any:
-    """PyVista's own GPU mapper instead of its smart one, with the attributes that PyVista sets on a mapper."""
+    """PyVista's own GPU mapper in place of its smart one, with the attributes that PyVista sets on a mapper."""
     kind = getattr(pv.plotting.mapper, "OpenGLGPUVolumeRayCastMapper", None)
     if kind is None or not hasattr(smart, "_scalar_range"):
         return gpu_in_place_of(smart)
@@ -43,7 +43,7 @@ class EntireComponent:
 
     def __init__(self, plotter: Any) -> None:
         self._plotter = plotter
-        #: Steering of each renderer that is held, by its index among the plotter's.
+        #: Steering of each held renderer, by the renderer's index in the plotter.
         self._held: dict[int, Steering] = {}
         self._screenshots: dict[str, Any] = {}
 
@@ -53,7 +53,7 @@ class EntireComponent:
         return gpu
 
     def _replace(self, before: Any, after: Any) -> None:
-        """Scalar bars follow a mapper that takes another's place; PyVista removes them with their mappers."""
+        """Assigns the scalar bars of `before` to `after`, since PyVista removes scalar bars with their mappers."""
         for mappers in getattr(self._plotter.scalar_bars, "_scalar_bar_mappers", {}).values():
             mappers[:] = [after if mapper is before else mapper for mapper in mappers]
 
@@ -67,19 +67,19 @@ class EntireComponent:
     ) -> Steering:
         """Holds volumes of the active renderer to a frame rate while the camera or a widget moves.
 
-        Still frames, and screenshots and movie frames, are PyVista's at full quality, pixel for pixel.
+        Still frames, screenshots and movie frames are drawn by PyVista at full quality, pixel for pixel.
 
         Parameters
         ----------
         fps : float, optional
-            Frames per second. Default: 30, unless `seconds` says otherwise.
+            Frames per second. Default: 30, unless `seconds` is given.
         seconds : float, optional
             Seconds per frame, instead of `fps`.
         volume : pyvista.Volume or sequence of them, optional
-            Default: every volume of the renderer, those that are added later included.
+            Volumes to hold. Default: all volumes of the renderer, including those that are added later.
         **options
-            As :func:`entire.vtk.hold` takes them. Loops without interaction (off screen) need
-            ``always=True``: without it all their frames are still ones.
+            Options of :func:`entire.vtk.hold`. Loops without interaction (off screen) need
+            ``always=True``: without it all their frames are still frames.
 
         Returns
         -------
@@ -88,9 +88,9 @@ class EntireComponent:
         Raises
         ------
         ValueError
-            For a rate that is not positive, both of `fps` and `seconds`, or a renderer without volumes.
+            For a rate that is not positive, for both `fps` and `seconds`, or for a renderer without volumes.
         entire.vtk.CannotSteer
-            Where a mapper cannot be steered; the text says why.
+            If a mapper cannot be steered; the text gives the reason.
         """
         if fps is not None and seconds is not None:
             raise ValueError("fps and seconds are both given; pass one of them")
@@ -100,7 +100,7 @@ class EntireComponent:
                 raise ValueError(f"fps is {rate}; it must be positive")
             seconds = 1.0 / rate
         index = self._plotter.renderers.active_index
-        # A steering that is refused leaves the one before.
+        # The earlier steering ends only after the new one was made, so that a refusal leaves it in place.
         steering = self._new_steering(volume, seconds, **options)
         earlier = self._held.get(index)
         if earlier is not None:
@@ -120,8 +120,9 @@ class EntireComponent:
         Parameters
         ----------
         frames : int, optional
+            Number of frames to draw, at least 10. Default 60.
         **options
-            As :func:`entire.vtk.calibrate` takes them.
+            Options of :func:`entire.vtk.calibrate`.
 
         Returns
         -------
@@ -130,7 +131,7 @@ class EntireComponent:
         """
         self._plotter.render()
         if self.steering is None:
-            # A smart mapper is exchanged during the measurement.
+            # A temporary steering, which exchanges a smart mapper during the measurement.
             passing = self._new_steering(None, 1.0)
             try:
                 return calibrate(self._plotter.renderer, frames=frames, **options)
@@ -150,14 +151,14 @@ class EntireComponent:
 
     @contextlib.contextmanager
     def still(self) -> Iterator[None]:
-        """Frames drawn inside are PyVista's own, pixel for pixel."""
+        """Context in which PyVista draws frames at full quality, pixel for pixel."""
         with contextlib.ExitStack() as stack:
             for steering in self._held.values():
                 stack.enter_context(steering.still())
             yield
 
     def detach(self) -> None:
-        """Releases the active renderer; exchanged mappers are put back."""
+        """Releases the active renderer and restores exchanged mappers."""
         self._end(self._plotter.renderers.active_index)
 
     def _end(self, index: int) -> None:
@@ -170,7 +171,7 @@ class EntireComponent:
             self._screenshots = {}
 
     def _guard_screenshots(self) -> None:
-        """Before a picture is kept, it is drawn at full quality if the last frame was not."""
+        """Makes the plotter draw at full quality before it saves a picture, if the last frame was steered."""
         for name in ("screenshot", "write_frame"):
             if name in self._screenshots:
                 continue

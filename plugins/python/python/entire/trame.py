@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""trame's remote views: the time of encoding a picture for the browser is part of its frame.
+"""Counts the time to encode pictures for the browser as part of the frames of trame's remote views.
 
 ::
 
     steering = plotter.entire.hold(fps=20)
     entire.trame.watch(steering)
 
-Views that the browser draws by itself (local ones: vtk.js, VTK.wasm) are out of Python's reach.
+Local views, which the browser draws itself (vtk.js, VTK.wasm), cannot be steered from Python.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _count(original: Any) -> Any:
         seconds = time.perf_counter() - before
         for steering, frames in zip(steerings, drawn):
             if steering.frames == frames + 1:
-                # Drawing is counted separately; the rest is reading back and encoding.
+                # The time without the drawing of the frame: reading the picture back and encoding it.
                 steering.also(max(0.0, seconds - steering.frame_time))
         return reply
 
@@ -43,15 +43,15 @@ def _count(original: Any) -> Any:
 
 
 def watch(steering: Steering) -> None:
-    """Counts the encoding of pictures for the browser as part of the frames of a steering.
+    """Counts the time to encode pictures for the browser as part of the frames of a steering.
 
-    The median of the last five is subtracted from the budget of later frames, so that the browser gets the
-    target rate.
+    The median time of the last five pictures is subtracted from the target of later frames, so that the browser gets
+    pictures at the target rate.
 
     Parameters
     ----------
     steering : entire.vtk.Steering
-        With the clock "wall".
+        A steering with the clock "wall".
     """
     if not hasattr(vtkWebPublishImageDelivery.still_render, "_entire_counts"):
         vtkWebPublishImageDelivery.still_render = _count(vtkWebPublishImageDelivery.still_render)

@@ -21,7 +21,7 @@ from ._core import ModelLike, Session, explain
 from ._history import History
 from ._native import Camera, Plan, TransferFunction, Volume
 
-# Ray casting of these methods may stop a ray at its first opaque samples; the others take every sample.
+# Accumulated opacity at which the methods that may stop rays early do so; the other methods take every sample.
 _STOPPING = {"translucent": 0.99, "iso": 0.99, "attenuated_mip": 0.99}
 
 
@@ -32,8 +32,7 @@ class CannotSteer(ValueError):
 def _matrix(visual: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Matrix, for column vectors, from the visual's coordinates to clip coordinates."""
     transform = visual.transforms.get_transform("visual", "render")
-    # Affine and projective maps are linear in homogeneous coordinates: the images of the four unit vectors determine
-    # them.
+    # The transform is linear in homogeneous coordinates, so the images of the four unit vectors are its columns.
     mapped = np.asarray(transform.map(np.eye(4)), np.float64)
     return mapped.T
 
@@ -44,16 +43,17 @@ class Holder:
     Attributes
     ----------
     seconds : float
-        Seconds that a frame of the canvas may take.
+        Target time of a frame of the canvas, in seconds.
     enabled : bool
-        Whether frames are steered.
+        True if frames are steered.
     moving : callable
-        Says whether the frame at hand is one of a motion; others are drawn at the visual's own step.
+        Returns true if the current frame belongs to a motion; other frames are drawn at the visual's own step.
     session : entire.Session
+        Session that plans the frames.
     measured, predicted : float
-        Seconds of the last frame; NaN where there is none.
+        Measured and expected seconds of the last frame; NaN if unknown.
     step : float
-        Step that the last frame was drawn with, in voxels.
+        Ray step of the last frame, in voxels.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Holder:
         if not hasattr(visual, "relative_step_size"):
             raise CannotSteer(
                 f"{type(visual).__name__} has no relative_step_size; vispy's Volume visual can be "
-                f"steered, planes and images draw one "
+                f"steered, but not planes and images, which draw one "
                 "sample per pixel"
             )
         self.canvas, self.visual, self.seconds, self.moving = canvas, visual, seconds, moving
@@ -95,7 +95,7 @@ class Holder:
         canvas.events.draw.connect(self._after, position="last")
 
     def detach(self) -> None:
-        """Releases the visual, at its own step."""
+        """Releases the visual and restores its own step."""
         self.canvas.events.draw.disconnect(self._before)
         self.canvas.events.draw.disconnect(self._after)
         self._restore()
@@ -107,7 +107,7 @@ class Holder:
 
     @property
     def why(self) -> str:
-        """str : Reason of the last frame's settings, in a sentence."""
+        """str : Reason for the last frame's settings, in a sentence."""
         return self.status or (explain(self._explained) if self._explained else "")
 
     def __repr__(self) -> str:
@@ -130,7 +130,7 @@ class Holder:
         self.own = self.visual.relative_step_size
         try:
             self._choose()
-        except Exception as error:  # A frame is never lost for the sake of its prediction.
+        except Exception as error:  # The frame is drawn even if its prediction fails.
             self.reason, self.status = "fallback", str(error)
         self.predicted = math.nan if self._plan is None else self._plan.seconds
         gl.glFinish()
@@ -139,7 +139,7 @@ class Holder:
     def _after(self, _event: Any) -> None:
         gl.glFinish()
         self.measured = time.perf_counter() - self._began
-        # Between frames the visual has the application's settings: a rendering to an image is at full quality.
+        # The step is restored between frames, so that renderings to an image have full quality.
         self._restore()
         plan, self._plan = self._plan, None
         if plan is not None:
@@ -164,11 +164,13 @@ class Holder:
         tf = None
         key = (method, limits)
         if key != self._key:
-            # If rays stop at an opacity, it grows with the value; else every sample is taken and none is opaque.
+            # A substitute for the method's own opacities: with early termination, opacity grows with the value;
+            # otherwise every sample is taken, so all are nearly transparent.
             most = 0.2 if method in _STOPPING else 1e-3
             tf = TransferFunction.points([(0, 1e-3), (1, most)])
             self._key = key
-        # The visual's first voxel spans 0 to 1: its center, the origin of a volume's own coordinates, is at a half.
+        # In the visual's coordinates the first voxel spans 0 to 1, so its center, the origin of Volume's coordinates,
+        # is at 0.5.
         half = np.eye(4)
         half[:3, 3] = 0.5
         return Camera.projection(self._volume, _matrix(visual) @ half), tf, _STOPPING.get(method, 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Holds yt's volume rendering to a time per picture: samples per cell first, then the camera's resolution.
+"""Holds yt's volume rendering to a time per picture: reduces the samples per cell first, then the camera's resolution.
 
 ::
 
@@ -30,12 +30,12 @@ def _source(scene: Any) -> Any:
         if hasattr(source, "num_samples"):
             return source
     raise CannotSteer(
-        "the scene has no volume source, whose samples could be set; mesh, line and point sources have none"
+        "the scene has no volume source with a number of samples; mesh, line and point sources cannot be steered"
     )
 
 
 def _fixed_resolution(source: Any, edge: int) -> Volume:
-    """The field on a regular grid of at most `edge` cells along an axis, as yt's rays see it, in log if yt takes logs."""
+    """The field on a regular grid of at most `edge` cells along an axis; its logarithm if yt takes logarithms."""
     data = source.data_source
     dataset = data.ds
     low, high = (
@@ -68,14 +68,15 @@ class Holder:
     Attributes
     ----------
     seconds : float
-        Seconds that a picture may take.
+        Target time of a picture, in seconds.
     session : entire.Session
+        Session that plans the pictures.
     samples : int
         Samples per cell of the last picture.
     resolution : (int, int)
-        Its size in pixels.
+        Width and height of the last picture, in pixels.
     measured, predicted : float
-        Its seconds; NaN where there is none.
+        Measured and expected seconds of the last picture; NaN before the first.
     """
 
     def __init__(
@@ -111,7 +112,7 @@ class Holder:
             fov = 2 * math.degrees(math.atan(0.5 * width[1] / width[2]))
             eye = position
         else:
-            # A distant eye that sees as much.
+            # A plane-parallel view is approximated by a distant eye with a narrow field of view.
             fov = 2.0
             forward = np.asarray(camera.unit_vectors[2])
             eye = focus - forward / np.linalg.norm(forward) * (0.5 * width[1] / math.tan(math.radians(1.0)))
@@ -122,7 +123,7 @@ class Holder:
 
     def _function(self) -> TransferFunction:
         alpha = np.clip(np.asarray(self.source.transfer_function.alpha.y, np.float64), 0, 1)
-        # yt's opacities are per unit length; rays never stop.
+        # yt's opacities hold over one unit of length.
         return TransferFunction.table(np.clip(alpha, 1e-4, 1), unit_length=1.0)
 
     def render(self) -> Any:
@@ -162,7 +163,7 @@ class Holder:
         return picture
 
     def full_quality(self) -> Any:
-        """Draws the scene with its own settings, however long it takes.
+        """Draws the scene with its own settings, without a time limit.
 
         Returns
         -------
@@ -172,7 +173,7 @@ class Holder:
 
     @property
     def why(self) -> str:
-        """str : Reason of the last picture's settings, in a sentence."""
+        """str : Reason for the last picture's settings, in a sentence."""
         return explain(self._plan) if self._plan else "no picture was drawn yet"
 
     @property
@@ -199,23 +200,25 @@ def hold(
 ) -> Holder:
     """Renders a yt scene within a time per picture.
 
-    yt takes a whole number of samples in every cell that a ray crosses (``num_samples``) and a picture of
-    ``camera.resolution``; fewer samples come first, a smaller picture where one sample per cell still takes
-    too long.
+    yt takes a whole number of samples in every cell that a ray crosses (``num_samples``), and draws a picture of
+    ``camera.resolution``. The number of samples is reduced first; if one sample per cell still takes too long, the
+    picture becomes smaller.
 
     Parameters
     ----------
     scene : yt.visualization.volume_rendering.api.Scene
-        With one volume source and a perspective or plane-parallel camera.
+        A scene with one volume source and a perspective or plane-parallel camera.
     seconds : float
-        Seconds that a picture may take.
+        Target time of a picture, in seconds.
     model : Model, str, os.PathLike or bytes, optional
-        As :class:`entire.Session` takes it. Pictures are timed by the wall clock: of a model of another one
-        (``entire.clock`` in its metadata) a warning says that its scale is learned from the first pictures.
+        As in :class:`entire.Session`. Pictures are timed by the wall clock; if the model's clock
+        (``entire.clock`` in its metadata) differs, a warning says that its scale is learned from the first
+        pictures.
     smallest : float, optional
-        Least side of the picture over the full side. Default 0.25.
+        Smallest allowed side of the picture, as a share of the full side. Default 0.25.
     edge : int, optional
-        Most cells along an axis of the grid that predictions read the field from. Default 256.
+        Maximum number of cells along an axis of the regular grid from which the field is read for predictions.
+        Default 256.
 
     Returns
     -------

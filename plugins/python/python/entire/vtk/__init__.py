@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Holds the volumes of a VTK scene to a frame time, with any VTK in Python: pip's, conda's, a distribution's,
-ParaView's.
+"""Holds the volumes of a VTK scene to a frame time, with any VTK in Python: from pip, conda, a Linux distribution or
+ParaView.
 
 ::
 

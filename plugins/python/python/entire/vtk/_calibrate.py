@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Calibration to the host's renderer, so that the first frame is predicted too."""
+"""Calibration to the application's own renderer, so that the first frame is predicted too."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ from ._steering import _check_renderer, _volumes, timer
 
 log = logging.getLogger("entire.vtk")
 
-# Sample distances, in finest ones, and image sample distances of the pictures that are compared with full quality.
+# Sample distances (as multiples of the finest) and image sample distances (as multiples of the mapper's own) of the
+# pictures that are compared with full quality.
 _STEPS = (1.0, 1.5, 2.2, 3.3)
 _IMAGES = (1.0, 1.3, 1.7)
 
 
 def rmse(picture: np.ndarray, full: np.ndarray) -> float:
-    """Root of the mean squared difference of two pictures' colors."""
+    """Root mean square difference of two pictures' colors."""
     return float(np.sqrt(np.mean((picture.astype(np.float32) - full) ** 2)))
 
 
@@ -44,30 +45,31 @@ def calibrate(
 ) -> Model:
     """Draws random frames of a volume in its window and fits the cost model to its mapper's times.
 
-    Directions, distances, steps and the opacity of the volume are varied. Then some scenes are drawn at coarser
-    steps, as smaller images and at both, and compared with full quality: steering by the model coarsens what
-    costs this mapper's pictures least. Camera, mapper and property are put back afterwards, and the window is
-    drawn once more as it was.
+    Directions, distances, steps and the opacity of the volume are varied. Then some scenes are drawn with coarser
+    steps, as smaller images and with both, and compared with full quality, so that steering with the model coarsens
+    whichever of step and image adds less error. Camera, mapper and property are restored afterwards, and the window is
+    drawn once more.
 
     Parameters
     ----------
     renderer : vtkRenderer
     volume : vtkVolume, optional
-        Default: the renderer's first. Its mapper must be the GPU or the fixed-point one; hold it first, and a
-        smart mapper is exchanged.
+        Default: the renderer's first volume. Its mapper must be the GPU or the fixed-point mapper; :func:`hold`
+        exchanges a smart mapper for a GPU mapper.
     frames : int, optional
-        How many to draw, at least 10. Default 60.
+        Number of frames to draw, at least 10. Default 60.
     seed : int, optional
-        Frames are the same for the same seed.
+        Seed of the random frames. Default 0.
     coarsest : float, optional
         Coarsest sample distance, in smallest voxel spacings. Default 8.
     clock : {"wall", "cpu"}, optional
-        As in :func:`hold`; stands in the model's metadata, beside the mapper's class.
+        As in :func:`hold`. The model's metadata record the clock and the mapper's class.
     pictures : int, optional
-        How many scenes to compare, each drawn some 24 times; 0 for none, else at least 3. Default 4.
+        Number of scenes to compare, each drawn 24 times; 0 for none, else at least 3. Default 4.
     picture_error : callable, optional
-        How far a picture lies from the one at full quality, both as [y, x, rgb] bytes: 0 for equal ones, growing.
-        Default: root mean squared difference of colors. One less their structural similarity (SSIM) serves as well.
+        Function of a picture and the picture at full quality, both as [y, x, rgb] bytes, that returns their
+        difference: 0 for equal pictures, and larger for more different ones. Default: root mean square difference
+        of colors. 1 - SSIM (structural similarity) is suitable too.
 
     Returns
     -------
@@ -77,14 +79,14 @@ def calibrate(
     Raises
     ------
     CannotSteer
-        Where the mapper cannot be set.
+        If the mapper cannot be steered.
     ValueError
         For too few frames, another clock, or a scene that cannot be read.
     """
     if pictures and pictures < 3:
-        raise ValueError(f"pictures is {pictures}; at least 3 scenes tell steps and images apart, 0 compares none")
+        raise ValueError(f"pictures is {pictures}; at least 3 scenes are needed for a quality law, 0 compares none")
     if frames < 10:
-        raise ValueError(f"frames is {frames}; at least 10 are needed to tell costs apart, 60 are plenty")
+        raise ValueError(f"frames is {frames}; at least 10 are needed to fit the unit costs, 60 are plenty")
     _check_renderer(renderer)
     if renderer.GetRenderWindow() is None:
         raise ValueError("the renderer has no window; add it to one with AddRenderer()")
@@ -93,7 +95,7 @@ def calibrate(
         if volume is None:
             raise ValueError("the renderer has no volume; add one with AddVolume() first")
     elif volume not in _volumes(renderer):
-        raise ValueError("the volume is not the renderer's; add it with AddVolume(), or pass its own renderer")
+        raise ValueError("the volume is not in this renderer; add it with AddVolume(), or pass its own renderer")
     mapper = volume.GetMapper()
     if mapper is None or not (_mappers.is_gpu(mapper) or _mappers.is_fixed_point(mapper)):
         why = (
@@ -112,7 +114,7 @@ class _Calibrator:
         self.window = renderer.GetRenderWindow()
         self.began = self.seconds = math.nan
 
-    # Timed like steered frames.
+    # Frames are timed in the same way as steered frames.
     def start(self, _mapper: Any, _event: str) -> None:
         if self.gpu:
             self.window.WaitForCompletion()
@@ -149,7 +151,7 @@ class _Calibrator:
         quiet = contextlib.ExitStack()
         try:
             if steering is not None:
-                # Without its overlay.
+                # Hides the overlay and turns steering off.
                 quiet.enter_context(steering.still())
             if pictures and self.gpu and renderer.GetOrigin() != (0, 0):
                 log.warning(
@@ -175,7 +177,7 @@ class _Calibrator:
                 mapper.SetSampleDistance(step * grid.reference)
                 window.Render()
                 if i == 0:
-                    continue  # Holds what is done once.
+                    continue  # The first frame includes one-time work.
                 look = _scene.look(prop, mapper)
                 calibration.add(
                     grid.volume,
@@ -214,13 +216,13 @@ class _Calibrator:
         finest: float,
         error: Callable[[np.ndarray, np.ndarray], float],
     ) -> None:
-        """Draws a view at every step and image sample distance and compares it with full quality."""
+        """Draws the view at every pair of step and image sample distance, and compares it with full quality."""
         full = None
         for image in _IMAGES:
             for step in _STEPS:
                 self.mapper.SetSampleDistance(step * finest)
                 self.mapper.SetImageSampleDistance(own.image * image)
-                # The first frame makes buffers and tables.
+                # Twice, since the first frame creates buffers and tables.
                 self.window.Render()
                 self.window.Render()
                 picture = self.picture()

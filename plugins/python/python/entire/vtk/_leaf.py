@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""One held volume: read, planned for, set, timed and put back."""
+"""One held volume: reads it, plans its frames, writes and restores the mapper's settings, and times the mapper."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("entire.vtk")
 
-# Quality laws of the mappers' pictures (Session.set_quality) for models that state none, as
-# vtkEntireSteering has it.
+# Quality laws of the mappers (the numbers of Session.set_quality) for models without a law, the same as in
+# vtkEntireSteering.
 _GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
 _FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
 _NAN = math.nan
@@ -32,7 +32,7 @@ _NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
 
 
 def weak(target: Any = None) -> Callable[[], Any]:
-    """Weak reference to a VTK object: returns it, or None once it is gone."""
+    """Weak reference to a VTK object: a function that returns the object, or None once it is deleted."""
     reference = vtkWeakReference()
     if target is not None:
         reference.Set(target)
@@ -41,27 +41,28 @@ def weak(target: Any = None) -> Callable[[], Any]:
 
 
 class Leaf:
-    """One held volume: its mapper, its session and the last frame's read-outs.
+    """One held volume: its mapper, its session and the values of its last frame.
 
     Attributes
     ----------
     measured : float
         Seconds that the mapper took; NaN before the first frame.
     share_time : float
-        Seconds that its last pass was given of the target: all volumes that are held in a window share its frame's
-        time, also for two eyes and in several renderers.
+        Seconds of the target that the last pass got: all volumes that are held in a window share its frame time, also
+        those of two eyes and of several renderers.
     sample_distance : float
-        Sample distance along rays that was drawn with, in the unit of the spacing; NaN where VTK chose it.
+        Sample distance along rays, in the unit of the spacing; NaN if it is unknown.
     image_sample_distance : float
-        Pixels between rays along each side of the image; NaN where VTK chose it.
+        Pixels between rays along each side of the image; NaN if it is unknown.
     status : str
-        In words, why the frame was not steered; empty where it was.
+        Reason why the frame was not steered; empty if it was.
     volume_time : float
-        Seconds that the last reading of the voxels took.
+        Wall seconds that the last reading of the voxels took.
     """
 
-    # Every page of memory that a frame touches costs as much as hundreds of instructions, because drawing has emptied
-    # the caches: so the code of a frame is flat, and reads no more of VTK than it must.
+    # Drawing evicts data and code from the caches, after which each access to a page of memory takes as long as
+    # hundreds of instructions. So the code that runs in every frame has few calls and reads as little of VTK as
+    # possible.
     __slots__ = (
         "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
         "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
@@ -73,7 +74,7 @@ class Leaf:
 
     def __init__(self, steering: Steering, volume: Any, make_gpu: Callable[[Any], Any]) -> None:
         self._volume = weak(volume)
-        # Key of the held volume, valid also when it is gone.
+        # Key of the held volume, which stays valid when the volume is deleted.
         self.address: str = volume.__this__
         self._steering = steering
         self._mapper = weak()
@@ -88,7 +89,7 @@ class Leaf:
         self._session: Session
         self._forget()
         self.volume_time = _NAN
-        # Share of the window's frame, whose passes draw it once or several times: two eyes.
+        # State of the volume's share of the window's frame, which may draw it several times (two eyes).
         self._pass = PassShare()
         self._reset_readouts()
         self._observe(volume)
@@ -104,35 +105,35 @@ class Leaf:
         self._grid: Any = None
         self._tf: Any = None
         self._tf_key: Any = None
-        # Inputs of the session's transfer function.
+        # Nodes of the session's transfer function.
         self._nodes: Any = None
         self._look: Any = None
         self._limits: Any = None
         self._held: Any = None
         self._plan: Plan | None = None
         self._explained: Plan | None = None
-        # The last frame's plan with its seconds, which the session observes with the next frame.
+        # The last frame's plan, measured seconds and abort flag, which the session observes with the next frame.
         self._due: tuple[Plan, float, bool] | None = None
         self._own: Any = None
-        # The first of several volumes that one mapper draws, else None.
+        # The first of several volumes that one mapper draws; None if the mapper draws a single volume.
         self._shown: Callable[[], Any] | None = None
-        # The input that was read last, and modification times; -1 before.
+        # The input that was read last, and the MTimes of mapper, input and volume at that time; -1 if nothing was read.
         self._image: Any = None
         self._mapper_time = self._image_time = self._shown_time = -1
-        # True if VTK's own rules are off, so that only the distances are set.
+        # True if the mapper's automatic adjustment and lock are off, so that only the distances must be set.
         self._plain = True
         self._pixels = self._finest = self._termination = self._coarsening = 1.0
         self._shading: Literal["none", "local"] = "none"
         self._wrote = (_NAN, _NAN)
         self._steered = self._ready = self._drawing = self._ended = self._stale = False
         self._started = 0.0
-        # References that are held only while a frame is drawn.
+        # References to VTK objects, kept only while a frame is drawn.
         self._frame_mapper: Any = None
         self._frame_volume: Any = None
 
     @property
     def session(self) -> Session:
-        """entire.Session : The predictor of this volume's frames; its ``history`` holds them."""
+        """entire.Session : Session that plans this volume's frames; its ``history`` has the last ones."""
         self._settle()
         return self._session
 
@@ -143,14 +144,14 @@ class Leaf:
         self._session = session
 
     def _settle(self) -> None:
-        """Gives the session the last frame's time."""
+        """Makes the session observe the last frame's time, if it has not done so yet."""
         due, self._due = self._due, None
         if due is not None:
             plan, seconds, cancelled = due
             try:
                 self._session.observe(plan, seconds, cancelled=cancelled)
             except ValueError:
-                pass  # A time that is rejected teaches nothing.
+                pass  # A rejected time has no effect.
 
     @property
     def predicted(self) -> float:
@@ -159,17 +160,17 @@ class Leaf:
 
     @property
     def reason(self) -> str:
-        """str : Reason of the last frame's settings, in a word or two; "still", "off" or "fallback" if it was not
+        """str : Reason for the last frame's settings, in a word or two; "still", "off" or "fallback" if it was not
         steered."""
         return self._reason if self._explained is None else self._explained.reason
 
     @property
     def volume(self) -> Any:
-        """vtkVolume : The volume, or None when it is gone."""
+        """vtkVolume or None : The volume; None once it is deleted."""
         return self._volume()
 
     def _observe(self, volume: Any) -> None:
-        """Finds the mapper that draws and observes it; exchanges a smart one."""
+        """Adds observers to the volume's mapper, after a smart mapper was exchanged for a GPU mapper."""
         mapper = volume.GetMapper()
         why = _mappers.refusal(mapper)
         if why:
@@ -184,13 +185,13 @@ class Leaf:
             )
             mapper = gpu
         self._mapper = weak(mapper)
-        # Python's wrapper of the mapper lives as long as the volume, since VTK otherwise makes and destroys one for
-        # each event. The volume keeps the mapper itself alive anyway.
+        # Keeps Python's wrapper of the mapper alive as long as the volume, since VTK otherwise makes and destroys a
+        # wrapper for each event. The volume keeps the mapper itself alive anyway.
         volume.__dict__[_KEPT] = mapper
         self._gpu = _mappers.is_gpu(mapper)
         name = mapper.GetClassName()
         if name != self._class:
-            # State learned from mappers of another class does not hold for this one.
+            # A state that was learned from a mapper of another class is not valid for this mapper.
             self._class, self._session = name, self._steering._session(name)
         self._tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self._start),
@@ -198,7 +199,7 @@ class Leaf:
         ]
 
     def _on_modified(self, _volume: Any, _event: str) -> None:
-        # The mapper may be another one.
+        # The application may have set another mapper; the next frame checks this.
         self._stale = True
 
     def _leave(self) -> None:
@@ -227,7 +228,7 @@ class Leaf:
 
             def put_back() -> None:
                 if volume.GetMapper() is mapper:
-                    # Settings made meanwhile stay.
+                    # The smart mapper gets the settings that the application changed meanwhile.
                     _mappers.copy_changed(mapper, smart)
                     volume.SetMapper(smart)
                     if told is not None:
@@ -254,8 +255,8 @@ class Leaf:
             except CannotSteer as refused:
                 self._fall_back(str(refused))
 
-    # The fixed-point mapper takes its distances, and the opacities that go with them, before it announces its
-    # start.
+    # Plans the frame of a fixed-point mapper, which reads its distances, and computes the opacities for them, before it
+    # invokes its start event.
     def _renderer_start(self) -> None:
         self._ready = False
         volume, mapper = self._volume(), self._mapper()
@@ -263,7 +264,7 @@ class Leaf:
             return
         source = mapper.GetInputAlgorithm()
         if source is not None:
-            # The time of the application's pipeline is not ours.
+            # The time of the application's pipeline is not part of the overhead.
             before = perf_counter()
             source.Update()
             self._steering._overhead -= perf_counter() - before
@@ -277,11 +278,11 @@ class Leaf:
         if self._gpu:
             before = perf_counter()
             if self._ended:
-                # Drawn more than once in a frame, in passes.
+                # The frame draws the volume in several passes; this ends the previous pass.
                 self._finish()
             self._prepare(mapper)
             steering._overhead += perf_counter() - before
-            # Earlier work on the device is not this mapper's.
+            # Waits for the device, so that earlier work does not count as this mapper's time.
             steering._frame_window.WaitForCompletion()
         elif not self._ready:
             return
@@ -294,17 +295,17 @@ class Leaf:
         self._started = steering._now()
 
     def _end(self, _mapper: Any, _event: str) -> None:
-        # The rest is done at the renderer's end.
+        # Only takes the time; _finish() does the rest at the renderer's end.
         if self._drawing:
             if self._gpu:
-                # The device has finished earlier work: the time is the mapper's own.
+                # Waits for the device to finish the mapper's work.
                 self._steering._frame_window.WaitForCompletion()
             self.measured = self._steering._now() - self._started
             self._drawing = False
             self._ended = True
 
     def _finish(self) -> None:
-        """Restores the mapper's settings, and counts its time."""
+        """Restores the mapper's settings, and adds its time to the frame."""
         steered = self._steered
         if steered:
             self._restore()
@@ -316,10 +317,11 @@ class Leaf:
         self._ended = False
         steering, seconds = self._steering, self.measured
         if plan is not None:
-            # Observed with the next frame's plan, or when a read-out is requested.
+            # The session observes this time with the next frame's plan, or when `session` is accessed.
             self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
         if steered and steering._shared.drawing:
-            # A volume that is not steered is part of the rest, for which the others make room.
+            # The time of a volume that is not steered counts as time outside of the passes, which reduces the others'
+            # shares.
             steering._shared.budget.drew(self._pass, seconds, seconds * self._coarsening)
         steering._measured_now += seconds
         steering._predicted_now += self.predicted
@@ -330,8 +332,8 @@ class Leaf:
         mapper, own = self._frame_mapper, self._own
         self._steered = False
         if mapper.GetMTime() != self._mapper_time:
-            # The application has changed something since: only its unchanged settings are restored, and the rest is
-            # read again.
+            # The application changed the mapper during the frame. Settings that it changed are kept, and the mapper is
+            # read again in the next frame.
             own.restore(mapper, *self._wrote)
             self._mapper_time = -1
             return
@@ -344,18 +346,19 @@ class Leaf:
         self._mapper_time = mapper.GetMTime()
 
     def _restore_whole(self) -> list[Callable[[], None]]:
-        """Restores the mapper's settings, whether it draws or not; returns what is to be repeated afterwards."""
+        """Restores the mapper's settings, also while it draws; returns the calls to repeat when the frame ends."""
         mapper = self._mapper()
         if mapper is None or not self._steered:
             return []
         own, wrote = self._own, self._wrote
         self._restore()
-        # The fixed-point mapper ends its drawing by writing the sample distance with which it began.
+        # When a fixed-point mapper has drawn, it overwrites its sample distance with the one from the start of its
+        # drawing.
         return [] if self._gpu else [lambda: own.restore(mapper, *wrote)]
 
     def _after_frame(self, calls: list[Callable[[], None]]) -> None:
-        """Calls when the renderer's frame ends; at once outside of frames. A mapper that draws would undo its settings,
-        and might not survive to be exchanged."""
+        """Makes the calls when the renderer's frame ends, or at once outside of frames: a mapper that is drawing would
+        undo the settings, and must not be exchanged."""
         renderer = self._steering._renderer()
         if calls and self._steering._rendering and renderer is not None:
             at_end(renderer, calls)
@@ -364,7 +367,7 @@ class Leaf:
                 call()
 
     def _several(self, together: Any) -> int:
-        """A number that grows with every change of several volumes in one mapper."""
+        """A number that grows with every change of a vtkMultiVolume or its first volume; -1 if that is deleted."""
         shown = None if self._shown is None else self._shown()
         return -1 if shown is None else int(together.GetMTime() + shown.GetMTime())
 
@@ -377,7 +380,7 @@ class Leaf:
             self._choose(mapper)
         except ValueError as error:
             self._fall_back(str(error))
-        except Exception as error:  # A frame is never lost for the sake of its prediction.
+        except Exception as error:  # The frame is drawn even if its prediction fails.
             self._fall_back(f"{type(error).__name__}: {error}")
         plan = self._seen = self._plan
         if plan is None:
@@ -390,7 +393,7 @@ class Leaf:
         self._reason, self.status = "fallback", why
 
     def _read_mapper(self, mapper: Any) -> None:
-        """Reads data that seldom change: the input, the volume's functions and place, the mapper's own settings."""
+        """Reads data that seldom change: input, functions and matrix of the volume, the mapper's own settings."""
         self._mapper_time = -1
         self._settle()
         steering, session, volume = self._steering, self._session, self._frame_volume
@@ -409,7 +412,7 @@ class Leaf:
         grid = self._grid
         tf_key = _scene.transfer_key(prop)
         if tf_key != self._tf_key:
-            # Functions change for many reasons; only different nodes matter to the session.
+            # The session gets the transfer function only if its nodes differ.
             nodes = _scene.transfer_nodes(prop, grid.range)
             if nodes != self._nodes:
                 self._tf = _scene.transfer_function(nodes)
@@ -424,7 +427,7 @@ class Leaf:
             self._shading = "local" if look[0] else "none"
             self._termination = _scene.termination(look, self._gpu)
         own = self._own = _mappers.Settings(mapper)
-        # If VTK adjusts by itself, its image sample distance is that of an earlier frame.
+        # With AutoAdjustSampleDistances, the mapper's image sample distance is that of an earlier frame.
         self._pixels = 1.0 if own.adjust else max(0.1, own.image)
         placed = _scene.elements(shown.GetMatrix())
         finest = _mappers.full_quality(own, image, placed, self._gpu)
@@ -452,8 +455,8 @@ class Leaf:
         if renderer is None or window is None or volume is None:
             raise _scene.Unreadable("the renderer has no window, or the volume is gone")
         self._frame_mapper, self._frame_volume = mapper, volume
-        # Modification times show changes other than the camera's; the volume's includes that of its functions. A
-        # producer that replaces its output changes none of them.
+        # MTimes show all changes but those of the camera; the volume's MTime includes its functions. A producer that
+        # replaces its output changes no MTime, so the input object is compared too.
         if (
             mapper.GetMTime() != self._mapper_time
             or (volume.GetMTime() if self._shown is None else self._several(volume)) != self._shown_time
@@ -471,7 +474,8 @@ class Leaf:
             self._reason = "still" if still else "off"
             self.status = "a still frame, drawn by VTK alone" if still else "steering is off"
             if not still and own.adjust:
-                # The frame is observed if the resolution of VTK's drawing is known.
+                # Such a frame is not planned or observed, since VTK's automatic adjustment makes its resolution
+                # unknown.
                 return
         step = None
         if steered:
@@ -486,7 +490,7 @@ class Leaf:
                 self._limits = limits
         camera = renderer.GetActiveCamera()
         matrix = camera.GetViewTransformMatrix()
-        # Python's wrappers of both are kept for the next frame.
+        # Keeps Python's wrappers of both for the next frame.
         steering._camera = camera, matrix
         due, self._due = self._due, None
         before, seconds, cancelled = _NONE_DUE if due is None else due
@@ -529,21 +533,21 @@ class Leaf:
         steering, session = self._steering, self._session
         session.set_limits(finest, max(finest, steering.coarsest))
         session.set_max_image_sample_distance(min(64.0, max(1.0, coarsest_image / self._pixels)))
-        # The quality law that the model states of this mapper's pictures, if it was calibrated with some.
+        # None selects the model's quality law, if the model was calibrated with pictures of this mapper.
         session.set_quality(None)
         if session.quality is None:
             session.set_quality(*(_GPU_QUALITY if self._gpu else _FIXED_POINT_QUALITY))
 
     @property
     def why(self) -> str:
-        """str : Reason of the last frame's settings, in a sentence."""
+        """str : Reason for the last frame's settings, in a sentence."""
         if self._explained is None:
             return self.status
         return explain(self._explained)
 
 
 def at_end(renderer: Any, calls: list[Callable[[], None]]) -> None:
-    """Calls once when the renderer's frame ends."""
+    """Makes the calls once, when the renderer's frame ends."""
     tags: list[int] = []
 
     def ended(_renderer: Any, _event: str) -> None:
@@ -566,4 +570,4 @@ def first_volume(volume: Any) -> Any:
         inner = volume.GetVolume(port)
         if inner is not None:
             return inner
-    raise _scene.Unreadable("the vtkMultiVolume holds no volume")
+    raise _scene.Unreadable("the vtkMultiVolume has no volume; add one with SetVolume()")

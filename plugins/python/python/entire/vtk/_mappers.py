@@ -15,12 +15,12 @@ class CannotSteer(ValueError):
     """The scene has no volume that can be steered; the text names the reason and the remedy."""
 
 
-# Number of voxels along an axis below which VTK samples small volumes more finely.
+# Mean number of voxels along an axis below which VTK samples volumes more finely.
 _SMALL = 100.0
 
 
 def spacing_adjusted(image: Any) -> float:
-    """The sample distance of mappers that are locked to their input's spacing: half a voxel, less in small
+    """The sample distance of mappers that are locked to their input's spacing: half the mean spacing, less in small
     volumes.
 
     Parameters
@@ -49,12 +49,12 @@ def full_quality(own: Settings, image: Any, placed: Sequence[float], gpu: bool) 
     own : Settings
         The mapper's own settings.
     image : vtkImageData
-        Its input.
+        The mapper's input.
     placed : sequence of float
         The volume's matrix, 16 elements, row by row.
     gpu : bool
-        Whether it is VTK's GPU mapper, which takes the smallest spacing of the placed volume where it adjusts by
-        itself, whatever its sample distance is.
+        True for VTK's GPU mapper. With AutoAdjustSampleDistances it uses the smallest spacing after the volume's
+        matrix instead of its sample distance.
 
     Returns
     -------
@@ -81,7 +81,7 @@ class Settings:
         self.lock: int = mapper.GetLockSampleDistanceToInputSpacing()
 
     def write(self, mapper: Any, image: float) -> None:
-        """Restores the settings, where `image` is the image sample distance that steering wrote."""
+        """Restores the settings; `image` is the image sample distance that steering wrote."""
         if self.adjust:
             mapper.SetAutoAdjustSampleDistances(self.adjust)
         if self.lock:
@@ -96,7 +96,7 @@ class Settings:
             mapper.SetAutoAdjustSampleDistances(self.adjust)
         if self.lock and not mapper.GetLockSampleDistanceToInputSpacing():
             mapper.SetLockSampleDistanceToInputSpacing(self.lock)
-        # VTK keeps single precision.
+        # VTK stores the distances in single precision.
         if math.isclose(mapper.GetSampleDistance(), sample, rel_tol=1e-6):
             mapper.SetSampleDistance(self.sample)
         if math.isclose(mapper.GetImageSampleDistance(), image, rel_tol=1e-6):
@@ -104,7 +104,7 @@ class Settings:
 
 
 def write(mapper: Any, own: Settings, sample: float, image: float) -> None:
-    """Sets both distances and switches VTK's own rules off, if they are on."""
+    """Sets both distances, and turns automatic adjustment and lock off if they are on."""
     if own.adjust:
         mapper.SetAutoAdjustSampleDistances(0)
     if own.lock:
@@ -139,7 +139,7 @@ def refusal(mapper: Any) -> str:
         )
     if mapper.IsA("vtkUnstructuredGridVolumeMapper"):
         return (
-            f"{name} draws an unstructured grid, whose cost is not predicted; resample the grid to "
+            f"{name} draws an unstructured grid, whose frame time cannot be predicted; resample the grid to "
             f"vtkImageData "
             "(vtkResampleToImage, or pyvista's sample_over_bounds) and draw that"
         )
@@ -155,7 +155,7 @@ def refusal(mapper: Any) -> str:
 
 
 def _smart_refusal(smart: Any) -> str:
-    """Why no GPU mapper can take the place of a smart one as it is told to draw; empty where one can."""
+    """Reason why a GPU mapper cannot replace a smart mapper with its current settings; empty if it can."""
     kind = vtkSmartVolumeMapper
     mode = smart.GetRequestedRenderMode()
     # VTK before 9.4 has no ANARI, and before 9.3 no low-resolution mode.
@@ -188,7 +188,7 @@ def _copy(source: Any, target: Any, names: tuple[str, ...]) -> None:
 
 
 def copy_changed(source: Any, target: Any) -> None:
-    """Copies an application's settings to a mapper while it is shown: cropping, clipping planes, blending."""
+    """Copies settings that applications change while a volume is shown: cropping, clipping planes, blend mode."""
     _copy(source, target, ("Cropping", "CroppingRegionFlags", "CroppingRegionPlanes", "BlendMode"))
     planes = source.GetClippingPlanes()
     if planes is not None:
@@ -198,7 +198,7 @@ def copy_changed(source: Any, target: Any) -> None:
 
 
 def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> Any:
-    """A GPU mapper with the same pixels as a smart mapper, if that one draws on the GPU.
+    """Makes a GPU mapper that draws the same pixels as a smart mapper that draws on the GPU.
 
     Parameters
     ----------
@@ -251,8 +251,8 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     gpu.SetScalarMode(smart.GetScalarMode())
     if smart.GetVectorMode() >= 0 and smart.GetVectorMode() != vtkSmartVolumeMapper.DISABLED:
         raise CannotSteer(
-            "the vtkSmartVolumeMapper draws a vector's magnitude or component, which its inner mapper "
-            "alone can; draw an array "
+            "the vtkSmartVolumeMapper draws a vector's magnitude or component, which only its inner mapper "
+            "can do; draw an array "
             "of that magnitude or component instead"
         )
     # As in the smart mapper's inner mapper.

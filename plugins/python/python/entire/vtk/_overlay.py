@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Three lines in the corner of the picture."""
+"""Three lines of text about the last frame in the corner of the picture."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Overlay:
-    """Expected and measured time, step and reason of the last frame; hidden on still frames."""
+    """Text with the expected and measured time, step and reason of the last frame; hidden in still frames."""
 
     def __init__(self, renderer: Any) -> None:
         self._renderer = vtkWeakReference()

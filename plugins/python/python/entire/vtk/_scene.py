@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Reading of a volume from a VTK scene: voxels, transfer function, camera."""
+"""Reads a volume from a VTK scene: voxels, transfer function, camera."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _copied(matrix: Any) -> tuple[float, ...]:
     return tuple(out)
 
 
-#: A matrix's elements, row by row. VTK before 9.4 gives Python no more than the address of its data.
+#: Returns a matrix's elements, row by row. In VTK before 9.4, GetData() gives Python only an address.
 elements: Callable[[Any], tuple[float, ...]] = (
     methodcaller("GetData") if isinstance(vtkMatrix4x4().GetData(), tuple) else _copied
 )
@@ -41,7 +41,7 @@ Look = tuple[int, int, int, bool, bool, bool]
 
 
 class Unreadable(ValueError):
-    """The scene cannot be predicted; the text says why."""
+    """The scene cannot be predicted; the text gives the reason."""
 
 
 def input_of(mapper: Any) -> Any:
@@ -50,7 +50,7 @@ def input_of(mapper: Any) -> Any:
     Raises
     ------
     Unreadable
-        Where it is none.
+        If the mapper has no input, or an input of another class.
     """
     data = mapper.GetDataObjectInput() if hasattr(mapper, "GetDataObjectInput") else mapper.GetInput()
     if data is None:
@@ -61,7 +61,7 @@ def input_of(mapper: Any) -> Any:
 
 
 class Grid:
-    """The voxels that a mapper draws, and the position of their middle."""
+    """The voxels that a mapper draws, and their position."""
 
     __slots__ = ("center", "direction", "range", "reference", "volume")
 
@@ -77,7 +77,7 @@ class Grid:
                 f"the mapper's input has {scalars.GetNumberOfTuples()} scalar values for {dims} voxels"
             )
         if not scalars.HasStandardMemoryLayout():
-            # NumPy would have VTK copy all of it, for as long as the array lives.
+            # vtk_to_numpy() would make VTK copy the whole array and keep the copy as long as the array lives.
             scalars, component, components = _copy_of(scalars, component), 0, 1
         try:
             values = vtk_to_numpy(scalars)
@@ -97,7 +97,7 @@ class Grid:
         if not np.float32(self.range[1]) > np.float32(self.range[0]):
             self.range = (self.range[0], self.range[0] + max(1.0, abs(self.range[0])))
         if not all(map(math.isfinite, self.range)):
-            raise Unreadable("the scalars have no finite value")
+            raise Unreadable("the scalars have no finite values")
         box = voxels[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
         self.volume = Volume(box, (spacing[0], spacing[1], spacing[2]), range=self.range)
         self.reference = min(spacing)
@@ -110,7 +110,7 @@ class Grid:
 
 
 def _copy_of(scalars: Any, component: int) -> Any:
-    """A component of an array as an ordinary array."""
+    """A copy of one component of an array, with the standard memory layout."""
     copied = vtkDataArray.CreateDataArray(scalars.GetDataType())
     copied.SetNumberOfTuples(scalars.GetNumberOfTuples())
     copied.CopyComponent(0, scalars, component)
@@ -118,7 +118,7 @@ def _copy_of(scalars: Any, component: int) -> Any:
 
 
 def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
-    """The drawn array, and true if it belongs to cells."""
+    """The drawn array, and 1 if it belongs to cells, 0 if to points."""
     point, cell = image.GetPointData(), image.GetCellData()
     mode = mapper.GetScalarMode()
     by_name = mapper.GetArrayAccessMode() != 0
@@ -141,7 +141,7 @@ def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
 def _cropped(
     mapper: Any, image: Any, dims: tuple[int, ...], spacing: list[float]
 ) -> tuple[list[int], list[int]]:
-    """First and one past the last voxel inside the cropping box."""
+    """Along each axis, the first voxel inside the cropping box and the one after the last."""
     planes, origin, extent = mapper.GetCroppingRegionPlanes(), image.GetOrigin(), image.GetExtent()
     low, high = [0, 0, 0], [0, 0, 0]
     for axis in range(3):
@@ -156,7 +156,8 @@ def _cropped(
 
 
 def grid_key(mapper: Any, image: Any, component: int) -> tuple[Any, ...]:
-    """Inputs of a grid. An image's time may be that of an array that it shares with another."""
+    """Values that change whenever a :class:`Grid` must be read again. They include the image's identity, since images
+    that share an array may have the same MTime."""
     cropping = mapper.GetCropping()
     return (
         image.__this__,
@@ -174,7 +175,7 @@ def _unit(value: float) -> float:
 
 
 def transfer_key(prop: Any) -> tuple[Any, ...]:
-    """Values that change when :func:`transfer_nodes` may have: lighting and the like leave them alone."""
+    """Values that change whenever :func:`transfer_nodes` may have changed, but not with lighting and the like."""
     channels = prop.GetColorChannels(0)
     functions = [prop.GetScalarOpacity(0)]
     if channels == 3:
@@ -184,20 +185,20 @@ def transfer_key(prop: Any) -> tuple[Any, ...]:
 
 
 class Nodes(NamedTuple):
-    """Inputs of a transfer function."""
+    """Inputs of :meth:`TransferFunction.nodes`."""
 
     opacity: list[tuple[float, float, float, float]]
-    #: Empty where the volume is gray.
+    #: Empty if the volume is gray.
     color: list[tuple[float, float, float, float, float, float]]
-    #: Of the scalars.
+    #: Minimum and maximum scalar value.
     span: tuple[float, float]
     clamp: bool
-    #: Scalar opacity's unit distance.
+    #: ScalarOpacityUnitDistance.
     unit: float
 
 
 def transfer_nodes(prop: Any, span: tuple[float, float]) -> Nodes:
-    """A volume property's functions of its first component."""
+    """Reads a volume property's opacity and color functions of the first component."""
     node = [0.0] * 4
     opacity = []
     function = prop.GetScalarOpacity(0)
@@ -234,8 +235,7 @@ def vertical_angle(active: Any, size: tuple[int, int]) -> float:
 
 
 def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
-    """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the
-    world."""
+    """The renderer's camera relative to a volume; `placed` is the volume's matrix, 16 elements, row by row."""
     active = renderer.GetActiveCamera()
     return Camera.scene(
         grid.volume,
@@ -249,8 +249,8 @@ def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
 
 
 def look(prop: Any, mapper: Any) -> Look:
-    """Shading, interpolation and blending of samples; of GPU mappers also whether ray starts are jittered, and whether
-    samples are lit by scattering."""
+    """Settings whose change is announced as a change of mode: shading, interpolation, blend mode, gradient opacity; of
+    GPU mappers also jittering and scattering."""
     gradient = bool(prop.HasGradientOpacity(0)) and not prop.GetDisableGradientOpacity(0)
     jitters = hasattr(mapper, "GetUseJittering") and bool(mapper.GetUseJittering())
     scatters = hasattr(mapper, "GetVolumetricScatteringBlending") and mapper.GetVolumetricScatteringBlending() > 0

@@ -29,11 +29,12 @@ from ._window import frame_of, is_picking
 
 log = logging.getLogger("entire.vtk")
 
-# Rays along each side of the probe for linear cost models: between large frames every ray costs about a microsecond.
+# Rays along each side of the probe for linear cost models. Few, since each ray takes about a microsecond after a large
+# frame has evicted the probe's data from the caches.
 _PROBE_SIDE = 6
-# Smallest part of the target for the window's frame, however long passes outside of its drawing.
+# Smallest share of the target for the window's frame, however long the work outside of its drawing takes.
 _LEAST_SHARE = 0.2
-# Number of frames from which the time outside of the window's drawing is taken.
+# Number of last frames whose median is the time outside of the window's drawing.
 _OUTSIDE_TIMES = 5
 # Number of still frames off screen, without any steered one, after which a warning names `always`.
 _STILL_FRAMES = 10
@@ -46,13 +47,14 @@ _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary(
 
 
 def _holder(volume: Any) -> Steering | None:
-    """The steering that holds a volume. Another volume may get the address of one that is gone."""
+    """The steering that holds a volume, or None. A new volume may have the address of a deleted one, so that both are
+    compared."""
     held = _held.get(volume.__this__)
     return held if held is not None and any(leaf.volume is volume for leaf in held.leaves) else None
 
 
 def timer(clock: str) -> Callable[[], float]:
-    """Function that reads a clock, seconds."""
+    """Function that reads a clock and returns seconds."""
     if clock not in _TIMERS:
         raise ValueError(f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)")
     return _TIMERS[clock]
@@ -61,31 +63,33 @@ def timer(clock: str) -> Callable[[], float]:
 class Steering:
     """Holds volumes of a renderer to a frame time. Made by :func:`hold`, which documents the parameters.
 
-    The scene keeps a steering alive, not the other way round: keep it to read it out or to end it with
-    :meth:`detach`.
+    The scene keeps a steering alive, and a steering does not keep the scene alive. Keep the object only to read its
+    values or to end it with :meth:`detach`.
 
     Attributes
     ----------
     seconds : float or None
-        Seconds that a whole frame of the window may take; None takes 1 / the window's ``DesiredUpdateRate``.
+        Target time of a whole frame of the window, in seconds; None stands for 1 / the window's
+        ``DesiredUpdateRate``.
     enabled : bool
-        Whether frames are steered.
+        True if frames are steered.
     coarsest, finest : float, float or None
-        Coarsest and finest sample distance along rays, in smallest voxel spacings; None is the mapper's own.
+        Coarsest and finest sample distance along rays, in smallest voxel spacings; None stands for the mapper's own.
     coarsest_image : float
-        Most pixels between rays along each side of the image.
+        Maximum number of pixels between rays along each side of the image.
     leaves : list of Leaf
         The held volumes.
     notes : list of str
-        What was done to the scene on attaching.
+        Changes of the scene, such as exchanged mappers, and other messages.
     frames : int
-        Frames of the window in which a held volume was drawn.
+        Number of frames of the window in which a held volume was drawn.
     frame_time : float
-        Seconds that the window's last frame took.
+        Seconds that the window's last frame took, by the clock of the frames.
     overhead : float
-        Seconds that prediction and steering themselves took in the last frame, on the wall.
+        Wall seconds that prediction and steering took in the last frame.
     steered_frames, fallback_frames : int
-        Frames of volumes that were steered, and that VTK drew on its own because they could not be predicted.
+        Number of drawings of volumes that were steered, and number of those that VTK drew without steering because they
+        could not be predicted.
     """
 
     def __init__(
@@ -133,7 +137,7 @@ class Steering:
             "probe_side": _PROBE_SIDE,
         }
         self._clock, self._now = clock, now
-        # Without a volume: the warning about clocks comes once, before any volume is attached.
+        # A session without a volume, so that the warning about clocks comes once, before any volume is attached.
         unbound = self._new_session("")
         self._model_clock, self._clocks = unbound.model_clock, _clocks.both(unbound)
         _clocks.warn(unbound, f", as does entire.vtk.calibrate(..., clock={clock!r})", stacklevel=3)
@@ -144,12 +148,12 @@ class Steering:
         self._outside_time = 0.0
         self.frames = 0
         self._rendering = self._in_frame = False
-        # References that are held only while a frame is drawn.
+        # References to VTK objects, kept only while a frame is drawn.
         self._frame_window: Any = None
         self._frame_renderer: Any = None
-        # The camera of the last frame and its matrix, without references to the scene.
+        # The camera of the last frame and its matrix, which have no references to the scene.
         self._camera: Any = None
-        # Of the current frame: seconds for it, flags for still and for steered.
+        # Target in seconds of the current frame, and flags: the frame is a still frame, the frame is steered.
         self._target = _NAN
         self._still_frame = self._steers = False
         self._overhead = 0.0
@@ -157,7 +161,7 @@ class Steering:
         # Seconds of the mappers in the current frame and in the last one.
         self._measured_now = self._predicted_now = 0.0
         self._measured = self._predicted = _NAN
-        # Called with a GPU mapper and the smart one that takes its place again.
+        # Called with a GPU mapper and the smart mapper that replaces it when steering ends.
         self._given_back: Callable[[Any, Any], None] | None = None
         self._last: Leaf | None = None
         self._props_time = 0
@@ -211,18 +215,18 @@ class Steering:
         return session
 
     def _session(self, renderer: str) -> Session:
-        """A session for frames of a mapper class, with the state of :meth:`load` for it."""
+        """Makes a session for frames of a mapper class, with the state from :meth:`load` if it belongs to the class."""
         session = self._new_session(renderer)
         if self._state is not None:
             try:
                 session.load_state(self._state)
             except ModelError as refused:
-                # A state learned from another mapper class does not apply to this one.
+                # The state belongs to another mapper class, model or clock.
                 self._note(f"load(): {refused}")
         return session
 
     def detach(self) -> None:
-        """Releases the scene: mappers get the application's settings, exchanged ones are put back."""
+        """Releases the scene: restores the application's settings of mappers, and exchanged mappers."""
         for address in [a for a, s in _held.items() if s is self]:
             del _held[address]
         for leaf in self.leaves:
@@ -243,7 +247,7 @@ class Steering:
 
     @contextlib.contextmanager
     def still(self) -> Iterator[None]:
-        """Frames drawn inside are VTK's own, pixel for pixel: for screenshots and movies.
+        """Context in which VTK draws frames without steering, pixel for pixel, for screenshots and movies.
 
         Examples
         --------
@@ -257,15 +261,15 @@ class Steering:
             self._still -= 1
 
     def also(self, seconds: float) -> None:
-        """Adds time that belongs to a frame but passes outside of the window's drawing: encoding the picture, sending
-        it.
+        """Adds time that belongs to a frame but is spent outside of the window's drawing, such as encoding and sending
+        the picture.
 
-        Later frames leave room for the median of the last five.
+        The median of the last five times is subtracted from the target of later frames.
 
         Parameters
         ----------
         seconds : float
-            Not negative.
+            Time in seconds, not negative.
         """
         if not (math.isfinite(seconds) and seconds >= 0):
             raise ValueError(f"seconds is {seconds}; it must be finite and not negative")
@@ -274,18 +278,18 @@ class Steering:
 
     @property
     def outside_time(self) -> float:
-        """float : Seconds of a frame outside of the window's drawing, from :meth:`also`: the median of the last five; 0
-        before."""
+        """float : Seconds of a frame outside of the window's drawing: the median of the last five times of
+        :meth:`also`; 0 without any."""
         return self._outside_time
 
     def reset(self) -> None:
-        """Resets the learned state."""
+        """Discards the learned state, and a state from :meth:`load`."""
         self._state = None
         for leaf in self.leaves:
             leaf._restart(self._session(leaf._class))
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Writes the learned state of the last drawn volume.
+        """Writes the learned state of the last drawn volume to a file.
 
         Parameters
         ----------
@@ -301,10 +305,10 @@ class Steering:
         self._last.session.save(path)
 
     def load(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Starts from a file of :meth:`save`, now and whenever learning restarts.
+        """Starts from a file of :meth:`save`: now, and whenever a volume gets a new session, until :meth:`reset`.
 
-        A state belongs to the model, the class of the mapper and the clock: volumes that mappers of other classes
-        draw go on without it.
+        A state is valid only for the same model, class of mapper and clock; volumes with other mappers continue without
+        it.
 
         Parameters
         ----------
@@ -313,13 +317,14 @@ class Steering:
         Raises
         ------
         ValueError
-            For a file that is no saved state; then nothing changes.
+            For a file that is not a saved state; nothing changes then.
         ModelError
-            For a whole state that belongs to none of the held volumes' mappers; then nothing changes.
+            For a valid state that belongs to none of the held volumes' mappers; nothing changes then.
         """
         state = Path(path).read_bytes()
         if not self.leaves:
-            # The owner of the state is checked when volumes are added; its integrity is checked now.
+            # Checks only that the bytes are a state. When volumes are added, it is checked that the state belongs to
+            # them.
             with contextlib.suppress(ModelError):
                 self._new_session("").load_state(state)
         refused: list[ModelError] = []
@@ -334,7 +339,7 @@ class Steering:
 
     @property
     def renderer(self) -> Any:
-        """vtkRenderer : The renderer, or None when it is gone."""
+        """vtkRenderer or None : The renderer; None once it is deleted."""
         return self._renderer()
 
     @property
@@ -374,7 +379,7 @@ class Steering:
 
     @property
     def reason(self) -> str:
-        """str : Reason of the last frame's settings, in a word or two."""
+        """str : Reason for the last frame's settings, in a word or two."""
         return self._leaf.reason if self._leaf else "detached"
 
     @property
@@ -384,12 +389,12 @@ class Steering:
 
     @property
     def why(self) -> str:
-        """str : Reason of the last frame's settings, in a sentence."""
+        """str : Reason for the last frame's settings, in a sentence."""
         return self._leaf.why if self._leaf else "attached to nothing"
 
     @property
     def history(self) -> History:
-        """History : The last frames of the last drawn volume; the others' are at ``leaves``."""
+        """History : The last frames of the volume that was drawn last; ``leaves`` have those of the others."""
         return self._leaf.session.history if self._leaf else Session().history
 
     def __repr__(self) -> str:
@@ -403,7 +408,7 @@ class Steering:
     def _repr_html_(self) -> str:
         return self.history._repr_html_()
 
-    # Event handlers. None of them may raise: VTK would continue with half a frame.
+    # Event handlers. None of them may raise an exception, since VTK would continue in the middle of a frame.
 
     def _follow_window(self, window: Any) -> None:
         before = self._window()
@@ -414,7 +419,7 @@ class Steering:
                 before.RemoveObserver(tag)
         self._window_tags = []
         if self._in_frame:
-            # The others' next frame begins anew.
+            # Lets the next frame of the window's other steerings begin anew.
             self._shared.drawing = False
         self._in_frame = False
         self._window = weak(window)
@@ -459,8 +464,8 @@ class Steering:
     def _warn_of_still_frames(self, window: Any) -> None:
         if self.always is None and window.GetOffScreenRendering():
             text = (
-                f"none of {_STILL_FRAMES} frames was steered: nobody interacts with the off-screen window, so all are "
-                f"still frames; hold(..., always=True) steers every frame"
+                f"none of {_STILL_FRAMES} frames was steered: without interaction, all frames of the off-screen window "
+                f"are still frames; hold(..., always=True) steers every frame"
             )
             self.notes.append(text)
             log.warning("%s", text)
@@ -538,11 +543,11 @@ class Steering:
 
 def _check_renderer(renderer: Any) -> None:
     if renderer is None or not renderer.IsA("vtkRenderer"):
-        raise ValueError("renderer must be a vtkRenderer; windows hold theirs in GetRenderers()")
+        raise ValueError("renderer must be a vtkRenderer; a window's renderers are in GetRenderers()")
 
 
 def _volumes(renderer: Any) -> list[Any]:
-    """The volumes of a renderer, those inside assemblies included."""
+    """The volumes of a renderer, including those inside assemblies."""
     found = renderer.GetVolumes()
     return [found.GetItemAsObject(i) for i in range(found.GetNumberOfItems())]
 
@@ -566,9 +571,9 @@ def hold(
 ) -> Steering:
     """Holds volumes of a renderer to a frame time, from the next frame on.
 
-    Before each frame the mapper's sample distance (and, if that is not enough, its image sample distance) is
-    set so that the expected time is the target; after the frame it is restored. Still frames are VTK's, pixel
-    for pixel. No frame is drawn finer than with the mapper's own settings, except with `finest`.
+    Before each frame, the mapper's sample distance and image sample distance are set so that the frame's upper bound
+    meets the target; after the frame they are restored. VTK draws still frames without steering, pixel for pixel. No
+    frame is drawn finer than with the mapper's own settings, except with `finest`.
 
     Parameters
     ----------
@@ -588,23 +593,24 @@ def hold(
         Coarsest and finest sample distance along rays, in smallest voxel spacings. Default 8, and the
         mapper's own.
     coarsest_image : float, optional
-        Most pixels between rays along each side of the image, 1 to 100; 1 leaves the image alone. Default 4.
+        Maximum number of pixels between rays along each side of the image, 1 to 100; 1 keeps the full image size.
+        Default 4.
     tolerance, miss_rate : float, optional
-        At most this share of frames may be more than so much over the target. Default 0.25 and 0.02.
+        At most the share `miss_rate` of frames may exceed the target by more than the share `tolerance` of it.
+        Default 0.25 and 0.02.
     always : bool, optional
-        Whether frames are steered whatever rate the window asks for. Default: only where the window has no
-        interactor. With one, frames for which it asks for less than `still_rate` frames per second are still
-        ones.
+        True to steer every frame. False to steer only frames for which the window's ``DesiredUpdateRate`` is at
+        least `still_rate`; the others are still frames. Default: True if the window has no interactor.
     still_rate : float, optional
-        See `always`. Default 1.
+        Rate in frames per second, see `always`. Default 1.
     clock : {"wall", "cpu"}, optional
-        What measures: the wall, or the processor time of this process (for renderers on the CPU of a shared
+        Clock of frame times: wall time, or processor time of this process (for renderers on the CPU of a shared
         machine).
     overlay : bool, optional
-        Whether a line in the corner shows expected and measured time and the step; never on still frames.
-        Default False.
+        True to show three lines in the corner of the picture, with expected and measured time, step and reason;
+        never in still frames. Default False.
     make_gpu : callable, optional
-        Makes the GPU mapper that takes the place of a given vtkSmartVolumeMapper.
+        Function of a vtkSmartVolumeMapper that makes the GPU mapper to replace it.
 
     Returns
     -------
@@ -613,7 +619,7 @@ def hold(
     Raises
     ------
     CannotSteer
-        Where a mapper cannot be steered; the text says why and what to do.
+        If a mapper cannot be steered; the text gives the reason and the remedy.
     ValueError
         For an option out of range, or a renderer without volumes.
 
@@ -631,16 +637,16 @@ def hold(
     elif isinstance(volume, (int, float)):
         raise ValueError(f"volume is {volume}; pass a frame time as seconds={volume}")
     else:
-        # Each once.
+        # Removes duplicates.
         volumes = [volume] if hasattr(volume, "IsA") else list(dict.fromkeys(volume))
         if not volumes:
             raise ValueError("volume is an empty list; pass volumes, or None for all of the renderer")
     for each in volumes or ():
         if not hasattr(each, "IsA") or not each.IsA("vtkVolume"):
             kind = each.GetClassName() if hasattr(each, "GetClassName") else repr(each)
-            raise ValueError(f"{kind} is no volume; pass a vtkVolume, not its mapper or data")
+            raise ValueError(f"{kind} is not a volume; pass a vtkVolume, not its mapper or data")
         if each not in there:
-            raise ValueError("a volume is not the renderer's; add it with AddVolume(), or pass its own renderer")
+            raise ValueError("a volume is not in this renderer; add it with AddVolume(), or pass its own renderer")
     return Steering(
         renderer,
         volumes,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A window's frame, shared by all that steer in the window by the same clock."""
+"""A window's frame, shared by all steerings in the window with the same clock."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from vtkmodules.vtkCommonCore import vtkWeakReference
 
 from .._native import FrameBudget
 
-# Frames by the address of their window and the clock. Only steerings keep them alive.
+# Frames by the address of their window and their clock. Only steerings keep them alive.
 _frames: weakref.WeakValueDictionary[tuple[str, str], WindowFrame] = weakref.WeakValueDictionary()
 
 
 class WindowFrame:
-    """The frame at hand.
+    """The current frame of a window.
 
     Attributes
     ----------
     budget : FrameBudget
-        Divides its time among the passes that draw volumes.
+        Divides the frame's time among the passes that draw volumes.
     drawing : bool
         True while the window draws.
     start : float
-        Time at which it began.
+        Time at which the frame began, in seconds of the clock.
     usual : bool
-        False if it includes the reading of voxels.
+        False if the frame includes the reading of voxels.
     steerings : WeakSet of Steering
-        Those that steer in the window.
+        The steerings in the window.
     """
 
     __slots__ = ("__weakref__", "budget", "drawing", "start", "steerings", "usual", "window")
 
     def __init__(self, window: Any) -> None:
-        # Another window may get the address of one that is gone.
+        # Compared in frame_of(), since a new window may have the address of a deleted one.
         self.window = vtkWeakReference()
         self.window.Set(window)
         self.budget = FrameBudget()
@@ -44,21 +44,22 @@ class WindowFrame:
         self.steerings: weakref.WeakSet[Any] = weakref.WeakSet()
 
     def begin(self, now: float) -> None:
-        """Begins a frame, for the first of those that steer in the window."""
+        """Begins a frame; called by every steering in the window, only the first call has an effect."""
         if not self.drawing:
             self.drawing = self.usual = True
             self.budget.begin(sum(len(steering.leaves) for steering in self.steerings))
             self.start = now
 
     def end(self, seconds: float) -> None:
-        """Ends the frame, for the first of those that steer in the window."""
+        """Ends the frame; called by every steering in the window, only the first call has an effect."""
         if self.drawing:
             self.drawing = False
             self.budget.end(seconds, self.usual)
 
 
 def is_picking(window: Any) -> bool:
-    """True while a renderer of the window draws for a selector: no frame, it is invisible and takes another time."""
+    """True while a renderer of the window draws for a selector. Such a drawing is invisible, takes a different time,
+    and does not count as a frame."""
     renderers = window.GetRenderers()
     return any(renderers.GetItemAsObject(i).GetSelector() for i in range(renderers.GetNumberOfItems()))
 
