@@ -4,7 +4,7 @@
 use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::PathBuf;
 
-/// Frames of a playback with two abrupt switches: a frame time in milliseconds.
+/// Frame time in milliseconds of a made-up playback with two abrupt switches.
 fn frame_time(frame: usize, controller: usize) -> f64 {
     let wave = (frame as f64 * 0.21 + controller as f64).sin();
     let switch = if (40..80).contains(&frame) { 2.6 } else { 1.0 };
@@ -138,10 +138,10 @@ pub fn samples() -> Vec<(&'static str, Chart)> {
 
 /// A page with every chart.
 pub fn page() -> Page {
-    let mut page = Page::new("Every kind of chart", "What the reports of this program are made of.");
+    let mut page = Page::new("Every kind of chart", "The parts of this program's reports.");
     for (name, chart) in samples() {
         page.heading(name);
-        page.chart(&chart, "What the chart shows, and how its numbers came about.");
+        page.chart(&chart, "A caption: the content of the chart, and the origin of its numbers.");
     }
     let mut table = Table::new(vec![Column::text("controller"), Column::number("misses / %")]);
     table.row(vec!["fixed".into(), "50.0".into()]);

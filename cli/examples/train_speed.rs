@@ -1,5 +1,5 @@
-//! Trains a PredNet on synthetic frames and prints the seconds of the training, for comparison with another
-//! trainer.
+//! Trains a PredNet on synthetic frames and prints the seconds of the training, for comparison with PyTorch
+//! (`lab/scripts/bars_train.py`).
 //!
 //! `train_speed FOLDER PRESET FRAMES BATCH EPOCHS THREADS` writes the frames and the first weights to FOLDER
 //! (`inputs.bin`, `seconds.bin`, `weights.bin`: little-endian f32, standardized and in the order of the

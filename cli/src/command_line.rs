@@ -43,9 +43,9 @@ enum Command {
     Steer(commands::steer::Options),
     /// View a volume in an interactive window that holds a target frame time.
     Explore(commands::explore::Options),
-    /// Assign the tasks of a render farm to its nodes, in order.
+    /// Assign the tasks of a render farm to its nodes and predict when they end.
     Schedule(commands::schedule::Options),
-    /// Render an image database on a farm and predict its end.
+    /// Render an image database on a farm and predict when it is complete.
     Farm(commands::farm::Options),
     /// A worker of `entire farm`; engines start it.
     #[command(hide = true)]

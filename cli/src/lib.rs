@@ -1,5 +1,5 @@
-//! The `entire` command as a library, so that tests and the laboratory reach it: calibration, collection, the race of
-//! controllers, and one module per command.
+//! The `entire` command as a library, for tests and for `entire-lab`: calibration, collection, the comparison
+//! of controllers, and one module per command.
 
 pub mod calibrate;
 pub mod collection;

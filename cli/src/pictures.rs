@@ -1,12 +1,12 @@
-//! Pictures: their sizes, and the error between two.
+//! Sizes of pictures, and error measures between two pictures.
 
 use entire_vk_raycaster::Image;
 
-/// Pictures that are equal, or closer than this, count as this many decibels.
+/// Maximum PSNR in tables and means, decibels: equal pictures count as this.
 pub const BEST_PSNR: f64 = 100.0;
 
-/// Resizes a picture bilinearly; where it shrinks, by a triangle filter as wide as the new pixels. `None` for
-/// a picture without pixels.
+/// Resizes a picture bilinearly; where it shrinks, by a triangle filter whose half width is one new pixel.
+/// `None` for a picture without pixels.
 pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     let (from, to) =
         ([picture.width, picture.height].map(|n| n as usize), [width, height].map(|n| n as usize));
@@ -70,13 +70,14 @@ impl Taps {
     }
 }
 
-/// Side lengths of an image whose rays stand `distance` pixels apart, as [`entire_steer::control::Plan`] has it.
+/// Side lengths, in pixels, of an image of full size `size` whose rays are `distance` pixels apart along each
+/// side, rounded down as for an [`entire_steer::control::Plan`].
 pub fn sampled_size(size: (u32, u32), distance: f32) -> (u32, u32) {
     let side = |n: u32| ((f64::from(n) / f64::from(distance)) as u32).max(1);
     (side(size.0), side(size.1))
 }
 
-/// Side lengths at a scale.
+/// Side lengths, in pixels, of an image of size `size` at a scale, rounded.
 pub fn scaled_size(size: (u32, u32), scale: f32) -> (u32, u32) {
     let side = |n: u32| ((n as f32 * scale).round() as u32).max(1);
     (side(size.0), side(size.1))
@@ -97,8 +98,8 @@ pub fn psnr(a: &[u8], b: &[u8]) -> Option<f64> {
     Some(if mean == 0.0 { f64::INFINITY } else { 10.0 * (255.0 * 255.0 / mean).log10() })
 }
 
-/// Root mean squared difference of colors between two pictures of one size, on a scale of 0 to 255; `None` when
-/// they differ in size.
+/// Root mean squared difference of colors between two pictures of one size, on a scale of 0 to 255; `None`
+/// when they differ in size.
 pub fn rmse(a: &[u8], b: &[u8]) -> Option<f64> {
     let decibels = psnr(a, b)?;
     Some(255.0 * 10f64.powf(-decibels / 20.0))
@@ -120,8 +121,8 @@ fn luma(picture: &Image) -> Vec<f64> {
 }
 
 /// Structural similarity of two pictures of one size, 0 to 1: SSIM over non-overlapping windows of 8 × 8
-/// pixels of their luma, averaged by area. Variances and covariance are sums over a window, as in
-/// `image-compare` 0.5. `None` when the pictures differ in size or have no pixels.
+/// pixels of their luma, averaged by area. As in `image-compare` 0.5, variances and covariance are sums over
+/// a window, not divided by its number of pixels. `None` when the pictures differ in size or have no pixels.
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
     let (width, height) = (a.width as usize, a.height as usize);
     let (first, second) = (luma(a), luma(b));
@@ -199,7 +200,8 @@ mod tests {
         Image { width, height, rgba: (0..width * height).flat_map(pixel).collect() }
     }
 
-    /// The right values are those of the crates `image` 0.25 (filter Triangle) and `image-compare` 0.5 (MSSIMSimple).
+    /// The right values are those of the crates `image` 0.25 (filter Triangle) and `image-compare` 0.5
+    /// (MSSIMSimple).
     #[test]
     fn sizes_and_likeness_are_those_of_the_image_crates() {
         let f = |x: u32, y: u32| (x * x + 3 * y * y + x * y) as u8;

@@ -1,4 +1,4 @@
-//! Common frame of the programs' commands: errors as one line, and the exit status.
+//! Runs a command of `entire` or `entire-lab`: prints an error as one line, and returns the exit status.
 
 use anyhow::Result;
 use std::io::Write;
@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 /// Runs a command. Exit status: 0, or 1 for an error or a panic (one line on standard error with cause and
 /// remedy). A closed output is no error.
 pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> ExitCode {
-    // Errors are printed once, below, in one line: the hook only stores the place.
+    // The hook only stores the place of a panic: the error is printed below, in one line.
     let location = Arc::new(Mutex::new(None));
     let noted = location.clone();
     std::panic::set_hook(Box::new(move |info| {

@@ -1,4 +1,4 @@
-//! The book's reference of commands, made from their definitions.
+//! The book's pages of options, generated from the definitions of the commands.
 
 use clap::{Arg, Command};
 use std::fmt::Write as _;
@@ -23,7 +23,8 @@ pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
             definition.get_after_help().map(ToString::to_string).unwrap_or_default().replace("\\\n", " ");
         let before = found.len();
         for line in help.lines().filter(|l| l.starts_with("  ")) {
-            // Text before the program's name runs it: variables, another program, a pipe.
+            // The text before the program's name is no argument: environment variables, another program, a
+            // pipe.
             if let Some(at) = line.find(&format!("{name} ")) {
                 found.push((command.clone(), Some(line[at..].to_owned())));
             }
@@ -35,7 +36,7 @@ pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
     found
 }
 
-/// The commands below one with their full names, including those of several words.
+/// The commands below `command` that have no subcommands, with their full names, such as `entire collect`.
 fn commands<'a>(command: &'a Command, name: &str) -> Vec<(String, &'a Command)> {
     let mut all = Vec::new();
     for below in command.get_subcommands().filter(|c| !c.is_hide_set() && c.get_name() != "help") {
@@ -91,8 +92,7 @@ fn row(arg: &Arg, out: &mut String) {
         arg.get_default_values().iter().map(|v| v.to_string_lossy().into_owned()).collect();
     let default = match defaults.join(",") {
         _ if !arg.get_action().takes_values() => String::new(),
-        // Options that must know whether they were given have no default in clap and state it in their help
-        // text.
+        // An option that must know whether it was given has no default in clap; its help text states one.
         none if none.is_empty() => match help.rsplit_once("[default: ") {
             Some((_, said)) => format!("`{}`", said.trim_end_matches(['.', ']'])),
             None if arg.is_required_set() => "required".to_owned(),

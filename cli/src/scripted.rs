@@ -1,4 +1,4 @@
-//! A renderer for tests: it draws nothing, and its times follow a known law.
+//! A renderer for tests: its images are uniformly gray, and its times follow a known law.
 
 use entire_core::scene::{Frame, TransferTable, VolumeView};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
@@ -54,14 +54,14 @@ impl Renderer for ScriptedRenderer {
     fn render(&mut self, frame: &Frame) -> Result<Rendered> {
         let weight = self.weight.filter(|_| self.volume).ok_or_else(|| Error::new("nothing was set"))?;
         self.renderings += 1;
-        // Sum of uniform hashes: close to normal, the same in every run.
+        // The sum of 12 uniform numbers is close to normal; from hashes, it is the same in every run.
         let normal = (0..12).map(|i| {
             let h = entire_io::files::fnv1a(&(self.renderings * 12 + i).to_le_bytes());
             (h >> 11) as f64 / (1u64 << 53) as f64
         });
         let noise = (self.noise * (normal.sum::<f64>() - 6.0)).exp();
         let seconds = self.seconds(weight, frame) * noise;
-        // Coarser steps make a picture that differs more: one gray level per step.
+        // The gray level grows with the step, so that pictures at coarser steps have larger errors.
         let level = (frame.step * 2.0).min(255.0) as u8;
         let image = Image {
             width: frame.width,

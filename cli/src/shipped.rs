@@ -1,18 +1,18 @@
-//! The shipped models that were selected for the shading modes, built into the program, so that it has them wherever
-//! it is installed.
+//! The selected shipped models of each shading mode. They are built into the program, so that it needs no
+//! files for them.
 
 use anyhow::{Context, Result};
 use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
 
-/// Bytes of `models/NAME-selected.safetensors`.
+/// A name, and the bytes of `models/NAME-selected.safetensors`.
 macro_rules! selected {
     ($name:literal) => {
         ($name, include_bytes!(concat!("../models/", $name, "-selected.safetensors")).as_slice())
     };
 }
 
-/// Names and bytes of a mode's models: the selected one, then those of other makes of machine.
+/// Names and bytes of a mode's models: the selected one, then those of other types of machine.
 fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
     match shading {
         Shading::None => vec![selected!("unshaded"), selected!("unshaded-epyc"), selected!("unshaded-xeon")],
@@ -37,7 +37,7 @@ pub fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
 /// The shipped model that was selected for a shading mode, with its name.
 ///
 /// # Errors
-/// When there is none.
+/// When the mode has no shipped model.
 pub fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
     let selected = files(shading).into_iter().next();
     read(

@@ -92,7 +92,7 @@ fn bound(input: &[u8]) -> usize {
         ]
         .iter()
         .any(|mark| input.windows(mark.len()).any(|w| w == *mark));
-    // A block of bzip2 has up to 900,000 bytes before runs of 255 equal bytes are unpacked from five.
+    // A block of bzip2 holds up to 900,000 bytes of run lengths, of which five can stand for 255 equal bytes.
     let blocks = input.windows(6).filter(|w| *w == [0x31, 0x41, 0x59, 0x26, 0x53, 0x59]).count();
     (1 << 19) + input.len() * if packed { 3 * 1032 } else { 64 } + blocks * (3 * 46_000_000 + (8 << 20))
 }

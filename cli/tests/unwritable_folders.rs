@@ -8,7 +8,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 use support::{render, stderr};
 
-/// Makes the folder `$1` read-only for the rest, for root too, whom permissions do not bind.
+/// Shell command that mounts the folder `$1` read-only and runs the other arguments as a command. It binds
+/// root too, whom permissions do not bind.
 const MOUNTED: &str = r#"mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" && shift && exec "$@""#;
 
 /// Ways to make a folder read-only.
@@ -30,7 +31,7 @@ fn set_writable(folder: &Path, writable: bool) {
     std::fs::set_permissions(folder, permissions).unwrap();
 }
 
-/// First method that makes a folder read-only for this user; None if none works.
+/// The first method that makes a folder read-only for this user; `None` if none works.
 fn how() -> Option<How> {
     let folder = tempfile::tempdir().unwrap();
     let probe = folder.path().join("probe");
@@ -41,7 +42,7 @@ fn how() -> Option<How> {
         return Some(How::Permissions);
     }
     let _ = std::fs::remove_file(&probe);
-    // The way must work, and no file may be written.
+    // The mount must succeed, and writing a file must fail.
     let ran =
         mounted(folder.path()).args(["sh", "-c", r#"! touch "$1" 2>/dev/null"#, "sh"]).arg(&probe).output();
     ran.is_ok_and(|o| o.status.success()).then_some(How::Mount)

@@ -47,8 +47,8 @@ fn agrees_with_the_twin() -> Result<(), Failed> {
 /// The probe's own comparison with the CPU version, and the values that only a device has.
 fn probe_describes_the_device() -> Result<(), Failed> {
     let folder = workshop();
-    // Beside other programs the times of short frames are too noisy, which the command reports: then longer
-    // ones are tried.
+    // While other programs run, the times of short frames may be too noisy, which the command reports. Longer
+    // frames are tried then.
     let output = ["10", "40", "160"]
         .into_iter()
         .map(|ms| {

@@ -1,20 +1,21 @@
 //! Choice of the most informative frames: greedy D-optimal design over the candidates' features.
 //!
-//! A frame's vector holds the shares of each kind of work in its expected time, and the inputs of the prior's
-//! factor, if it has one, in standard deviations. The next frame is the one with the largest gain in ln det
-//! of the information matrix over its cost. No candidate has been drawn yet.
+//! A frame's vector holds 1, the inputs of the prior's learned factor, if it has one, in standard deviations,
+//! and the share of each kind of work in the expected time. The next frame is the one with the largest ratio
+//! of the gain in ln det of the information matrix to a power of its cost. No candidate needs to be rendered
+//! for this.
 
 use super::pool::Pool;
 use entire_steer::numeric::dot;
 #[cfg(test)]
 use entire_steer::numeric::solve;
 
-/// Exponent of a frame's seconds in the denominator of its gain: 0 ignores the cost, 1 takes the cheapest
-/// information only, which leaves out the long frames that dominate a root mean square. If the number of
-/// frames is the limit, not the time, the exponent is 0.
+/// Exponent e of a frame's cost in seconds: frames are ranked by gain / seconds^e. 0 ignores the cost; 1
+/// leaves out the long frames, which dominate the root mean squared error. It is 0 if not the time but the
+/// number of frames is the limit.
 const COST_EXPONENT: f64 = 0.5;
 
-/// Regularization: information before any frame.
+/// Diagonal of the information matrix before any frame, so that it can be inverted.
 const RIDGE: f64 = 0.05;
 
 /// Chooses frames one by one.
@@ -65,7 +66,7 @@ impl Design {
     pub fn choose(&mut self, pool: &Pool, seconds: &[f64], budget: f64, most: usize) -> Vec<usize> {
         let mut out = Vec::new();
         let mut spent = 0.0;
-        // A single frame takes at most a share of the budget.
+        // A single frame takes at most 12 % of the budget.
         let affordable = |i: usize| seconds[i] <= 0.12 * budget;
         let random_order = random_order(pool);
         let candidates: Vec<f64> =
@@ -91,7 +92,7 @@ impl Design {
     }
 }
 
-/// Random candidates, one volume after the other in turn.
+/// The random candidates, in rounds that take one of each volume and enlargement.
 fn random_order(pool: &Pool) -> Vec<usize> {
     let mut seen = std::collections::BTreeMap::new();
     let mut out: Vec<(usize, usize)> = pool
@@ -136,7 +137,7 @@ fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// ln det of the information of some frames, for tests: by Cholesky of the matrix itself.
+/// ln det of the information matrix of some frames by its Cholesky factor, as an independent check.
 #[cfg(test)]
 fn log_det(vectors: &[&Vec<f64>]) -> f64 {
     let m = vectors[0].len();

@@ -1,4 +1,4 @@
-//! Renders the chosen frames in rounds: each is a batch of frames that is rendered in several passes.
+//! Renders the chosen frames in rounds. Each round renders one batch of frames in several passes.
 
 mod pictures;
 
@@ -19,10 +19,11 @@ use indicatif::ProgressBar;
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
-/// Wall seconds of a frame above which its first rendering is not slower than the next: none is discarded.
+/// Wall seconds of a frame above which no warm-up is discarded: its first rendering is not slower than the
+/// next.
 const LONG: f64 = 0.12;
 
-/// Log-SD of a frame's median that is small enough: passes beyond the second are made only above it.
+/// Standard deviation of ln(median time of a frame's repeats) below which two passes are enough.
 const ENOUGH: f64 = 0.02;
 
 /// Minimum and maximum number of passes over a batch.
@@ -31,10 +32,10 @@ const PASSES: (usize, usize) = (2, 4);
 /// Initial estimate of the seconds to switch volumes.
 const SWITCH: f64 = 0.15;
 
-/// Limit of volume bytes in memory.
+/// Maximum number of bytes of the volumes that stay in memory.
 const KEPT_BYTES: usize = 512 << 20;
 
-/// One visit of a frame.
+/// Renderings of a frame in one pass.
 #[derive(Clone, Debug)]
 struct Visit {
     repeats: Vec<Timing>,
@@ -49,9 +50,9 @@ pub struct Measured {
     pub passes: HashMap<u64, usize>,
     /// Load of other programs.
     pub others: BackgroundLoad,
-    /// Batches.
+    /// Number of batches.
     pub rounds: usize,
-    /// Renderings that were discarded.
+    /// Number of renderings that were discarded as warm-up.
     pub warm_ups: usize,
 }
 
@@ -66,7 +67,7 @@ pub struct Measuring<'a> {
     bar: &'a ProgressBar,
     volumes: HashMap<(usize, usize), Volume>,
     visits: BTreeMap<usize, Vec<Visit>>,
-    /// Wall seconds on this machine over those that the prior expects for its own.
+    /// Ratio of wall seconds on this machine to the seconds that the prior predicts for its own machine.
     scale: f64,
     switch: f64,
     others: BackgroundLoad,
@@ -128,7 +129,7 @@ impl<'a> Measuring<'a> {
     /// When a volume cannot be read or the renderer fails.
     pub fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, self.pool.prior.costs());
-        // The prior's seconds are of another machine: a small batch measures the factor here.
+        // The prior predicts seconds of another machine: the first, small batch measures the factor.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
             let groups = self.groups();
@@ -204,7 +205,7 @@ impl<'a> Measuring<'a> {
             }
             let (wall, others) = snapshot.others();
             self.others.add(wall, others);
-            // The counters are read in hundredths of a second.
+            // The counters have a resolution of 0.01 s, too coarse for shorter stretches.
             let disturbed = wall > 0.1 && others.is_some_and(|o| o > super::others::DISTURBED);
             for (i, repeats) in seen {
                 self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
@@ -224,7 +225,7 @@ impl<'a> Measuring<'a> {
                 bail!("{} changed during the calibration: {what}; calibrate again", path.display());
             }
             let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
-            // Four bytes is the largest scalar.
+            // No scalar type has more than four bytes.
             let bytes = |v: &Volume| v.dims().iter().product::<usize>() * 4;
             if self.volumes.values().map(bytes).sum::<usize>() + bytes(&opened) > KEPT_BYTES {
                 self.volumes.clear();
@@ -241,7 +242,7 @@ impl<'a> Measuring<'a> {
         let place = || format!("{}, calibration frame {i}", scene.volume);
         let frame = scene.to_frame().with_context(place)?;
         self.renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
-        // A measured time of the frame is better than its expected one.
+        // The frame's measured time, from an earlier pass, is more exact than the expected one.
         let seen = self.visits.get(&i).and_then(|v| v.first()?.repeats.first()?.wall);
         let (mut discard, timed) = match self.visits.get(&i) {
             Some(v) => (usize::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),
@@ -263,7 +264,8 @@ impl<'a> Measuring<'a> {
         Ok(Some(repeats))
     }
 
-    /// Scatter of the medians of a batch's frames; infinite where it is unknown.
+    /// Standard deviation of ln(median time) of a batch's frames, or a quarter of the drift between passes if
+    /// that is larger; infinite where it is unknown.
     fn spread(&self, batch: &[usize]) -> f64 {
         let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
         noise_floor(&frames, self.settings.clock, |f| self.passes(f.number as usize))
@@ -276,7 +278,7 @@ impl<'a> Measuring<'a> {
             .keys()
             .filter_map(|&i| Some(self.frame(i)?.seconds(Clock::Wall)? / self.pool.expected[i]))
             .collect();
-        // A quantile above the median: long frames must not overrun the time.
+        // 10 % above the median, so that batches of slower frames do not overrun the time.
         if let Some(scale) = median(&mut ratios) {
             self.scale = 1.1 * scale;
         }

@@ -1,10 +1,10 @@
-//! A model of this machine in a minute and a half: informative frames, rendered in passes, and a shipped
-//! model fitted to them.
+//! Fits a model to this machine in a minute and a half: chooses informative frames, renders them in passes,
+//! and fits unit costs to their times, with the shipped models as prior.
 //!
 //! [`pool`] draws candidate frames and computes their features; [`design`] chooses among them; [`measuring`]
 //! renders them, discards warm-ups, repeats in passes and compares pictures; [`others`] measures the load of
-//! other programs; [`entire_steer::calibrate::PriorModel`] fits. [`place`] is the location of the machine's
-//! model.
+//! other programs; [`entire_steer::calibrate::PriorModel`] fits the model. [`place`] is the location of the
+//! machine's model.
 
 pub mod design;
 pub mod measuring;
@@ -81,7 +81,7 @@ pub struct Calibrated {
 /// A prior of a calibration, with its name.
 pub type NamedPrior = (String, ModelFile);
 
-/// Checks that a model can state the clock.
+/// Refuses [`Clock::Auto`]: a model states one clock.
 ///
 /// # Errors
 /// For [`Clock::Auto`].
@@ -101,8 +101,8 @@ fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
 /// [`PriorModel::new`] takes them.
 ///
 /// # Errors
-/// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or it was
-/// stopped before [`FEWEST_FRAMES`] were drawn.
+/// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or it
+/// was stopped before [`FEWEST_FRAMES`] were drawn.
 pub fn calibrate(
     settings: &Settings,
     priors: &[NamedPrior],
@@ -216,7 +216,7 @@ fn fit_to_frames(
     Ok((chosen, observed))
 }
 
-/// Fits a model to timed frames, however few; the file states no origin.
+/// Fits a model to timed frames, however few; the file has no provenance.
 ///
 /// # Errors
 /// When there are no frames, inputs cannot be computed, or the model cannot be a prior.

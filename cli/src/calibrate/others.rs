@@ -13,11 +13,11 @@ pub struct CpuSnapshot {
     own: Option<f64>,
 }
 
-/// Clock ticks per second of `/proc`: 100 on every Linux.
+/// Clock ticks per second of `/proc`: 100 on x86-64 and Arm.
 const TICKS: f64 = 100.0;
 
 impl CpuSnapshot {
-    /// Now.
+    /// Reads the counters now.
     pub fn now() -> Self {
         Self {
             at: Instant::now(),
@@ -26,8 +26,8 @@ impl CpuSnapshot {
         }
     }
 
-    /// Wall seconds since then, and mean processors in use by others; `None` where the system does not report
-    /// it.
+    /// Wall seconds since the snapshot, and the mean number of processors that other programs used; `None`
+    /// where the system does not report it.
     pub fn others(&self) -> (f64, Option<f64>) {
         let now = Self::now();
         let wall = now.at.duration_since(self.at).as_secs_f64();
@@ -56,16 +56,16 @@ fn own_seconds(text: &str) -> Option<f64> {
 /// Load of other programs over a calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct BackgroundLoad {
-    /// Wall seconds watched.
+    /// Wall seconds in which the load was measured.
     pub seconds: f64,
-    /// Of these, seconds in which others used more than [`DISTURBED`] processors.
+    /// Of these, seconds in which other programs used more than [`DISTURBED`] processors.
     pub disturbed: f64,
-    /// Mean processors in use by others; `None` where the system does not report it.
+    /// Mean number of processors that other programs used; `None` where the system does not report it.
     pub mean: Option<f64>,
 }
 
 impl BackgroundLoad {
-    /// Adds a stretch.
+    /// Adds a stretch of `wall` seconds in which other programs used `others` processors on average.
     pub fn add(&mut self, wall: f64, others: Option<f64>) {
         if let Some(others) = others {
             let before = self.mean.unwrap_or(0.0) * self.seconds;

@@ -59,7 +59,7 @@ pub const DATA_FOLDER: &str = "data";
 /// Ensemble members that the shipped models were trained on.
 pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
 
-/// Endings of volume files.
+/// Extensions of the volume files that [`volumes_in`] finds.
 const VOLUMES: [&str; 6] = ["nrrd", "nhdr", "mha", "mhd", "vti", "nii"];
 
 /// Every volume below a folder, by name; other files are ignored. Of ensembles only the training members

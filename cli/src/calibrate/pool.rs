@@ -1,4 +1,4 @@
-//! Candidate frames, with their features, before any is drawn.
+//! Candidate frames of a calibration, with their features, before any is rendered.
 
 use super::Settings;
 use crate::collection::Job;
@@ -19,10 +19,11 @@ use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Candidates per volume and size.
+/// Number of candidates per volume and enlargement.
 const PER_VOLUME: u64 = 36;
 
-/// Every this many candidates one is random: drawn as users draw, at any cost.
+/// One of this many candidates is marked as random: it stands for a typical frame. Such candidates are chosen
+/// without regard to their information, and if there are enough, the error is measured on them alone.
 const RANDOM_EVERY: u64 = 3;
 
 /// Volumes of fewer voxels are also rendered enlarged by 2 along every axis: the cost of a frame depends on
@@ -38,11 +39,11 @@ pub struct Candidate {
     pub factor: usize,
     /// Scene of the frame.
     pub scene: Scene,
-    /// Inputs of the prior's factor, in its order; empty if it has none.
+    /// Inputs of the prior's learned factor, in its order; empty if the prior has no factor.
     pub row: Vec<f32>,
-    /// Estimated work: 1, then the counts.
+    /// Estimated work: 1, then the values of [`COST_QUANTITIES`].
     pub work: [f64; COSTS],
-    /// True if it is a random candidate, drawn as `entire collect` draws.
+    /// True for every third candidate, which stands for a typical frame.
     pub random: bool,
 }
 
@@ -58,7 +59,7 @@ pub struct Pool {
     pub candidates: Vec<Candidate>,
     /// The prior.
     pub prior: PriorModel,
-    /// Seconds that the prior expects, on its own machine.
+    /// Seconds of each candidate that the prior predicts, for the prior's own machine.
     pub expected: Vec<f64>,
 }
 

@@ -30,29 +30,29 @@ pub struct Report {
     pub shading: &'static str,
     /// The clock whose seconds the model predicts.
     pub clock: &'static str,
-    /// Frames and volumes that it was fitted to.
+    /// Number of frames that the model was fitted to.
     pub frames: usize,
-    /// Volumes among them.
+    /// Number of their volumes.
     pub volumes: usize,
-    /// Number of batches.
+    /// Number of batches of frames; 0 where nothing was rendered.
     pub rounds: usize,
     /// Renderings that were discarded as warm-up.
     pub warm_ups: usize,
-    /// Wall seconds in all.
+    /// Wall seconds of the whole calibration.
     pub seconds: f64,
-    /// The prior; `None` for the unit costs of a software renderer.
+    /// Names of the prior models; `None` for the unit costs of a software renderer.
     pub prior: Option<String>,
-    /// Parts of the cross-validation; 0 where there were too few volumes.
+    /// Number of folds of the cross-validation by volume; 0 where there were too few volumes.
     pub folds: usize,
-    /// Frames on which the error was measured.
+    /// Number of frames on which the error was measured.
     pub judged: usize,
     /// Median of |predicted / measured − 1| on held-out volumes.
     pub median_error: f64,
     /// Its 95 % interval by bootstrap over volumes.
     pub median_error_interval: Option<(f64, f64)>,
-    /// RMSE over the standard deviation on the same.
+    /// RMSE over the standard deviation of the measured seconds, on the same frames.
     pub rmse_over_sd: f64,
-    /// Noise of repeats.
+    /// Noise of repeated frames; `None` where none was repeated.
     pub noise: Option<NoiseFloor>,
     /// Load of other programs.
     pub others: BackgroundLoad,
@@ -80,16 +80,16 @@ impl Report {
         Self { pictures, ..self }
     }
 
-    /// Adds the files of its volumes.
+    /// Adds the identities of the volumes' files, by the volumes' names.
     #[must_use]
     pub fn with_files(self, files: BTreeMap<String, Vec<Identity>>) -> Self {
         Self { files, ..self }
     }
 
-    /// Measures the error of a calibration on the frames that `judged` names.
+    /// Measures the error of a calibration on the frames whose index `judged` accepts.
     ///
     /// # Errors
-    /// When there are none.
+    /// When there are no such frames.
     #[expect(clippy::too_many_arguments, reason = "everything that a calibration knows of itself, once")]
     pub fn new(
         (shading, clock): (Shading, Clock),
@@ -131,14 +131,15 @@ impl Report {
         })
     }
 
-    /// Reasons why the measured times may not be this machine's normal speed; empty without any.
+    /// Reasons why the measured times or the error may not be typical of this machine; empty if there are
+    /// none.
     pub fn warnings(&self) -> Vec<String> {
         let mut out = Vec::new();
         if self.others.busy() {
             out.push(format!(
-                "the machine was busy: other programs used {:.1} processors on average, in {:.0} of {:.0} \
-                 seconds more than {}; frames with undisturbed repeats use those alone; calibrate again on a \
-                 quiet machine",
+                "the machine was busy: other programs used {:.1} processors on average, and for {:.0} of \
+                 {:.0} seconds more than {}; disturbed repeats count only for frames that have no others; \
+                 calibrate again on a quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,
@@ -193,8 +194,8 @@ impl Report {
             .median_error_interval
             .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));
         let (place, how) = match self.folds {
-            0 => ("on the training frames alone, less than elsewhere", String::new()),
-            folds => ("on held-out volumes", format!(", cross-validated by volume in {folds} parts")),
+            0 => ("on the training frames, smaller than on other volumes", String::new()),
+            folds => ("on held-out volumes", format!(", cross-validated by volume in {folds} folds")),
         };
         line(
             &mut out,
@@ -216,7 +217,7 @@ impl Report {
             line(
                 &mut out,
                 "pictures",
-                "too few were compared in the time; the model states no quality law".into(),
+                "too few were compared in the time; the model has no law of picture error".into(),
             );
         }
         out
@@ -269,13 +270,15 @@ impl Report {
     }
 }
 
-/// The quality law fitted to compared pictures, in one line; `error` names the measure of their difference.
+/// The picture quality law that was fitted to compared pictures, in one line; `error` names the error
+/// measure.
 pub fn law_text(fitted: &FittedQuality, error: &str) -> String {
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(
-        "{} scenes at {} steps and sizes: {error} as (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - \
-         1)^{image_exponent:.2}, {:.0} % of a frame's time is per ray; error over the best choice at equal \
-         time: step and image size {:.2}, step alone {} (it saves at most {:.0} % of the time)",
+        "{} scenes at {} steps and sizes: {error} in proportion to (s - 1)^{step_exponent:.2} + \
+         {image_weight:.2} (d - 1)^{image_exponent:.2}, with ray step s and d pixels between rays; {:.0} % of \
+         a frame's time is per ray; error relative to the best setting of equal time: step and image size \
+         by this law {:.2}, step alone {} (it saves at most {:.0} % of the time)",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,

@@ -38,13 +38,13 @@ pub struct Outcome {
 pub struct TimedScene {
     /// Times of each repeat; `None` where collection stopped before the last.
     pub repeats: Option<Vec<Timing>>,
-    /// Renderings that were discarded first.
+    /// Number of renderings that were discarded before the repeats.
     pub discarded: u64,
 }
 
-/// Renders a scene of the renderer's volume as often as the protocol says, after the discarded renderings: at
-/// least `warm_up`, which counts down, and at least the protocol's number per frame. `stop` is called before
-/// every rendering.
+/// Renders a scene of the renderer's volume as often as the protocol says. Before that, as many renderings
+/// are discarded as the larger of `warm_up` and the protocol's number per frame; `warm_up` counts down to 0.
+/// `stop` is called before every rendering.
 ///
 /// # Errors
 /// A scene that cannot be drawn, a renderer that fails.

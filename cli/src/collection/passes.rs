@@ -33,7 +33,7 @@ pub fn collect_passes(
     progress: &ProgressBar,
 ) -> Result<Outcome> {
     let total = jobs.len() as u64 * u64::from(protocol.frames);
-    // Without passes, or after an interruption between the last pass and the removal of the pass files.
+    // True if the passes were merged into `table` before an interruption, which may have left pass files.
     let complete = (0..total).all(|n| table.done().contains(&n));
     if protocol.passes == 1 || complete {
         let outcome = collect(jobs, protocol, renderer, open, table, stop, progress)?;

@@ -59,7 +59,7 @@ impl Job {
     }
 }
 
-/// Settings by which frames are drawn and rendered.
+/// Settings by which scenes are chosen at random and rendered.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Protocol {
     /// Frames per volume.
@@ -70,7 +70,8 @@ pub struct Protocol {
     pub passes: u32,
     /// Renderings discarded after each volume change.
     pub warm_up: u32,
-    /// Renderings of each frame discarded before its repeats; those after a volume change count.
+    /// Renderings of each frame discarded before its repeats; those discarded after a volume change are among
+    /// them.
     pub warm_up_repeats: u32,
     /// Seed.
     pub seed: u64,
@@ -160,7 +161,7 @@ impl Protocol {
         Ok((protocol, jobs.collect()))
     }
 
-    /// Frame `index` of a job whose rendered volume has this many voxels.
+    /// Frame `index` of a job whose rendered volume has `dims` voxels (x, y, z).
     pub fn scene(&self, job: &Job, dims: [usize; 3], index: u64) -> Scene {
         let drawn = self.scenes.draw(self.seed, &job.seed_name(), index);
         Scene {
@@ -287,7 +288,7 @@ pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
             out.push("the list of volumes differs (paths, members and order must be the same)".into());
         } else {
             let mut compare = |a: Option<&serde_json::Value>, b: Option<&serde_json::Value>| {
-                // Numbers went through text: compare the texts.
+                // The old manifest was read from text, so the texts of numbers are compared.
                 let text =
                     |v: Option<&serde_json::Value>| v.map_or("nothing".to_owned(), ToString::to_string);
                 if text(a) != text(b) {

@@ -77,8 +77,8 @@ fn stopping_anywhere_and_resuming_gives_the_same_table() {
         let path = dir.path().join(format!("{stop_after}.csv"));
         let first = run_until(&path, Some(stop_after), &some_jobs());
         assert!(first.interrupted, "{stop_after}");
-        // Four renderings of each volume's first frame are two warm-ups and a partial frame: none is in the
-        // table.
+        // A partial frame is not in the table: of a volume's first frame, fewer than five renderings, two of
+        // which are warm-ups.
         assert_eq!(Table::read(&path, 0).map(|t| t.frames.len() as u64).unwrap(), first.done);
         let second = run_until(&path, None, &some_jobs());
         assert!(!second.interrupted && second.done == 8);
@@ -146,7 +146,7 @@ fn warm_up_repeats_are_rendered_before_every_frame_and_not_timed() {
     let mut renderer = ScriptedRenderer::default();
     let bar = ProgressBar::hidden();
     let outcome = collect(&jobs, &protocol, &mut renderer, &mut tiny, &mut table, &|| false, &bar).unwrap();
-    // Two renderings of each volume's first frame, one of each other.
+    // Two renderings of each volume's first frame are discarded, and one of every other frame.
     assert_eq!(outcome.discarded, outcome.total + jobs.len() as u64);
     let frames = Table::read(&path, 0).unwrap().frames;
     assert!(frames.len() == 8 && frames.iter().all(|f| f.repeats.len() == 3));
@@ -199,10 +199,10 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
         other: BTreeMap::new(),
     };
     let base = manifest(&protocol(), &some_jobs(), "d");
-    // Through a file and back, with equal numbers.
+    // A manifest that was written to text and read again has equal numbers.
     let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
     assert_eq!(differences(&back, &base), Vec::<String>::new());
-    // And from the manifest to the same frames.
+    // The protocol that is read from a manifest is the one that wrote it.
     let twice = Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
     for p in [protocol(), twice] {
         let mut written = manifest(&p, &some_jobs(), "d");

@@ -1,4 +1,4 @@
-//! `entire calibrate`: a model of this machine, in a minute and a half.
+//! `entire calibrate`: fit a model to this machine in a minute and a half.
 
 use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
@@ -26,8 +26,8 @@ use std::path::{Path, PathBuf};
 /// passes until the spread of repeats is small. Then it fits unit costs to the measured times, with the
 /// shipped models of the shading mode as prior: three frames set the speed of this machine, hundreds set
 /// every cost. Prints the error on held-out volumes, and warns if other programs used the machine. Ctrl-C
-/// fits the frames measured so far. `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find
-/// the model by themselves.
+/// ends the measurement, and the model is fitted to the frames so far. `demo`, `steer`, `predict` and
+/// libentire (entire_model_open_machine) find the model by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate
@@ -63,10 +63,10 @@ pub struct Options {
     /// machine-MODE.safetensors in the folder entire of the user's data folder.
     #[arg(long, value_name = "FILE.safetensors")]
     pub out: Option<PathBuf>,
-    /// Write the measured frames too, as a timing table.
+    /// Also write the measured frames, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// Prior model, of kind analytic or residual; default: the shipped ones of the mode.
+    /// Prior model, of kind analytic or residual; default: the shipped models of the shading mode.
     #[arg(long, value_name = "SAFETENSORS")]
     pub prior: Option<PathBuf>,
     /// Wall seconds that each mode may take.
@@ -90,14 +90,15 @@ pub struct Options {
     /// Longest image side, pixels.
     #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
     pub max_size: u32,
-    /// Ray steps to draw from, reference steps; a step that is listed twice is drawn twice as often.
+    /// Ray steps, in reference steps; each frame gets one of them at random. A step that is listed twice is
+    /// chosen twice as often.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0, 1.0, 1.0, 2.0, 4.0], value_name = "STEP,…")]
     pub steps: Vec<f32>,
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
-    /// Error measure of pictures at coarser steps and smaller image sizes; plans then coarsen the one that
-    /// adds less error.
+    /// Error measure that compares pictures at coarser ray steps and smaller image sizes with full quality;
+    /// steering then coarsens step or image size, whichever adds less error.
     #[arg(long, value_enum, default_value_t)]
     pub picture_error: PictureError,
     /// Seed of every random choice.
@@ -121,7 +122,7 @@ pub enum ShadeOrAll {
     Local,
     /// Single scattering.
     Scatter,
-    /// Each of them.
+    /// All modes, one after another.
     All,
 }
 
@@ -172,7 +173,7 @@ pub fn run(options: &Options) -> Result<()> {
             folder.is_dir(),
             "{DATA_FOLDER}/ is not here; run this in the project's root, or name volume files"
         );
-        volumes_in(folder).with_context(|| format!("cannot look into {DATA_FOLDER}/"))?
+        volumes_in(folder).with_context(|| format!("cannot list the files in {DATA_FOLDER}/"))?
     } else {
         options.volumes.clone()
     };
@@ -231,7 +232,7 @@ pub fn run(options: &Options) -> Result<()> {
         }
         println!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds);
         if stopped() {
-            note("interrupted; what was measured until then is what the model was fitted to");
+            note("interrupted; the model was fitted to the frames measured until then");
             break;
         }
     }
@@ -249,7 +250,7 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
         driver: String::new(),
         commit: machine::version(),
         seed: options.seed,
-        // The number differs between frames.
+        // The number of repeats differs between frames.
         repeats: 0,
         step_reference: "smallest voxel spacing".into(),
         settings: json!({ "calibration": true, "reading": options.volume_args.reading() }),
@@ -269,7 +270,7 @@ fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
 /// Prints a note if the given prior predicts another clock's seconds.
 ///
 /// # Errors
-/// When it cannot be read.
+/// When the prior cannot be read.
 fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     let Some(path) = &options.prior else { return Ok(()) };
     let theirs = entire_io::clock::of(&open_model(path)?);
@@ -279,12 +280,13 @@ fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     Ok(())
 }
 
-/// Fits to logged frames.
+/// Fits models to logged frames.
 fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let threads = thread_pool(options.threads)?;
-    // Time stamps of a processor's renderer are no better than wall time, with tables and without.
+    // Device timestamps of a software renderer are no better than wall time, so `auto` means wall time, as it
+    // does where frames are rendered.
     let software = |table: &entire_io::dataset::Table| {
         table.manifest.as_ref().is_some_and(|m| device::names_software(&m.renderer, &m.device))
     };

@@ -71,8 +71,8 @@ pub struct Options {
     /// Reading of the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
-    /// Predict the frames by this model instead of rendering them, to distill another model from it; all
-    /// clocks get the predicted time.
+    /// Write this model's predicted times instead of rendering the frames, to distill another model from it;
+    /// every clock gets the predicted time.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
     pub teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
@@ -81,13 +81,13 @@ pub struct Options {
     /// Longest image side, pixels.
     #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
     pub max_size: u32,
-    /// Radii of the cameras' semi-spheres, bounding-sphere radii.
+    /// Radii of the semi-spheres on which cameras lie, in bounding-sphere radii.
     #[arg(long, value_delimiter = ',', default_values_t = DEFAULT_RADII, value_name = "R,…")]
     pub radii: Vec<f32>,
     /// Gaussian lobes per transfer function: a number, or a range such as `2-4`.
     #[arg(long, default_value = "3", value_name = "N[-M]", value_parser = parse_lobe_range)]
     pub lobes: (u32, u32),
-    /// Ray steps to draw from, reference steps.
+    /// Ray steps, in reference steps; each frame gets one of them at random.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
     pub steps: Vec<f32>,
     /// Ensemble member of the volumes: one for all, or one for each. Default: the folder's name.
@@ -180,15 +180,15 @@ pub fn run(options: &Options) -> Result<()> {
             })?;
             let (mut protocol, jobs) = Protocol::of_manifest(&manifest).with_context(|| {
                 format!(
-                    "its frames cannot be collected again by \
-                     {}",
+                    "the frames of {shown} cannot be collected again from its \
+                     manifest {}",
                     Manifest::path_for(table).display()
                 )
             })?;
             protocol.repeats = options.repeats.unwrap_or(protocol.repeats);
             protocol.passes = options.passes.unwrap_or(protocol.passes);
             protocol.warm_up_repeats = options.warm_up_repeats.unwrap_or(protocol.warm_up_repeats);
-            check(&jobs, "run from the folder that its volume names start from")?;
+            check(&jobs, "run from the folder to which the manifest's volume names are relative")?;
             for job in &jobs {
                 if let Some(what) = manifest.changed(&job.name(), &job.path)? {
                     entire_io::files::note(&format!(
@@ -244,7 +244,7 @@ pub fn run(options: &Options) -> Result<()> {
             runs = old.other.get("runs").and_then(|r| r.as_array().cloned()).unwrap_or_default();
             if old.commit != manifest.commit {
                 entire_io::files::note(&format!(
-                    "the table was begun by version {}, this is {}",
+                    "the table was begun by version {}; this program is version {}",
                     old.commit, manifest.commit
                 ));
             }
@@ -264,7 +264,7 @@ pub fn run(options: &Options) -> Result<()> {
         for path in pass_files(&options.out, protocol.passes) {
             ensure!(
                 !path.exists(),
-                "{} is left of an interrupted collection; go on with --resume, or remove it",
+                "{} is left over from an interrupted collection; continue with --resume, or remove it",
                 path.display()
             );
         }
@@ -310,10 +310,10 @@ pub fn run(options: &Options) -> Result<()> {
         &bar,
     );
     bar.finish_and_clear();
-    let go_on = format!("go on with the same command and --resume ({})", options.out.display());
+    let go_on = format!("continue with the same command and --resume ({})", options.out.display());
     let outcome = match result {
         Err(error) if Writer::is_fresh(&options.out)? => {
-            // Nothing to go on with: a corrected command may begin anew.
+            // The table has no frames: it is removed, so that a corrected command can start.
             drop(table);
             std::fs::remove_file(&options.out)?;
             std::fs::remove_file(Manifest::path_for(&options.out))?;

@@ -39,7 +39,7 @@ const SMALL_VOLUME: u64 = 160 * 160 * 160;
 /// Time limit of all rendering, seconds; images are reduced to meet it.
 const RENDERING_BUDGET: f64 = 150.0;
 
-/// Smallest image side under the time limit, pixels.
+/// Shortest image side to which images are reduced, pixels.
 const SMALLEST_SIDE: u32 = 96;
 
 const CONTROLLERS: [ControllerKind; 5] = [
@@ -103,7 +103,7 @@ pub struct Options {
 }
 
 /// A model of this machine, calibrated with other volumes than the played one: those in data/, and of its
-/// ensembles only the training members. `None` without any.
+/// ensembles only the training members. `None` where there are no such volumes.
 fn calibrated(
     options: &Options,
     draw: &DrawSettings,
@@ -285,7 +285,8 @@ pub fn run(options: &Options) -> Result<()> {
     let mut remarks = vec![
         "Every frame was drawn under every controller before the next one began, in rotating order, so that \
          other load on the machine affected all of them alike. The picture at the reference step was drawn \
-         as well, without being timed. Changes of the transfer function are not part of frame times."
+         as well; its time counts for no controller. Changes of the transfer function are not part of frame \
+         times."
             .to_owned(),
         format!(
             "The fixed step ({:.2}) is the one that the median random scene needs for the target. OLP takes \
@@ -324,7 +325,8 @@ pub fn run(options: &Options) -> Result<()> {
     }
     println!("\n{}", table(&playback, &metrics).to_text());
     println!(
-        "* best of the column. At switches: the {SWITCH_FRAMES} frames from each switch on. Calm: all others."
+        "* best of the column. At switches: the {SWITCH_FRAMES} frames from each switch on. Calm: all others \
+         except the first {SWITCH_FRAMES} of the path."
     );
     println!("\n{verdict}");
     println!(

@@ -1,4 +1,4 @@
-//! `entire doctor`.
+//! `entire doctor`: report what is installed here and what works with it.
 
 use crate::calibrate::place::{DATA_FOLDER, file_of, machine_model, volumes_in};
 use crate::shipped::shipped_models;
@@ -16,9 +16,9 @@ use std::time::Duration;
 
 /// Report what is installed here and what works with it.
 ///
-/// Looks for a Vulkan device, models of this machine, VTK and PyVista in Python, ParaView, the C library and the engines
-/// of render farms. For a missing part it prints the use of that part and the command that installs it. The exit status
-/// is 0: no part is required, the CPU version of the raycaster renders anywhere.
+/// Looks for a Vulkan device, models of this machine, VTK and PyVista in Python, ParaView, the C library and
+/// the engines of render farms. For a missing part it prints the use of that part and the command that
+/// installs it. Missing parts are no error: the CPU version of the raycaster renders anywhere.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire doctor
@@ -133,7 +133,7 @@ fn print(name: &str, finding: &Finding) {
     }
 }
 
-/// The renderer that `--device auto` opens.
+/// Description of the renderer that `--device auto` opens.
 fn raycaster() -> String {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => {
@@ -160,7 +160,8 @@ fn output_of(program: &str, arguments: &[&str]) -> Option<String> {
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// The first line of a program's output that is not blank; "installed" if there is none.
+/// The first line of a program's output that is not blank, or "installed" if all are. `None` as in
+/// [`output_of`].
 fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
     let text = output_of(program, arguments)?;
     Some(text.lines().map(str::trim).find(|l| !l.is_empty()).unwrap_or("installed").to_owned())
@@ -196,8 +197,8 @@ fn vtk_for_cxx() -> Finding {
     }
 }
 
-/// Prints name and version of those of the named packages that a Python has, by their metadata and without importing them;
-/// VTK of Debian has none.
+/// Python code that prints name and version of the installed ones of the packages in its arguments. It reads
+/// the packages' metadata and does not import them, except Debian's VTK, which has no metadata.
 const LIST_PACKAGES: &str = "
 import importlib.metadata, importlib.util, sys
 for name in sys.argv[1:]:
@@ -218,7 +219,7 @@ fn packages_of(python: &str) -> BTreeMap<String, String> {
     text.lines().filter_map(|l| l.split_once(' ')).map(|(n, v)| (n.to_owned(), v.to_owned())).collect()
 }
 
-/// A package of the Python that was asked for, else of the system's.
+/// A package of the Python of `--python`, else of the system's Python.
 fn python_package(
     package: &str,
     used_for: &'static str,
@@ -227,7 +228,7 @@ fn python_package(
 ) -> Finding {
     match (asked.get(package), system.get(package)) {
         (Some(version), _) => Finding::There(version.clone()),
-        (None, Some(version)) => Finding::There(format!("{version}, in {SYSTEM_PYTHON} alone")),
+        (None, Some(version)) => Finding::There(format!("{version}, only in {SYSTEM_PYTHON}")),
         (None, None) if package == "entire" => {
             Finding::Missing(used_for, "make wheel, then pip install out/wheels/entire-*.whl")
         }

@@ -32,6 +32,9 @@ pub struct Options {
 }
 
 /// Runs the command.
+///
+/// # Errors
+/// When the model or the volume cannot be read, the model has no VolumeNet, or a feature is not finite.
 pub fn run(options: &Options) -> Result<()> {
     let model = open_model(&options.model)?;
     let Some(parts) = model.volumenet() else {

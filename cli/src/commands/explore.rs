@@ -14,9 +14,8 @@ use std::path::PathBuf;
 /// Every frame is predicted before it is drawn, and the predictor learns from its measured time; a graph
 /// shows both beside the target. While nothing changes, the picture is refined to full quality in slices no
 /// longer than the target. Without --model, the model of this machine is used
-/// (`entire calibrate --clock wall`), else the shipped model; both learn from the
-/// frames. Drag to turn, shift-drag to pan, scroll to zoom, F to fly, 1 2 3
-/// to look along an axis, R to reset, Ctrl+Z to take back.
+/// (`entire calibrate --clock wall`), else the shipped model. Drag to turn, shift-drag to pan, scroll to
+/// zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to undo.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire explore data/nyx_cosmology/m01/t0010.nrrd
@@ -71,7 +70,7 @@ pub fn run(options: &Options) -> Result<()> {
     open(options, target)
 }
 
-/// Without the feature `explore` there is no window.
+/// Refuses, since a build without the feature `explore` has no window.
 #[cfg(not(feature = "explore"))]
 fn open(_: &Options, _: f64) -> Result<()> {
     bail!(

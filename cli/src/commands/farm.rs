@@ -1,4 +1,4 @@
-//! `entire farm`: render an image database on an engine.
+//! `entire farm`: render an image database by local processes, HyperQueue or Slurm.
 
 use anyhow::{Context, Result, ensure};
 use entire_farm::database::{self, Database};
@@ -34,11 +34,11 @@ pub enum OrderOption {
     Longest,
     /// In the order of the job.
     Arrival,
-    /// All tasks taken as equally long, as by a scheduler without predictions.
+    /// In the order of the job, with all tasks taken as equally long, as by a scheduler without predictions.
     Uniform,
 }
 
-/// Render an image database: plan, run and predict the end.
+/// Render an image database on a farm and predict when it is complete.
 ///
 /// The job file (TOML) names volumes, cameras, transfer functions, sizes, steps and the renderer; see the
 /// book's chapter on render farms. The database is a Cinema database (Specification D): NAME.cdb/data.csv.
@@ -57,8 +57,8 @@ pub struct Options {
     /// The engine that runs the tasks.
     #[arg(long, value_enum, default_value_t)]
     pub engine: EngineOption,
-    /// Bundles that run at once: workers of this machine or of HyperQueue, nodes of Slurm. Default: the
-    /// processors of this machine, for Slurm its listed nodes.
+    /// Number of bundles (groups of tasks) that run at once: workers of this machine or of HyperQueue, nodes
+    /// of Slurm. Default: the processors of this machine; for Slurm, the nodes that it lists.
     #[arg(long, value_name = "N")]
     pub slots: Option<usize>,
     /// Continue an unfinished database.
@@ -88,7 +88,7 @@ pub struct Options {
     /// Order in which tasks are sent.
     #[arg(long, value_enum, default_value_t)]
     pub order: OrderOption,
-    /// Overhead of a bundle on its slot, seconds, instead of the engine's own figure.
+    /// Overhead per bundle, seconds, instead of the engine's own figure.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
     /// Time limit of a bundle (90s, 30m, 2h): that of HyperQueue's workers or Slurm's partition.
@@ -338,6 +338,6 @@ fn export(
     openjd::export(job, places, &bundles, database.run(), file)?;
     println!("{} bundles of {} tasks", bundles.len(), tasks.len());
     println!("{}", file.display());
-    println!("take over what they have rendered with: entire farm {} --resume", options.job.display());
+    println!("to take over the rendered images: entire farm {} --resume", options.job.display());
     Ok(())
 }

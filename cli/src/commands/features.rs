@@ -13,8 +13,8 @@ use std::path::PathBuf;
 
 /// Compute the scene features of collected frames and keep them beside the tables.
 ///
-/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then no longer need the volumes. Run it
-/// again after every version that changes the features.
+/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then do not need the volumes. Run it again
+/// after an update that changes the features.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire features --data frames.csv
@@ -27,7 +27,7 @@ pub struct Options {
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
     /// Rays along each side of additional probes, 1 to 24, for models with cheaper or finer probes than the
-    /// standard 11, which is always computed.
+    /// standard one of 11, which is always computed.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
     /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
@@ -138,7 +138,7 @@ mod tests {
                 volume: "v.nrrd".into(),
                 member: String::new(),
                 time_step: None,
-                // The last frames are of the same file enlarged.
+                // The last four frames are of the same file, enlarged by 2.
                 dims: if i < 8 { [14, 12, 10] } else { [28, 24, 20] },
                 camera: Arcball { rx: 7.0 * f - 40.0, ry: 31.0 * f, dz: 0.8 + 0.2 * f },
                 fov_y_degrees: 45.0,
@@ -184,8 +184,8 @@ mod tests {
                 let ascending = [0.3, 0.05, 0.4, 0.8, 0.01, 0.9];
                 assert_eq!(lobes, if log { ascending } else { [0.8, 0.01, 0.9, 0.3, 0.05, 0.4] });
                 for (i, (a, b)) in kept.iter().zip(&measured).enumerate() {
-                    // Quantities are kept in single precision, bit for bit; a logarithm is taken of the
-                    // rounded one.
+                    // Quantities are stored bit for bit in single precision; logarithms are taken of these
+                    // rounded values.
                     let close = (a - b).abs() <= f32::EPSILON * b.abs().max(1.0);
                     assert!(
                         if log { close } else { a.to_bits() == b.to_bits() },

@@ -13,15 +13,16 @@ use std::path::{Path, PathBuf};
 /// Predict seconds for rows of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. Nothing is printed
-/// when any row is wrong. The clock of the seconds, if the model states it, goes to standard error.
+/// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. If any row is
+/// invalid, nothing is printed. The clock of the seconds, if the model states it, goes to standard error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs inputs.csv
   my-renderer --log-inputs | entire predict --model model.safetensors --inputs -
 
-The inputs are those of the model's metadata key entire.inputs, as entire_model_predict() takes them; a
-wrong number of columns prints their groups. `entire evaluate` predicts the frames of timing tables.")]
+The inputs are those of the model's metadata key entire.inputs, as entire_model_predict() takes them; the
+error for a wrong number of columns names their groups. `entire evaluate` predicts the frames of timing
+tables.")]
 pub struct Options {
     /// Model file with a PredNet; default: the machine's model of --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
@@ -35,6 +36,10 @@ pub struct Options {
 }
 
 /// Runs the command.
+///
+/// # Errors
+/// When the model or the table cannot be read, the model has no PredNet, or a row or its prediction is
+/// invalid.
 pub fn run(options: &Options) -> Result<()> {
     let path = match &options.model {
         Some(path) => path.clone(),

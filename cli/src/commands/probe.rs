@@ -11,8 +11,9 @@ use std::io::Write;
 ///
 /// Renders known scenes, compares one with the CPU version of the raycaster, and prints the device, its
 /// limits, the quality of its timestamps, and five numbers that describe the machine to a predictor: fixed
-/// seconds per frame, and rays, coherent samples, divergent samples and skips of empty blocks per second.
-/// Exit status is 1 when the picture is wrong.
+/// seconds per frame, and per second the number of rays, of coherent samples (parallel rays of equal length),
+/// of divergent samples (rays in all directions) and of skips of empty blocks. The exit status is 1 if the
+/// picture differs from that of the CPU version.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire probe
@@ -45,11 +46,16 @@ fn parse_milliseconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Largest and mean difference to the CPU version that a right picture may have, of 255.
+/// Limit of the largest difference from the CPU version's picture, of 255.
 const LARGEST: u8 = 2;
+
+/// Limit of the mean difference from the CPU version's picture, of 255.
 const MEAN: f64 = 0.1;
 
 /// Runs the command.
+///
+/// # Errors
+/// When the renderer fails, its clock is too noisy, or its picture differs from the CPU version's.
 pub fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.device)?;
     let options_of_probe =
@@ -133,12 +139,12 @@ fn as_text(found: &Probe) -> String {
             (Some((bits, period)), Some(t)) => line(
                 "timestamps",
                 format!(
-                    "{bits} bits of {period} ns; {:.3} of wall time, spread {:.1} % over the repeats",
+                    "{bits} bits of {period} ns; {:.3} times wall time, spread {:.1} % over the repeats",
                     t.device_to_wall,
                     100.0 * t.spread
                 ),
             ),
-            _ => line("timestamps", "none; frames have wall time".to_owned()),
+            _ => line("timestamps", "none; frames are timed by wall time".to_owned()),
         }
     }
     let a = &found.agreement;

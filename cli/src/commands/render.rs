@@ -95,6 +95,9 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
 }
 
 /// Runs the command.
+///
+/// # Errors
+/// When an option or the volume is invalid, the renderer fails, or the picture cannot be written.
 pub fn run(options: &Options) -> Result<()> {
     // All options are checked before the volume is loaded.
     ensure_not_input(&options.out, [options.volume.as_path()])?;
@@ -115,7 +118,7 @@ pub fn run(options: &Options) -> Result<()> {
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
     let table_time = renderer.set_transfer(&table)?;
-    // The first rendering makes what later ones reuse.
+    // The first rendering is not timed: it creates resources that the later ones reuse.
     renderer.render(&frame)?;
     let mut repeats = Vec::new();
     let mut last: Option<Rendered> = None;
@@ -126,18 +129,18 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let Rendered { image, mut counts, .. } = last.context("--repeats is 0; render at least once")?;
     if counts.is_none() {
-        // Once more, untimed, if the renderer counts only on request.
+        // One more rendering, not timed: this renderer counts only on request.
         renderer.count_work(true);
         counts = renderer.render(&frame)?.counts;
     }
-    // Blends over black; premultiplied colors already are.
+    // Premultiplied colors are already blended over black.
     write_whole(&options.out, &encode_png(&image)?)?;
 
     if counts.is_some_and(|c| c.samples == 0) {
         let (low, high) = view.range();
         note(&format!(
-            "nothing is visible: the transfer function has no opacity at the volume's scalars, of which 0 stands for \
-             {low} and 1 for {high}, or the camera sees none of them"
+            "nothing is visible: the transfer function has no opacity at the volume's scalars (0 stands for \
+             {low}, 1 for {high}), or the camera does not see the volume"
         ));
     }
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();

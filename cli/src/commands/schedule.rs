@@ -7,13 +7,13 @@ use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Assign tasks to nodes, in order, and predict the end.
+/// Assign the tasks of a render farm to its nodes and predict when they end.
 ///
 /// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either
 /// may be missing, not both), and optionally `task` (a name), `volume` (the data it needs) and `load_s`
-/// (seconds to load that data). All seconds are wall time on a node of speed 1: predictions of a model of
-/// another clock, which `entire predict` names, are off by a factor. Writes the assignment or the order as
-/// CSV or JSON, by the file's ending.
+/// (seconds to load that data). All seconds are wall time on a node of speed 1; `entire predict` names the
+/// clock of its seconds, and those of another clock are wrong by a factor. Writes the assignment or the order
+/// as CSV or JSON, by the file's ending.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv
@@ -35,7 +35,7 @@ pub struct Options {
     /// Task times that the schedule uses.
     #[arg(long, value_enum, default_value_t)]
     pub by: By,
-    /// Node seconds per dispatch from a queue.
+    /// Seconds that a node spends on each dispatch from a queue.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub dispatch: f64,
     /// Queue entries that a node searches for a task on its loaded volume (--method affinity).
@@ -68,7 +68,7 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     make_folder_of(out)?;
     let deciding = times(tasks, options.by)?;
     let plan = plan(options.method, &deciding, speeds)?;
-    // Expected seconds: predictions where there are any.
+    // Expected seconds: the prediction of each task, or its measured time where it has none.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, farm)?;
     let [low, middle, high] = eta(&plan, &expected, tasks, farm)?;

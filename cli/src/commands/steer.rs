@@ -25,9 +25,9 @@ use std::path::{Path, PathBuf};
 ///
 /// First some random frames of the volume are rendered at several steps, to measure the time saved by coarser
 /// steps; the predictor is not fitted to them. Then the path is played: every frame is drawn under every
-/// controller before the next one begins, in rotating order, and a reference picture is drawn as well,
-/// without being timed. DIR gets frames.csv (every frame under every controller), summary.json and
-/// report.html.
+/// controller before the next one begins, in rotating order. A picture at the reference step is drawn as
+/// well; its time counts for no controller. DIR gets frames.csv (every frame under every controller),
+/// summary.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
@@ -47,27 +47,27 @@ pub struct Options {
     /// The path file to play (JSON; the format is documented with the examples in examples/paths).
     #[arg(long, value_name = "FILE.json", conflicts_with = "generate", required_unless_present = "generate")]
     pub path: Option<PathBuf>,
-    /// Generate a path for the volume instead.
+    /// Generate a path of this kind for the volume, instead of --path.
     #[arg(long, value_enum)]
     pub generate: Option<Generated>,
     /// Frames of a generated path.
     #[arg(long, default_value_t = 120, value_name = "N", conflicts_with = "path")]
     pub frames: u32,
-    /// Write the generated path to a file as well.
+    /// Also write the generated path to a file.
     #[arg(long, value_name = "FILE.json", requires = "generate")]
     pub save_path: Option<PathBuf>,
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub target: String,
-    /// Other targets from a frame on, as FRAME:TIME, comma-separated.
+    /// Other targets, each from a frame on, as FRAME:TIME, comma-separated.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:TIME,…")]
     pub retarget: Vec<String>,
-    /// Image scale from a frame on, as FRAME:SCALE, comma-separated, as a resized window changes it.
+    /// Image scales, each from a frame on, as FRAME:SCALE, comma-separated: as if a window were resized.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
-    /// Coarsest image of the hybrid, in pixels between rays along each side; it coarsens step or image,
-    /// whichever adds less error. Smaller images are enlarged to full size before pictures are compared. 1
-    /// keeps the full image size.
+    /// Coarsest image of the hybrid controller, in pixels between rays along each side; the hybrid coarsens
+    /// step or image, whichever adds less error. Smaller images are enlarged to full size before pictures are
+    /// compared. 1 keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub max_image_sample_distance: f32,
     /// Write every drawn frame into a timing table, for `entire train --fine-tune`.
@@ -89,7 +89,7 @@ pub struct Options {
     /// coarser steps.
     #[arg(long, alias = "calibrate", default_value_t = 16, value_name = "N")]
     pub scenes: usize,
-    /// Renderings of each of their frames; the median counts.
+    /// Renderings of each random scene at each step; their median time counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub repeats: usize,
     /// Model file; default: the machine's model (`entire calibrate`), else the shipped one, corrected by

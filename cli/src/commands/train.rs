@@ -42,11 +42,11 @@ Examples:
   entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate \
   1e-4
   entire train --data frames.csv --out costs.safetensors --model-kind analytic
-        unit costs: fits from a few frames on
+        unit costs: a few frames are enough
   entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
         the analytic model times a learned factor
   entire train --data frames.csv --pictures pictures.csv --out both.safetensors --model-kind analytic
-        what a frame takes, and what coarser steps and smaller images cost its picture")]
+        frame times, and the picture errors of coarser steps and smaller images")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
@@ -54,8 +54,8 @@ pub struct Options {
     /// Table of compared pictures: a law of picture error over ray step and image size is fitted to it and
     /// stored in the model file, for steering that coarsens both.
     ///
-    /// Columns: scene, step (finest ones), image_sample_distance (pixels), seconds, error (0 for equal pictures). Each
-    /// scene is drawn at the same settings, full quality among them.
+    /// Columns: scene, step (in finest steps), image_sample_distance (pixels), seconds, error (0 for equal
+    /// pictures). Each scene is drawn at the same settings, full quality among them.
     #[arg(long, value_name = "CSV")]
     pub pictures: Option<PathBuf>,
     /// Model file to write; its card goes beside it as Markdown.
@@ -73,8 +73,8 @@ pub struct Options {
         default_value = "64,64"
     )]
     pub layers: Vec<usize>,
-    /// Layers of the paper, such as 0C256, 12C256 or 4C64: inputs → 256, 12 × (256 → 256), halved down to 16,
-    /// 1.
+    /// Layers of the paper, such as 0C256, 4C64 or 12C256, which is inputs → 256, 12 × (256 → 256), then
+    /// widths halved down to 16, then 1.
     #[arg(long, conflicts_with = "fine_tune")]
     pub preset: Option<String>,
     /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size,
@@ -91,7 +91,7 @@ pub struct Options {
     #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
     /// Sort the Gaussian lobes of `transfer_function` by center: their sum does not depend on the order, and
-    /// a sorted network need not learn that.
+    /// a network on sorted lobes need not learn that.
     #[arg(long)]
     pub sorted_lobes: bool,
     /// Rays along each side of the probe behind scene features, 1 to 24; default: the standard 11. Fewer rays
@@ -104,17 +104,17 @@ pub struct Options {
     /// Output quantity of the network.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile, which gives an upper
-    /// bound.
+    /// Loss function: mse, relative (with --target seconds), huber, huber:delta or pinball:quantile, which
+    /// gives an upper bound.
     #[arg(long, default_value = "mse", value_parser = check_loss)]
     pub loss: String,
     /// Maximum number of passes over the training frames.
     #[arg(long, default_value_t = 200)]
     pub epochs: usize,
-    /// Frames per step.
+    /// Frames per gradient step.
     #[arg(long, default_value_t = 256)]
     pub batch: usize,
-    /// First learning rate; it falls by a half cosine. Default: 1e-4 with --preset (as in the paper) and
+    /// Initial learning rate; it falls along half a cosine. Default: 1e-4 with --preset (as in the paper) and
     /// --fine-tune, else 1e-3.
     #[arg(long)]
     pub learning_rate: Option<f64>,
@@ -171,7 +171,8 @@ fn check_loss(text: &str) -> Result<String> {
     parse_loss(text).map(|_| text.to_owned())
 }
 
-/// Log-SD of a frame's median above which a note says that the data are noisy.
+/// Standard deviation of ln(median time of a frame's repeats) above which a note says that the data are
+/// noisy.
 const NOISY: f64 = 0.2;
 
 /// Runs the command.
@@ -241,7 +242,7 @@ pub fn run(options: &Options) -> Result<()> {
     bar.finish_and_clear();
     let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
 
-    // Metrics are those of the stored model, in its storage format.
+    // The metrics are those of the stored model, with its weights in their storage format.
     let model = trained.fitted.file.to_model()?;
     let mut results = Vec::new();
     let mut upper = UpperBound::default();
@@ -360,7 +361,8 @@ struct Trained {
     clock: Clock,
 }
 
-/// The requested clock, else that of the model that training starts from, else processor time.
+/// The requested clock, else that of the model that training starts from, else processor time, as
+/// [`entire_io::clock::for_training`] chooses.
 fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let base = match &options.fine_tune {
         Some(path) => {

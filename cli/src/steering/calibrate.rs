@@ -47,7 +47,7 @@ impl Sample {
         }
     }
 
-    /// Its row of scene features.
+    /// The sample's row of inputs in this layout.
     ///
     /// # Errors
     /// As [`InputLayout::write`].
@@ -58,9 +58,9 @@ impl Sample {
     }
 }
 
-/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median
-/// counts). Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`;
-/// transfer functions are random, so they differ from those of a path.
+/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times, and keeps the
+/// median time. Scenes come from `distribution` (its sizes and steps are not used) with `seed` and `name`;
+/// their transfer functions are random and differ from those of a path.
 ///
 /// Returns `None` when `stop` returned true.
 ///
@@ -94,7 +94,7 @@ pub fn measure(
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
         features.measure(summary, &mut transfer, &frame)?;
-        // First-use work of the device, and of caches after the change of scene, is not timed.
+        // Discarded renderings: the first ones on a device, or after a change of scene, are slower.
         for _ in 0..if scene == 0 { 2 } else { 1 } {
             renderer.render(&frame).with_context(place)?;
         }
@@ -123,7 +123,7 @@ pub fn measure(
     Ok(Some(samples))
 }
 
-/// G from the calibration: per scene, times at every step over the time at the reference step.
+/// G from the random scenes: per scene, the times at every step over the time at the reference step.
 ///
 /// # Errors
 /// When no scene was timed at two steps.
@@ -150,9 +150,9 @@ pub struct Quality {
     pub frames: usize,
     /// Median of |predicted / measured − 1|.
     pub median_error: f64,
-    /// 95th percentile of it (nearest rank).
+    /// 95th percentile of |predicted / measured − 1| (nearest rank).
     pub p95_error: f64,
-    /// Standard deviation of ln(measured / predicted) about 0, without the largest tenth.
+    /// Root mean square of ln(measured / predicted), without the tenth of largest magnitude.
     pub log_sd: f64,
 }
 

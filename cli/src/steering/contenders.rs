@@ -94,7 +94,7 @@ impl ControllerKind {
         }
     }
 
-    /// By its name in tables.
+    /// The controller of a name in tables, if there is one.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::value_variants().iter().copied().find(|k| k.name() == name)
     }

@@ -1,4 +1,4 @@
-//! Measures of a controller's frame times against its target.
+//! Metrics of a controller: its frame times against the target, its steps and its picture quality.
 
 use crate::pictures::BEST_PSNR;
 use serde::Serialize;
@@ -62,18 +62,18 @@ pub struct Metrics {
     pub recovery_frames: Vec<usize>,
     /// 95th percentile of the frame time (nearest rank).
     pub p95_seconds: f64,
-    /// Slowest frame.
+    /// Longest frame time.
     pub worst_seconds: f64,
     /// Mean PSNR against the reference step's pictures, decibels, each at most [`BEST_PSNR`].
     pub mean_psnr: Option<f64>,
     /// Mean of [`Played::step`].
     pub mean_step: f64,
-    /// Share of calm frames whose step differs from the frame before by over 20 %.
+    /// Share of calm frames whose step differs by over 20 % from that of the frame before.
     pub step_jumps_in_calm: f64,
 }
 
 impl Metrics {
-    /// Of the frames of a path, in order; `None` for no frames.
+    /// Metrics of the frames of a path, in order; `None` for no frames.
     pub fn of(frames: &[Played]) -> Option<Self> {
         if frames.is_empty() {
             return None;

@@ -1,4 +1,5 @@
-//! Steering in commands: calibration scenes, a path under several controllers, its results, and the report.
+//! Comparison of controllers: random scenes of a volume, a path under several controllers, metrics and
+//! report.
 
 pub mod calibrate;
 pub mod contenders;

@@ -1,4 +1,4 @@
-//! Model of a steering predictor.
+//! The model that steering predicts with, and its errors on the played volume.
 
 use super::calibrate::{Quality, Sample};
 use anyhow::{Context, Result};
@@ -55,8 +55,8 @@ impl SteeringModel {
         self.volume_features.as_deref()
     }
 
-    /// Its errors on samples that it was not fitted to. Models without the ray step as input are evaluated at
-    /// the reference step.
+    /// The model's errors on samples that it was not fitted to. Models without the ray step as input are
+    /// evaluated at the reference step only.
     ///
     /// # Errors
     /// When there are no samples, or the model needs an input that they lack.

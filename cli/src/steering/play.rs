@@ -14,7 +14,7 @@ use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
 
-/// Quantity that a controller sets. Its decision's `step` is the ray step, or an image's share of the work.
+/// Quantity that a controller sets by its decision's `step`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ActsOn {
     /// The ray step.
@@ -28,7 +28,7 @@ pub enum ActsOn {
 }
 
 impl ActsOn {
-    /// For tables.
+    /// Name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::RayStep => "ray step",
@@ -136,7 +136,7 @@ pub struct Record {
     pub out_of_range: f32,
     /// Reason for this step.
     pub reason: Reason,
-    /// All clocks.
+    /// Seconds by all clocks.
     pub measured: Timing,
     /// Seconds by the chosen clock.
     pub seconds: f64,
@@ -162,17 +162,17 @@ pub struct Playback {
     pub names: Vec<String>,
     /// Quantity that each controller sets.
     pub acts_on: Vec<ActsOn>,
-    /// Per controller and frame.
+    /// Records by controller and frame.
     pub records: Vec<Vec<Record>>,
-    /// Per frame.
+    /// Reference rendering of each frame.
     pub references: Vec<Reference>,
     /// Frames at which something switched: the path, the volume or the image size.
     pub switches: Vec<usize>,
     /// Target of each frame, seconds.
     pub targets: Vec<f64>,
-    /// Full size of each frame, pixels.
+    /// Full image size (width, height) of each frame, pixels.
     pub sizes: Vec<(u32, u32)>,
-    /// Volume of each frame.
+    /// Index of each frame's volume.
     pub volumes: Vec<usize>,
     /// The allowed steps.
     pub limits: StepLimits,
@@ -255,9 +255,9 @@ impl Task<'_> {
 pub const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
-/// Plays a path under all contenders. Per frame, the reference picture is drawn first, untimed; then the
-/// frame is drawn under every contender with its own step, so that the machine's noise affects all alike; the
-/// starting contender rotates every frame. Changes of the transfer function are not timed.
+/// Plays a path under all contenders. Each frame is drawn at the reference step first, then under every
+/// contender with its own step, so that noise of the machine affects all contenders alike. The contender that
+/// begins changes every frame. Changes of the transfer function are not timed.
 ///
 /// Returns `None` when `stop` returned true.
 ///
@@ -327,7 +327,7 @@ pub fn play(
         let camera = task.path.camera(index).with_context(place)?;
         let (width, height) = playback.sizes[index];
         let frame = DrawSettings { width, height, ..*draw }.frame(camera).with_context(place)?;
-        // First-use work of the device and uploads are not charged to any contender.
+        // Discarded renderings, so that uploads and first-use work of the device count for no contender.
         for _ in 0..if index == 0 { 2 } else { usize::from(swapped) } {
             renderer.render(&frame).with_context(place)?;
         }
@@ -392,7 +392,7 @@ mod tests {
     use entire_steer::features::SummaryOptions;
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
-    /// A predictor that knows the script's law up to a bias.
+    /// A predictor that knows the law of the scripted renderer up to a factor.
     struct Insider {
         bias: f64,
     }
@@ -453,7 +453,7 @@ mod tests {
         let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
         let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
         let law = ScriptedRenderer::default();
-        // G of the law at a medium weight, as sampling of several scenes would give.
+        // G of the law at a medium opacity, as samples of several scenes would give it.
         let at = |step: f64| law.fixed + 1e4 * 0.1 * law.per_sample * 100.0 / step;
         let samples: Vec<(f32, f32)> =
             [1.0, 2.0, 4.0, 8.0, 16.0].map(|s| (s as f32, (at(s) / at(1.0)) as f32)).to_vec();
@@ -547,8 +547,8 @@ mod tests {
         }
         let smaller = sized.records[hybrid].iter().filter(|r| r.image_sample_distance > 1.0).count();
         assert!(smaller > 0, "no smaller picture");
-        // By the quality law the choice of both is never worse than the step alone, and the target is met as
-        // well.
+        // By the quality law, choosing both is never worse than choosing the step alone, and as few frames
+        // miss the target.
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..]
                 .iter()

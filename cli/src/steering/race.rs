@@ -26,7 +26,7 @@ use entire_vk_raycaster::Renderer;
 pub struct Race<'a> {
     /// The volume.
     pub volume: &'a VolumeView<'a>,
-    /// The further volumes of a series; calibration renders the first only.
+    /// The further volumes of a series; random scenes are of the first volume only.
     pub series: &'a [VolumeView<'a>],
     /// Frames per volume of a series; 0 for a single volume.
     pub hold: u32,
@@ -47,13 +47,13 @@ pub struct Race<'a> {
     pub scenes: (usize, usize),
     /// Allowed steps.
     pub limits: StepLimits,
-    /// Who races.
+    /// The controllers to compare.
     pub controllers: &'a [ControllerKind],
     /// Target, seconds; `None` to choose it by [`sane_target`].
     pub target: Option<f64>,
     /// The predictor, for controllers that use one.
     pub model: &'a SteeringModel,
-    /// Knowledge of the predictor that a controller starts from.
+    /// Prior knowledge of the predictor's errors, for controllers that correct it.
     pub prior: Prior,
 }
 
@@ -116,9 +116,9 @@ pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(Stri
 pub struct Prepared {
     /// The volume's summary.
     pub summary: VolumeSummary,
-    /// Every rendering.
+    /// One sample per random scene and step.
     pub samples: Vec<Sample>,
-    /// G.
+    /// G: relative frame time over ray step.
     pub response: StepResponse,
     /// The predictor and its errors.
     pub predictor: Steers,
@@ -139,7 +139,7 @@ impl Prepared {
     }
 }
 
-/// Times of the calibration scenes at a step, ascending.
+/// Seconds of the random scenes at a step, ascending.
 fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     let mut times: Vec<f64> = samples.iter().filter(|s| s.setting.step == step).map(|s| s.seconds).collect();
     times.sort_by(f64::total_cmp);
@@ -150,21 +150,21 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
 /// must then be drawn coarser, few of them at the coarsest step.
 pub const TARGET_SHARE: f64 = 0.5;
 
-/// [`TARGET_SHARE`] of the median time at the reference step, rounded to a tenth of a millisecond where it is
-/// longer.
+/// [`TARGET_SHARE`] of the median time at the reference step, seconds, rounded to a tenth of a millisecond if
+/// it is over a millisecond; `None` without samples.
 pub fn sane_target(samples: &[Sample]) -> Option<f64> {
     let target = TARGET_SHARE * median(&mut times_at(samples, 1.0))?;
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
-/// Distribution of random scenes: as in collections, with one to three lobes, so that it includes nearly
-/// empty volumes.
+/// Distribution of random scenes: as in collections, but with one to three lobes, so that nearly empty
+/// volumes are among them.
 pub fn calibration_scenes() -> SceneDistribution {
     SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
 }
 
-/// Renders random scenes of the volume at several steps, for G, the predictor's errors, target and fixed
-/// step. Nothing is fitted to them.
+/// Renders random scenes of the volume at several steps and derives from them G, the predictor's errors, the
+/// default target and the fixed step. The predictor is not fitted to them.
 ///
 /// Returns `None` when `stop` returned true.
 ///

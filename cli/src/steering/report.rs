@@ -1,4 +1,4 @@
-//! Output of a playback: tables, CSV, JSON, and the page.
+//! Output of a playback: tables, CSV, JSON, and the HTML report.
 
 use super::calibrate::{Sample, response_pairs};
 use super::contenders::ControllerKind;
@@ -17,9 +17,9 @@ use std::path::Path;
 /// G as (step ratio, time ratio): the samples, scene after scene, and the curve's points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResponseCurve {
-    /// Sampled.
+    /// Measured pairs.
     pub samples: Vec<(f32, f32)>,
-    /// The curve.
+    /// Points of the curve.
     pub points: Vec<(f32, f32)>,
 }
 
@@ -29,13 +29,13 @@ impl ResponseCurve {
         Self { samples: response_pairs(samples), points: response.points().collect() }
     }
 
-    /// The curve among its samples.
+    /// Chart of the curve and its samples.
     pub fn chart(&self) -> Chart {
         let wide = |p: &(f32, f32)| (f64::from(p.0), f64::from(p.1));
         let samples = self.samples.iter().map(wide).map(|(x, y)| (x, y, String::new())).collect();
         let points = self.points.iter().map(wide).collect();
         Chart::new(
-            "G: what a coarser step saves",
+            "G: relative frame time over ray step",
             Axis::log("step / reference steps"),
             Axis::log("relative frame time"),
         )
@@ -50,7 +50,7 @@ impl ResponseCurve {
 pub struct Story {
     /// The page's title.
     pub title: String,
-    /// The sentence below it.
+    /// The sentence below the title.
     pub lead: String,
     /// Origin of the target.
     pub target: String,
@@ -60,7 +60,7 @@ pub struct Story {
     pub path: String,
     /// The predictor and its errors.
     pub predictor: Steers,
-    /// G.
+    /// G: relative frame time over ray step.
     pub response: ResponseCurve,
     /// Further remarks, a paragraph each.
     pub remarks: Vec<String>,
@@ -163,11 +163,12 @@ fn setting(r: &Record) -> String {
 /// Legend of the table's columns.
 pub fn table_caption() -> String {
     format!(
-        "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the \
-         mean of |t - T| / T over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames of each \
+        "T is the target, t a frame time. \"> 1.1 T\" and \"> 1.25 T\": shares of frames that took longer. \
+         |t - T| / T: mean over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames of each \
          abrupt switch; \"calm\": over all others except the first {SWITCH_FRAMES} of the path. The best \
          value of each column is bold. Recovery: frames from a switch until two in a row are on target \
-         (within 25 %, or at a limit of the step), mean over the switches; 0 if already the first one is. \
+         (within 25 %, or at a limit of the step), mean over the switches; 0 if these two are the first \
+         after the switch. \
          PSNR: against the picture at the reference step; equal pictures count as {BEST_PSNR:.0} dB. Step: \
          mean ray step; for rules that change the image resolution, mean number of pixels of the full image \
          per drawn pixel, at the reference step. Smaller images are enlarged to full size before the \
@@ -252,8 +253,8 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
     })
 }
 
-/// Errors around the switches: per controller, the mean of |t − target| / target at each distance from a
-/// switch.
+/// A controller's errors around the switches: (frames since the switch, mean of |t − target| / target over
+/// the switches, %), from `before` frames before a switch to `after` frames after it.
 fn around_switches(playback: &Playback, controller: usize, before: usize, after: usize) -> Vec<(f64, f64)> {
     let played = playback.played(controller);
     (0..=before + after)
@@ -271,7 +272,7 @@ fn around_switches(playback: &Playback, controller: usize, before: usize, after:
         .collect()
 }
 
-/// Targets in milliseconds, frame by frame.
+/// (frame, target in milliseconds) of every frame.
 fn numbered_targets(playback: &Playback) -> Vec<(f64, f64)> {
     playback.targets.iter().enumerate().map(|(i, t)| (i as f64, t * 1e3)).collect()
 }
@@ -291,7 +292,7 @@ fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) ->
     chart
 }
 
-/// The page.
+/// The HTML report.
 ///
 /// # Errors
 /// When a picture cannot be encoded.
@@ -309,7 +310,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         .series(Series::new("target", Mark::Steps(numbered_targets(playback))).color(10))
         .series(
             Series::new(
-                "reference step (not timed)",
+                "time at the reference step",
                 Mark::Band(
                     playback
                         .references

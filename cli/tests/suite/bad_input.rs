@@ -139,7 +139,7 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
         all.extend(parts);
         refuses(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"], &all);
     }
-    // Values of an unknown group come from the caller: here, from columns of the table.
+    // The caller supplies the values of an unknown group: here, columns of the table.
     let unknown = meta("entire.inputs", r#"[{"name":"camera","size":3},{"name":"mystery","size":2}]"#);
     std::fs::write(at.join("m.safetensors"), safetensors(&unknown, &prednet())).unwrap();
     let printed = succeeds(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"]);
@@ -236,7 +236,7 @@ fn frames_that_cannot_be() {
             vec!["--out ball.nrrd is an input"],
         ),
     ] {
-        // The last --out counts.
+        // A case with its own --out replaces the usual one, since an option may be given once.
         let arguments: Vec<&str> = match arguments.iter().rposition(|a| *a == "--out") {
             Some(last) if last != 10 => {
                 arguments.iter().enumerate().filter(|(i, _)| !(10..12).contains(i)).map(|(_, a)| *a).collect()

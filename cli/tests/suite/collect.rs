@@ -88,7 +88,7 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     let settings = ["--frames", "40", "--min-size", "96", "--max-size", "160"];
     let output = collect(&volume, &whole, &settings).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
-    // Two warm-ups of the first frame, one of each other.
+    // Two warm-ups of the first frame, and one of every other frame.
     assert!(String::from_utf8_lossy(&output.stdout).contains("41 warm-up renderings were discarded"));
 
     let child = collect(&volume, &cut, &settings).spawn().unwrap();

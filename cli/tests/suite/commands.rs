@@ -222,8 +222,8 @@ fn blocks_of_any_edge_draw_the_same_picture_with_other_work() {
     );
 }
 
-/// Output of `entire probe` about the CPU version. Where other programs take the processors, its short frames
-/// are too noisy, and it says so: longer ones are tried then.
+/// Output of `entire probe` on the CPU version. While other programs run, the times of short frames may be
+/// too noisy, which the command reports. Longer frames are tried then.
 fn probed(folder: &Path, more: &[&str]) -> String {
     let mut said = String::new();
     for milliseconds in ["10", "40", "160", "640"] {

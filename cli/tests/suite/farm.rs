@@ -168,7 +168,7 @@ fn drivers_and_workers_are_killed_and_nothing_is_lost() {
         arguments.push("--resume");
     }
     succeeds(dir.path(), &arguments);
-    // Job files are alike, so ids and images are: none lost, none wrong.
+    // Equal job files give equal task ids and images: none is lost, and none is wrong.
     assert_eq!(images(dir.path()), images(reference.path()));
     assert_eq!(table(dir.path()).len(), 40);
     let text = journal(dir.path());
@@ -217,7 +217,7 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     let logs: Vec<String> = logs.map(|f| std::fs::read_to_string(f.unwrap().path()).unwrap()).collect();
     assert_eq!(logs.len(), 4);
     assert!(logs.iter().all(|l| l.contains("this view is broken")), "{logs:?}");
-    // Three attempts each.
+    // Each task has three attempts: the journal has two as failed, the last one gives the task up.
     assert_eq!(journal(dir.path()).matches("\"failed\"").count(), 8);
     // After the repair, failed tasks are rendered; the others are not rendered again.
     std::fs::write(dir.path().join("draw.sh"), script.replace("= 36", "= 999")).unwrap();
@@ -261,7 +261,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     let list = std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap();
     assert_eq!(list.lines().count(), 41);
     succeeds(dir.path(), &["schedule", "tasks.csv", "--nodes", "4", "--out", "a.csv"]);
-    // The list has the times of tasks.
+    // With the list as the source of the tasks' expected times.
     let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
     std::fs::write(dir.path().join("told.toml"), text + "\n[predict]\nlist = \"tasks.csv\"\n").unwrap();
     let said = succeeds(dir.path(), &["farm", "told.toml", "--dry-run"]);
@@ -472,7 +472,7 @@ fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
 fn a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew() {
     let dir = steps(RENDERER);
     succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
-    // As before: no inputs in the journal, and ids of names and positions.
+    // A database of format farm-journal-1: its journal has no inputs, and its ids are of names and positions.
     std::fs::remove_dir_all(dir.path().join("db.cdb/.farm/spool")).unwrap();
     let text = journal(dir.path());
     let old: Vec<String> = text

@@ -69,8 +69,8 @@ fn fill_values_are_drawn_as_the_low_end() {
     assert!(pictures[0] == pictures[1] && pictures[0] == pictures[2], "fill values show");
 }
 
-/// Bytes of 3 to 17 are black under a transfer function over 0 to 255, with a note, and visible with their
-/// range.
+/// Bytes of 3 to 17 are black where 0 to 255 maps to [0, 1], and a note says so; with their own range they
+/// are visible.
 #[test]
 fn bytes_of_a_narrow_range_are_said_and_can_be_spanned() {
     let folder = tempfile::tempdir().unwrap();

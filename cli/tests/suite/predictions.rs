@@ -1,6 +1,6 @@
-//! Predictions of shipped models over every committed table, and over a hundred thousand random inputs,
-//! ordinary and hostile: never zero, negative or NaN at the predictor, and no more such outputs of the
-//! networks than are known.
+//! Predictions of shipped models for every committed table, and for a hundred thousand random inputs,
+//! ordinary and extreme. All predicted seconds are finite and positive. The raw outputs of the networks that
+//! are not positive, which the predictor replaces, are no more than the known ones.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{Model, ModelFile};
@@ -40,10 +40,10 @@ fn invalid(seconds: f64) -> bool {
     !(seconds.is_finite() && seconds > 0.0)
 }
 
-/// Limits of the number of outputs of shipped networks that were no positive time and had to be raised to the
-/// shortest one, among frames of all tables and among random inputs (rounded up to the next thousand, since
-/// processors round differently). Among frames only networks of seconds, not of their logarithm, have some.
-/// Any more is a bug.
+/// Known numbers of outputs of shipped networks that were not positive and had to be raised to the shortest
+/// time: among the frames of all tables, and among random inputs (rounded up to the next thousand, since
+/// processors round differently). Among frames, only networks of seconds, not of their logarithm, have such
+/// outputs. A larger number is a bug.
 const KNOWN: [(&str, usize, usize); 5] = [
     ("local-distilled", 57, 63_000),
     ("local-selected", 0, 6_000),

@@ -1,4 +1,5 @@
-//! The encoders in `models/` give the same features as PyTorch, the predictors the errors on their cards.
+//! The encoders in `models/` give the same features as PyTorch, and the predictors have the errors that their
+//! cards state.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{Key, Model};
@@ -71,7 +72,7 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
     let start = format!("| {split} |");
     let row = card.lines().find(|l| l.starts_with(&start)).unwrap();
     let cells: Vec<&str> = row.split('|').map(str::trim).collect();
-    // An interval may follow each.
+    // An interval may follow each figure.
     [4, 5].map(|i| cells[i].split(' ').next().unwrap().parse().unwrap())
 }
 
@@ -79,7 +80,8 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
 fn shipped_predictors_reach_the_figures_on_their_cards() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    // Limit of the error of the paper's distilled network, which ships for comparison.
+    // The last number is the limit of RMSE/SD. That of the paper's distilled network, which ships for
+    // comparison, is larger.
     for (set, table, kind, judged, worst) in [
         ("unshaded", "none", "selected", "none-members", 0.08),
         ("local", "local", "selected", "local-members", 0.08),

@@ -7,7 +7,8 @@ fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes")
 }
 
-/// Value of a voxel of that stored type, by the table in the module's documentation.
+/// The voxels of a file of volumes/ with this stored type, in memory; `values` of fixtures/make_volumes.py
+/// defines them.
 fn expected(kind: &str) -> VolumeData {
     let whole = |bits: u32, signed: bool| {
         let spread = (1u128 << bits) / 385;
@@ -36,7 +37,7 @@ fn files_of_other_writers_come_back_voxel_for_voxel() {
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
         let (stem, ending) = name.split_once('.').unwrap();
         let words: Vec<&str> = stem.split('_').collect();
-        // Voxels of detached headers, and files with their own test.
+        // Not the voxels of detached headers, and not the files that have a test of their own.
         if words.len() != 4 || ending == "zraw" || (ending.starts_with("raw") && words[0] != "raw") {
             continue;
         }
@@ -85,7 +86,7 @@ fn slopes_names_and_descriptions_are_used() {
     assert_eq!(volume.data(), &VolumeData::F32(scaled));
     assert_eq!(volume.name(), "scaled");
 
-    // Rounded once, at the end: whole numbers of 32 bits and 64-bit floats, too.
+    // The scaled value is rounded once, to single precision, for 32-bit integers and 64-bit floats too.
     let scaled = reported("nii-wide-scaled.nii");
     let right =
         (0..24).map(|i| (f64::from(i * 89_478_485 - 1_000_000_007) * 0.300_000_011_920_928_96 - 7.5) as f32);
@@ -347,7 +348,7 @@ fn reported(name: &str) -> Volume {
     Volume::open(path).unwrap_or_else(|error| panic!("{error:#}"))
 }
 
-/// The voxels of most of them: 12 x 10 x 8.
+/// The voxels of most files in fixtures/reports, 12 x 10 x 8.
 fn right() -> Vec<i16> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports/bom/v.raw");
     let bytes = std::fs::read(path).unwrap();
@@ -420,7 +421,7 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     let message = format!("{:#}", open_array(&path, "b").unwrap_err());
     assert!(message.contains("\"b\" is not in the file; it has \"a\", \"vtkGhostType\", \"c\""), "{message}");
 
-    // Those of the cells, if the points have no active scalars.
+    // The active scalars of the cells are read if the points have none.
     write(vti_of(&format!(">{}", points("a")), &format!("Scalars=\"c\">{}", array("c", "5 6"))));
     assert!(cells(&Volume::open(&path).unwrap()));
     let vectors = "Scalars=\"v\"><DataArray type=\"UInt8\" Name=\"v\" NumberOfComponents=\"3\"></DataArray>";
@@ -495,7 +496,7 @@ fn byte_order_marks_are_no_part_of_the_text() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports/bom");
     entire_farm::job::Job::open(&folder.join("job.toml")).unwrap();
     entire_io::path::PathFile::open(&folder.join("path.json")).unwrap().resolve().unwrap();
-    // The same if the ending does not determine the format.
+    // The same files, with names whose ending does not determine the format.
     let other = tempfile::tempdir().unwrap();
     for name in ["a0.mhd", "a.nhdr", "../vti-bom-Appended.vti"] {
         std::fs::copy(folder.join("v.raw"), other.path().join("v.raw")).unwrap();
@@ -512,7 +513,7 @@ fn byte_order_marks_are_no_part_of_the_text() {
 fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
     assert_right("skip-minus-one.nhdr");
     assert_right("skip-minus-five.nhdr");
-    // Not compressed, with a size that the data cannot have.
+    // Without compression; a skip of -6 needs more bytes than the file has.
     let header = |skip: i64| {
         format!(
             "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1 1 3\nencoding: raw\nbyte skip: {skip}\n\n1234567"
@@ -590,7 +591,7 @@ fn voxels_in_several_files_are_read_in_their_order() {
         assert_eq!((volume.dims(), volume.spacing()), ([12, 10, 8], [1.0, 1.0, 2.0]), "{name}");
         assert_eq!((volume.data(), volume.notes().len()), (&VolumeData::U8(right.clone()), 0), "{name}");
     }
-    // With the data before the voxels of each, and a file that is too short.
+    // With two bytes before the voxels of each file, and with a file that is too short.
     let other = tempfile::tempdir().unwrap();
     for (name, bytes) in [("a2.raw", "xx12"), ("a1.raw", "xx34"), ("a0.raw", "xx56")] {
         std::fs::write(other.path().join(name), bytes).unwrap();

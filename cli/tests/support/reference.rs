@@ -8,7 +8,7 @@ use std::path::Path;
 pub(crate) fn check_page(name: &str, program: Command, intro: &str) {
     let book = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/src");
     if !book.is_dir() {
-        // A published package has no repository around it, whose tests have checked the page.
+        // A published package has no book beside it: the repository's tests check the page.
         return;
     }
     let made = reference::page(program, intro);

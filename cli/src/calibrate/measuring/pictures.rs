@@ -1,4 +1,4 @@
-//! Compares pictures at coarser steps and of smaller images with full quality.
+//! Compares pictures at coarser steps and smaller image sizes with pictures at full quality.
 
 use super::{LONG, Measuring};
 use crate::calibrate::pool::Candidate;
@@ -12,14 +12,16 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
-/// Ray steps and image sample distances of every scene.
+/// Ray steps at which every scene is drawn, reference steps.
 const STEPS: [f32; 5] = [1.0, 1.41, 2.0, 2.83, 4.0];
+
+/// Image sample distances at which every scene is drawn, pixels between rays along each side.
 const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0736];
 
-/// Time of a scene at all settings, in times of full quality, each drawn twice.
+/// Time of drawing a scene twice at every step and distance, as a multiple of its time at full quality.
 const GRID: f64 = 14.0;
 
-/// Number of scenes that the time should suffice for.
+/// Minimum number of scenes for which the time should be enough.
 const SCENES: f64 = 6.0;
 
 /// Maximum number of scenes of one volume.
@@ -60,7 +62,7 @@ impl Measuring<'_> {
         let longest = self.left() / (SCENES * GRID);
         let mut out = Vec::new();
         for i in self.scenes(longest) {
-            // A margin over its expected time: a half-drawn scene is lost.
+            // 1.2 times the scene's expected time, since an unfinished scene is dropped.
             if (self.stop)() || self.left() < 1.2 * GRID * self.full_wall(i) {
                 break;
             }
@@ -82,12 +84,13 @@ impl Measuring<'_> {
         self.wall(i) * f64::from(self.pool.candidates[i].scene.step).max(1.0)
     }
 
-    /// The largest images that take no longer than `longest`, of every volume in turn.
+    /// Candidates with the largest images among those that take at most `longest` seconds at full quality,
+    /// one of every volume in turn.
     fn scenes(&self, longest: f64) -> Vec<usize> {
         let candidates = &self.pool.candidates;
         let pixels = |c: &Candidate| u64::from(c.scene.width) * u64::from(c.scene.height);
         let usable = |c: &Candidate| {
-            // The scene is visible: samples per pixel.
+            // Samples per pixel, which tell whether the volume is visible.
             let samples = c.work[3] / c.work[1].max(1.0);
             c.scene.width.min(c.scene.height) >= LEAST_SIDE && samples > 1.0
         };
@@ -102,7 +105,7 @@ impl Measuring<'_> {
         (0..PER_VOLUME).flat_map(|rank| volumes.iter().filter_map(move |&v| of(v, rank))).collect()
     }
 
-    /// One scene at every setting; `None` if time ran out or it was stopped first.
+    /// Draws one scene at every step and distance; `None` if time ran out or it was stopped first.
     fn compare(&mut self, i: usize) -> Result<Option<Vec<Picture>>> {
         let scene = &self.pool.candidates[i].scene;
         let place = || format!("{}, compared scene {i}", scene.volume);

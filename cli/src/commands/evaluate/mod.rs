@@ -31,10 +31,10 @@ use std::path::{Path, PathBuf};
 Examples:
   entire evaluate --model model.safetensors --data frames.csv
   entire evaluate --model a.safetensors b.safetensors --data frames.csv --unseen --out out/evaluation
-        only frames of members or volumes that none of the models learned from, with plots
+        only frames of members or volumes that no model was trained on, with plots
   entire evaluate --model models/unshaded-distilled.safetensors --data data/timings/none-members.csv.gz \
   --storage int8
-        what eight-bit weights cost in accuracy")]
+        also the errors with weights of 8 bits")]
 pub struct Options {
     /// Model files.
     #[arg(long, required = true, num_args = 1.., value_name = "SAFETENSORS")]
@@ -52,7 +52,7 @@ pub struct Options {
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
     pub unseen: bool,
-    /// Grouping of the rows of the second table.
+    /// Group that each row of the last table stands for.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub by: GroupBy,
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
@@ -61,11 +61,11 @@ pub struct Options {
     /// Also evaluate each model with its weights stored as f32, f16, bf16 or int8.
     #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
     pub storage: Vec<Storage>,
-    /// Also evaluate each model in a session that observes every frame after predicting it, without the first
-    /// FRAMES frames. Opens the volumes.
+    /// Also evaluate each model in a session, which observes every frame after predicting it and so corrects
+    /// itself. The first FRAMES frames are left out of these errors. Opens the volumes.
     #[arg(long, value_name = "FRAMES")]
     pub observed: Option<usize>,
-    /// Seed of the frames whose mean is the constant baseline.
+    /// Seed of the choice of frames whose mean time is the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
@@ -79,7 +79,7 @@ pub struct Options {
 fn parse_storage(text: &str) -> Result<Storage, String> {
     Storage::ALL.into_iter().find(|s| s.to_string() == text).ok_or_else(|| {
         format!(
-            "no storage format of weights; accepted are \
+            "not a storage format of weights; accepted are \
              {}",
             Storage::ALL.map(|s| s.to_string()).join(", ")
         )
@@ -153,7 +153,7 @@ pub fn run(options: &Options) -> Result<()> {
         let latency = match warm_latency(&m.model, &m.layout, &tables, &refs, &rows) {
             Ok(latency) => Some(latency),
             Err(e) => {
-                note(&format!("{}: no latency ({e:#})", m.name));
+                note(&format!("{}: no latency was measured ({e:#})", m.name));
                 None
             }
         };
@@ -230,7 +230,7 @@ pub fn run(options: &Options) -> Result<()> {
     println!("{}", overall.to_text());
     let more = detail_table(&predictors, &noise_by_kind);
     println!("{}", more.to_text());
-    println!("median of predicted / measured - 1 by tenth of the frames, fastest first, %");
+    println!("median of predicted / measured - 1, in %, of each tenth of the frames, fastest first");
     println!("{}", bias.to_text());
     println!("{}", by_group.to_text());
     println!("{}", noise_text(noise));
@@ -285,5 +285,5 @@ fn assess(
     })
 }
 
-/// Rounds of the bootstrap over members.
+/// Number of bootstrap samples over ensemble members.
 const BOOTSTRAP_ROUNDS: usize = 400;

@@ -18,15 +18,15 @@ pub(super) struct Predictor {
     pub(super) metrics: Metrics,
     pub(super) by_group: BTreeMap<String, Metrics>,
     pub(super) latency: Option<WarmLatency>,
-    /// Frames of its training groups.
+    /// Number of evaluated frames whose group the model was trained or validated on.
     pub(super) frames_seen: usize,
     /// Share of frames that took no longer than the model's upper bound.
     pub(super) bound_coverage: Option<f64>,
-    /// Further measures of the upper bound: coverage of the slowest tenth, and quantile loss.
+    /// Further measures of the upper bound: coverage of the slowest tenth, and quantile (pinball) loss.
     pub(super) bound: Option<BoundMetrics>,
     /// 95 % interval of RMSE/SD by bootstrap over ensemble members (over volumes that belong to none).
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
-    /// The same of MdAPE.
+    /// 95 % interval of MdAPE by the same bootstrap.
     pub(super) mdape_interval: Option<(f64, f64)>,
     /// Errors by kind of frame.
     pub(super) by_kind: Vec<(&'static str, Metrics)>,
@@ -56,7 +56,7 @@ pub(super) struct Evaluation<'a> {
 pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
     match noise {
         Some(n) => format!("noise floor: {}", n.describe()),
-        None => "noise floor: not known, no frame was repeated".into(),
+        None => "noise floor: unknown, since no frame was repeated".into(),
     }
 }
 
@@ -65,7 +65,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let mut overall = Table::new(vec![
         Column::text("predictor"),
         Column::number("frames"),
-        Column::number("seen in training"),
+        Column::number("in training or validation"),
         Column::number("RMSE, s"),
         Column::number("RMSE/SD"),
         Column::number("MAE, s"),
@@ -73,9 +73,9 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
         Column::number("p95, %"),
         Column::number("p99, %"),
         Column::number("R² in log"),
-        Column::number("within bound, %"),
+        Column::number("within upper bound, %"),
         Column::number("µs per prediction"),
-        Column::number("of it network, µs"),
+        Column::number("µs of that in the network"),
         Column::number("µs per transfer function"),
     ]);
     for p in predictors {
@@ -149,8 +149,8 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
         Column::text("predictor"),
         Column::number("RMSE/SD, 95 % interval"),
         Column::number("MdAPE %, 95 % interval"),
-        Column::number("bound held in slowest tenth, %"),
-        Column::number("pinball / mean time"),
+        Column::number("slowest tenth within upper bound, %"),
+        Column::number("pinball loss / mean time"),
     ];
     columns.extend(kinds.iter().map(|k| Column::number(format!("MdAPE %, {k}"))));
     let mut table = Table::new(columns);
@@ -232,7 +232,8 @@ fn bias_chart(predictors: &[Predictor]) -> Chart {
         Axis::linear("bias, %"),
     )
     .rule(Rule::Horizontal(0.0, String::new()));
-    // The constant baseline's bias is hundreds of percent at one end: it would flatten all others.
+    // Predictors without a latency are left out, such as the constant baseline: its bias is hundreds of
+    // percent on fast frames, which would flatten all other lines.
     for (i, p) in predictors.iter().enumerate().filter(|(_, p)| p.latency.is_some()) {
         let line =
             p.metrics.bias_by_decile.iter().enumerate().map(|(d, b)| ((d + 1) as f64, 100.0 * b)).collect();
@@ -292,7 +293,8 @@ pub(super) fn write_report(
     write("bias.svg", &by_time.to_svg_file())?;
     page.chart(
         &by_time,
-        "The constant baseline is left out: its bias is hundreds of percent on fast frames.",
+        "Predictors without a measured latency are left out, among them the constant baseline, whose bias is \
+         hundreds of percent on fast frames.",
     );
     page.table(bias, "Median of predicted / measured - 1 by tenth of the frames, fastest first, %.");
     page.heading("Predicted against measured");

@@ -22,8 +22,8 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Share of a frame's time that a coarser step does not save, assumed for rivals that use a response curve,
-/// which is not measured here.
+/// Share of a frame's time that does not depend on the ray step. It is assumed for controllers that need a
+/// response curve, since the window measures none.
 const FIXED_SHARE: f32 = 0.1;
 
 /// The window's host: services of this program.
@@ -103,7 +103,7 @@ impl Steering for Predicts {
     fn session(&self, name: &str) -> Result<Session> {
         let kind = ControllerKind::from_name(name).with_context(|| format!("no controller {name:?}"))?;
         let predictor = self.model.predictor()?;
-        // A model's statement of its errors holds on the machine that it was fitted on.
+        // The errors that a model states are those on the machine that it was fitted on.
         let prior = match predictor.log_sd() {
             Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
             _ => Prior::Unknown,
@@ -121,8 +121,8 @@ impl Steering for Predicts {
 /// Note on a machine's model that is ignored because it predicts seconds of another clock than the window's.
 fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
     format!(
-        "{} is ignored, since it predicts {} time: Calibrate … copies the command for a model of {} \
-         seconds",
+        "{} is ignored, since it predicts {} time: the button \"Calibrate …\" copies the command for a model \
+         of {} seconds",
         file.display(),
         clock.map_or("unspecified", Clock::name),
         WINDOW.name()
@@ -141,7 +141,7 @@ impl Host for ExplorerHost {
             (None, Some((path, file, Some(WINDOW)))) => {
                 (path.display().to_string(), file.to_model()?, true, None)
             }
-            // A machine's model of another clock does not predict the window's times.
+            // A machine's model of another clock than the window's is ignored.
             (None, here) => {
                 let left_out = here.map(|(path, _, clock)| takes_no_part(&path, clock));
                 let (name, file) = shipped_model(shading)?;
@@ -214,7 +214,7 @@ fn path_file(recording: &Recording) -> PathFile {
     }
 }
 
-/// True if one can be interpolated to the other.
+/// True if the two can be interpolated: both lobes or both points, of equal number.
 fn alike(a: &Transfer, b: &Transfer) -> bool {
     match (a, b) {
         (Transfer::Lobes(a), Transfer::Lobes(b)) => a.len() == b.len(),

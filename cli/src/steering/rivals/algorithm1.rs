@@ -43,7 +43,7 @@ impl Controller for Algorithm1 {
     fn reset(&mut self) {}
 }
 
-/// Rule that predicts the next frame from the last ones.
+/// Rule by which recent frame times predict the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Recent {
     MeanOfThree,
@@ -78,7 +78,7 @@ impl Olp {
         Self { recent: Recent::LargerOfTwo, ..Self::new(response) }
     }
 
-    /// The time of the frame `ago` frames back, converted to the reference step.
+    /// The time of an observed frame, converted to the reference step; `frames` is 0 for the last one.
     fn ago(&self, frames: usize) -> f32 {
         self.window[(self.seen + 2 - frames) % 3]
     }
@@ -109,7 +109,7 @@ impl Controller for Olp {
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
         self.window[self.seen % 3] = observed.seconds / self.response.time_ratio(observed.step);
-        // Counts on from 3 so that the slot keeps cycling without ever overflowing.
+        // From 5 back to 3: `seen % 3` goes on in turn, the window counts as full, and nothing overflows.
         self.seen = if self.seen >= 5 { 3 } else { self.seen + 1 };
         Verdict::Learned
     }
@@ -119,9 +119,9 @@ impl Controller for Olp {
     }
 }
 
-/// PID on the step: the error (t − t_target) / t_target of the last frame moves the step in proportion, by
-/// its sum and by its difference (gains 0.3, 0.05, 0.1 in the paper). The sum is frozen while the step is
-/// clamped.
+/// PID on the step. With the error e = (t − t_target) / t_target of the last frame, the next step is
+/// step · (1 + P e) + I Σe + D Δe (gains P, I, D of 0.3, 0.05, 0.1 in the paper). Σe is reset to 0 when the
+/// limits clamp the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pid {
     gains: [f32; 3],
@@ -155,7 +155,7 @@ impl Controller for Pid {
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
-        // Bounded, so that one stalled frame does not decide the next hundred.
+        // Clamped, so that a single stall does not dominate the integral for a hundred frames.
         let error = ((observed.seconds - observed.target) / observed.target).clamp(-1.0, 10.0);
         self.integral = (self.integral + error).clamp(-20.0, 20.0);
         let difference = error - self.last.unwrap_or(error);

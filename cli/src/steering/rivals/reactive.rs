@@ -1,4 +1,4 @@
-//! Reactive rules of other renderers, ported with their published constants.
+//! Reactive rules of other renderers, with their published constants.
 //!
 //! VTK's rule for GPU ray casting acts on the distance of samples along rays: its decision's step is the ray
 //! step. The others scale image resolution, by a fraction f of each side or an image sample distance d: their
@@ -21,7 +21,7 @@ fn reactive(step: f32) -> Decision {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VtkGpu {
     factor: f32,
-    /// Time of the last frame; 0 before any.
+    /// Seconds of the last frame; 0 before the first.
     last: f32,
 }
 
@@ -160,7 +160,7 @@ impl Controller for VtkJs {
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
-        // A frame is shown at the end of its display interval at the earliest: browsers wait for it.
+        // Browsers show a frame at the next refresh of the display, at most 60 times per second.
         self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
         self.frames += 1.0;
         self.target = observed.target;
@@ -177,12 +177,12 @@ const WINDOW: usize = 16;
 
 /// The dynamic-resolution heuristic of Unreal Engine: frame times weighted by 0.9 per frame of age,
 /// resolution fraction f · √(0.95 target / time), changes of at least 2 %, at least 8 frames apart, moves up
-/// blended by 0.9; two frames over the budget in a row drop the history and react at once. s is 1 / f²; f in
-/// 0.5…1, which is for the limits to hold.
+/// blended by 0.9; two frames over the budget in a row drop the history and react at once. s is 1 / f²; the
+/// caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unreal {
     work: f32,
-    /// Full-quality times, newest last.
+    /// Seconds of past frames, converted to full resolution, newest last.
     times: [f32; WINDOW],
     len: usize,
     since_change: u32,
@@ -223,7 +223,7 @@ impl Controller for Unreal {
             if wanted > self.work {
                 wanted = self.work + 0.9 * (wanted - self.work);
             }
-            // Two percent of the resolution fraction, whose square the work is.
+            // Changes of at least 2 % of the resolution fraction, which is the square root of the work.
             if libm::fabsf(libm::sqrtf(wanted) - libm::sqrtf(self.work)) >= 0.02 * libm::sqrtf(self.work) {
                 self.work = wanted;
                 self.since_change = 0;
@@ -261,8 +261,8 @@ impl Controller for Unreal {
 
 /// The frame-rate controller of Filament: the median of up to 15 frame times, a PI controller in velocity
 /// form on measured over target time (Kp = 1 − e^(−1/8), Ki = 0.002), an output dead band of −1 %…+5 %, no
-/// integral while clamped. The controlled quantity is the share of work, s its inverse; each side is scaled by
-/// 0.5…1, which is for the limits to hold.
+/// integral while clamped. The controlled quantity is the share of work, s its inverse; the caller's limits
+/// keep the scale of each side in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filament {
     work: f32,

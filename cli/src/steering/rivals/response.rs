@@ -17,8 +17,7 @@ impl StepResponse {
     /// (1, 1) is added unless step ratio 1 was measured.
     ///
     /// # Errors
-    /// For values that are not finite and positive, or when fewer than two
-    /// different steps remain.
+    /// For values that are not finite and positive, or when there are fewer than two different steps.
     pub fn from_samples(samples: &[(f32, f32)]) -> Result<Self> {
         let mut logs: Vec<(f64, f64)> = Vec::with_capacity(samples.len() + 1);
         for (i, &(step, time)) in samples.iter().enumerate() {
@@ -116,8 +115,8 @@ impl StepResponse {
         let ((x0, y0), (x1, y1)) = (self.points[upper - 1], self.points[upper]);
         let exact = libm::exp(x0 + (x1 - x0) * (y - y0) / (y1 - y0));
         let rounded = exact as f32;
-        // Rounded up: where two steps a millionth apart were sampled, the curve between them is so steep that
-        // a step rounded down would visibly exceed the time.
+        // Rounded up: between two sampled steps that differ by a millionth, the curve is so steep that a step
+        // that is rounded down would clearly exceed the time.
         if f64::from(rounded) < exact { f32::from_bits(rounded.to_bits() + 1) } else { rounded }
     }
 
@@ -160,8 +159,8 @@ mod tests {
         assert!(StepResponse::from_samples(&[(1.0, 1.0)]).is_err());
     }
 
-    /// Steps that differ in their sixth digit make the curve so steep that rounding of the step shows in the
-    /// time.
+    /// Between steps that differ in their sixth digit the curve is so steep that rounding the step changes
+    /// the time.
     #[test]
     fn the_inverse_fits_on_a_cliff() {
         let cliff = [(1.425_012, 3.0), (1.425_014_5, 0.01), (4.0, 0.01)];

@@ -1,4 +1,4 @@
-//! Closed loops with a scripted clock: no renderer, a known cost law, the hybrid beside every other
+//! Closed loops without a renderer: frame times follow a known cost law, under the hybrid and every other
 //! controller.
 
 use super::*;
@@ -72,9 +72,9 @@ struct Plant {
     law: fn(usize) -> (f64, f64),
     /// Frames at which the transfer function is switched.
     switch_every: usize,
-    /// Factor of every prediction.
+    /// Factor on every prediction.
     bias: f64,
-    /// Factor of the machine's speed per frame.
+    /// Factor on the measured time of each frame: the state of the machine.
     speed: fn(usize) -> f64,
     target: fn(usize) -> f32,
     limits: StepLimits,
