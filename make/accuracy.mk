@@ -1,5 +1,5 @@
-# The accuracy study on the timing tables in data/timings. Needs no volumes and no renderer: scene features lie beside
-# the tables (`entire features` makes them anew from the volumes).
+# The accuracy study on the timing tables in data/timings. It needs no volumes and no renderer: scene features are stored
+# beside the tables (`entire features` computes them from the volumes).
 STUDY ?= data/timings/study.json
 STUDY_OUT ?= out/study
 
@@ -7,7 +7,7 @@ STUDY_OUT ?= out/study
 study: ## Make and judge every predictor of STUDY: out/study/report.html
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)"
 
-# Each table's make of machine has the model at its place.
+# The tables and the model at the same position in these lists are of one type of machine.
 FRAMES_TABLES := none-train none-epyc-train none-xeon-train
 FRAMES_JUDGED := none-members none-epyc-members none-xeon-members
 FRAMES_MODELS := unshaded-selected unshaded-epyc-selected unshaded-xeon-selected
@@ -15,7 +15,7 @@ FRAMES_OPTIONS := --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) --judged $(FRA
     --priors $(FRAMES_MODELS:%=models/%.safetensors)
 
 .PHONY: study-frames
-study-frames: ## Calibration error by number of frames of another make of machine
+study-frames: ## Calibration error by number of frames of another type of machine
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
 
 .PHONY: bars-accuracy

@@ -1,5 +1,5 @@
-# The window: `entire explore`, its tests under Xvfb with xdotool, its bars. VOLUME: what it opens. EXPLORE_FLAGS: more
-# options of `entire explore`. EXPLORE_OUT: where the bars leave their frame logs.
+# The window: `entire explore`, its tests under Xvfb with xdotool, its bars. VOLUME: the volume file to open. EXPLORE_FLAGS:
+# more options of `entire explore`. EXPLORE_OUT: the folder for the frame logs of the bars.
 EXPLORE_OUT ?= out/explore
 
 .PHONY: explore-build

@@ -5,7 +5,8 @@
 test-farm: ## Run entire farm on processes, HyperQueue and Slurm, read its database as Cinema does (engines installed where they may be)
 	@CARGO="$(CARGO)" scripts/test-farm.sh
 
-# The paper's case (384 frames of six volumes) and what else needs no engine first; then real engines, which want a quiet machine. FARM_PARTS: hq-frames hq-sleeping slurm kills full.
+# First the bars that need no engine, among them the paper's case (384 frames of six volumes); then those with real engines,
+# which need a quiet machine. FARM_PARTS: hq-frames hq-sleeping slurm kills full.
 FARM_OUT ?= out/farm-bars
 FARM_PARTS ?= hq-frames hq-sleeping slurm kills full
 

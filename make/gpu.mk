@@ -3,7 +3,7 @@
 GPU_OUT ?= out/gpu-study
 
 .PHONY: gpu-study-folder
-gpu-study-folder: ## Put all that a study of a GPU needs into one folder to copy: out/gpu-study-folder
+gpu-study-folder: ## Put everything that a study of a GPU needs into one folder to copy: out/gpu-study-folder
 	@CARGO="$(CARGO)" lab/scripts/gpu-study.sh
 
 .PHONY: gpu-study

@@ -1,10 +1,11 @@
 # Benchmarks and bars of the inference core. PEERS holds the other libraries' servers (see lab/peers/README.md); PYTHON needs the
-# libraries that are to be compared: torch, onnx, onnxruntime, openvino, safetensors. What is missing is named; comparisons go on
-# without it, and bars that ask for it are short.
+# libraries to compare with: torch, onnx, onnxruntime, openvino, safetensors. Missing libraries are named; comparisons go on
+# without them, and bars that ask for them are short.
 PEERS ?= lab/peers
 PYTHON ?= python3
 BENCH_OUT ?= out/bench
-# Raises the priority while measuring (needs root); without it, other work on the machine shows in every long call.
+# Niceness while measuring: a negative value raises the priority (needs root). Without it, other work on the machine slows
+# every long call.
 BENCH_NICE ?= 0
 
 .PHONY: bench

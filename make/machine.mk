@@ -1,5 +1,5 @@
-# The bars of a machine's model, on the machine at hand and volumes that it was not calibrated on: about half an hour. Nothing
-# else should run meanwhile. Interrupted, it goes on with the same command; MACHINE_STEPS makes some steps alone.
+# The bars of this machine's model, on volumes that it was not calibrated on: about half an hour. Nothing else should run
+# meanwhile. If it is interrupted, the same command continues; MACHINE_STEPS runs only some steps.
 MACHINE_OUT ?= out/bars-machine
 MACHINE_STEPS ?=
 

@@ -20,5 +20,5 @@ paper-frames: build ## The paper's recipe on a teacher's labels, by their number
 	$(PAPER_TRIALS) --only frames --data "$(DATA)" $(PAPER_FLAGS)
 
 .PHONY: bars-paper
-bars-paper: ## Write the paper's report from what is kept and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short (INTERVAL)
+bars-paper: ## Write the paper's report from the kept results and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short (INTERVAL)
 	@$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars

@@ -1,5 +1,5 @@
-# Bars of the probe, of transfer functions and of volume summaries. BEFORE names the revision that ratios are taken against; DATA
-# the folder that holds ensembles/, for errors and latency of the selected predictors; without it, these are short.
+# Bars of the probe, of transfer functions and of volume summaries. BEFORE is the revision to compare with. DATA is the folder
+# that holds ensembles/, for errors and latency of the selected predictors; without it, their bars are short.
 BEFORE ?= f11380f
 
 .PHONY: bars-probe

@@ -1,6 +1,6 @@
 # Steering: recorded cost curves, their replay under every controller beside an oracle, the stress scenes, farm balancing.
-# STEER_IN: recorded paths; those of the project, or what `make steer-traces` recorded here. STEER_DATA: more volumes that no
-# predictor saw. STEER_CLOCK: cpu where the machine is shared. STEER_FRAMES: frames per path.
+# STEER_IN: recorded paths; those of the project, or those that `make steer-traces` recorded here. STEER_DATA: more volumes on
+# which no predictor was trained. STEER_CLOCK: cpu if other programs use the machine. STEER_FRAMES: frames per path.
 STEER_IN ?= data/steer
 STEER_OUT ?= out/steer
 STEER_CLOCK ?= cpu
@@ -13,11 +13,11 @@ steer-build:
 	@$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
 
 .PHONY: steer-traces
-steer-traces: setup steer-build ## Record cost curves on this machine, for `make bars-steer STEER_IN=out/steer` (what is there stays)
+steer-traces: setup steer-build ## Record cost curves on this machine, for `make bars-steer STEER_IN=out/steer` (existing files stay)
 	@CARGO="$(CARGO)" bash lab/scripts/steer-traces.sh "$(STEER_OUT)" "$(STEER_CLOCK)" "$(STEER_FRAMES)" "$(STEER_DATA)"
 
 .PHONY: bars-steer
-bars-steer: steer-build ## Hold every controller against an oracle, the farm against its lower bound, all against the stress scenes; fails when short
+bars-steer: steer-build ## Measure the bars of steering: controllers beside an oracle, schedules of a farm over their lower bound, stress scenes; fails when one is short
 	@status=0; \
 	target/release/entire-lab replay "$(STEER_IN)"/traces/*.json.gz --calibration "$(STEER_IN)/calibration.csv.gz" \
 		--out "$(STEER_OUT)" --bars || status=1; \
@@ -37,7 +37,8 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 stress: steer-build ## Play the scenes in which methods break, with a run of a million frames: out/stress/report.html
 	@target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
 
-# By the wall clock, live: about half an hour. Nothing else should run meanwhile. Interrupted, it goes on with the same command.
+# Measured live by the wall clock: about half an hour. Nothing else should run meanwhile. If it is interrupted, the same
+# command continues.
 WALL_OUT ?= out/bars-wall
 
 .PHONY: bars-wall

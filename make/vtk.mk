@@ -1,5 +1,5 @@
 # VTK, ParaView and yt: the adapters in plugins/vtk and plugins/paraview, their tests, bars and tables.
-# Each says in one line what it lacks and goes on where a package is missing.
+# If a package is missing, a target says so in one line and goes on without it.
 
 .PHONY: test-vtk
 test-vtk: ## Build vtkEntireSteering against the installed VTK and run its tests (skipped where VTK is not there)

@@ -4,8 +4,8 @@
 #   scripts/bars-robust.sh [part...]        parts: mutants kills states vtk miri; default: all
 #
 # MUTANTS sets the number of mutants of model files (100000), FIRST_SEED the first one's seed (0), KILLS and FULL the
-# number of commands that are ended at random moments (200) and on a full disk (20). A part without its tools says so;
-# its bars are short then, as with lower numbers, and without a test that ran.
+# numbers of commands that are ended at random moments (200) and on a full disk (20). Bars are short with lower numbers, and
+# if tools are missing (which is printed) or no test ran.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . lab/scripts/bar_lines.sh
@@ -17,7 +17,7 @@ log=$(mktemp)
 folder=$(mktemp -d)
 trap 'rm -rf "$log" "$folder"' EXIT
 
-# Mutants of model files through opening, one prediction, a batch and an encoding, in 4 GB of address space.
+# Opens mutants of model files, and runs a prediction, a batch and an encoding with each, in 4 GB of address space.
 mutants() {
     local asked=(model_mutants_aborts 0 model_mutants_panics 0 model_mutants_slowest_cpu_seconds 1)
     local next end aborts=0 panics=0 slowest=0 code line asked_for=100000
@@ -55,7 +55,7 @@ mutants() {
         panics=$((panics + $(grep -c '^panic at' "$folder/err" || true)))
         next=$(awk '{ print $1 }' "$folder/progress" 2>/dev/null || echo "$next")
         echo "mutant with seed $next ended the process (status $code): $(tail -n 1 "$folder/err")"
-        # The duration of earlier ones is unknown.
+        # The durations of earlier mutants are unknown.
         slowest=unknown
         next=$((next + 1))
         if ((aborts >= 20)); then
@@ -69,7 +69,7 @@ mutants() {
     bar model_mutants_slowest_cpu_seconds "$slowest" 1
 }
 
-# SIGKILL at random moments and full disks, over every command that writes.
+# Ends every command that writes by SIGKILL at random moments, and on full disks.
 kills() {
     ${CARGO:-cargo} build --release --quiet --package entire-cli --package entire-lab --bins || {
         lacking "the commands cannot be built" files_torn_or_lost_kill_200 0 files_torn_or_lost_full_disk_20 0
@@ -79,7 +79,7 @@ kills() {
         --kills "${KILLS:-200}" --full "${FULL:-20}" || short=1
 }
 
-# Every single-bit flip of saved states, and filters that are not finite.
+# Tests every single-bit flip of saved states, and states with filters that are not finite.
 states() {
     local passed failed code=0
     ${CARGO:-cargo} test --quiet --package entire-steer --lib saved_state >"$log" 2>&1 || code=$?
@@ -92,11 +92,11 @@ states() {
     fi
 }
 
-# Re-entrant events of every mapper under the address sanitizer.
+# Runs the tests of re-entrant events of every mapper under the address sanitizer.
 vtk() {
     local counts why
     make --no-print-directory test-vtk-asan >"$log" 2>&1 || true
-    # The step says what it cannot run on this machine, and ends well; ctest ends well too where it finds no test.
+    # The step succeeds if it cannot run on this machine and says so; ctest succeeds even if it finds no test.
     counts=$(sed -n 's/.*tests passed, \([0-9]*\) tests\{0,1\} failed out of \([0-9]*\).*/\1 \2/p' "$log" | tail -n 1)
     why=$(sed -n 's/^test-vtk-asan: skipped: //p' "$log" | tail -n 1)
     if [[ -z $counts || $counts == *" 0" ]]; then
@@ -108,7 +108,7 @@ vtk() {
     [[ $counts == "0 "* ]] || tail -n 40 "$log"
 }
 
-# Undefined behavior in core's scalar kernels and in ffi.
+# Searches for undefined behavior in core's scalar kernels and in ffi.
 miri() {
     local code=0 part passed failed all=0
     make --no-print-directory miri >"$log" 2>&1 || code=$?
@@ -124,7 +124,7 @@ miri() {
         all=$((all + failed))
         if ((passed + failed == 0)); then code=nothing; fi
     done
-    # With a filter that no test matches, cargo ends with success.
+    # If no test matches a filter, cargo succeeds.
     grep -q '^test kernels::scalar::' "$folder/core" || code=nothing
     if ((all == 0)) && [[ $code == 0 ]]; then
         bar miri_reports 0 0

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Builds the fuzz targets and runs each for an equal part of SECONDS (default 60), or the targets that are named.
+# Builds the fuzz targets and runs each of them, or of the named ones, for an equal part of SECONDS (default 60).
 #
-#   fuzz.sh smoke [SECONDS] [TARGET...]   from the committed corpus, always with the same seed; new inputs are thrown away
-#   fuzz.sh keep SECONDS [TARGET...]      with a new seed each time, from the committed corpus and what earlier runs kept
-#                                         under out/fuzz/TARGET, where new inputs stay
+#   fuzz.sh smoke [SECONDS] [TARGET...]   from the committed corpus, always with the same seed; new inputs are discarded
+#   fuzz.sh keep SECONDS [TARGET...]      with a new seed each time, from the committed corpus and the inputs of earlier runs
+#                                         under out/fuzz/TARGET, where new inputs are kept
 #
 # A crash is kept under fuzz/artifacts and fails the run, after the other targets had their time. Without a sanitizer,
 # the corpus and its mutations are replayed by the plain test.
@@ -21,17 +21,17 @@ plain() { # plain WHY
 case "$mode" in
     smoke) seed=${FUZZ_SEED:-1} ;;
     keep) seed=${FUZZ_SEED:-$((RANDOM * 32768 + RANDOM + 1))} ;;
-    *) echo "$mode is neither smoke nor keep" >&2 && exit 2 ;;
+    *) echo "fuzz.sh: found word \"$mode\"; use smoke or keep" >&2 && exit 2 ;;
 esac
 case "$(uname -sm)" in
     "Linux x86_64" | "Linux aarch64" | "Darwin "*) ;;
-    *) plain "the address sanitizer is not to be had on $(uname -sm)" ;;
+    *) plain "there is no address sanitizer on $(uname -sm)" ;;
 esac
-# libFuzzer itself is C++ and compiled by the build.
+# The build compiles libFuzzer, which is C++.
 command -v "${CXX:-c++}" >/dev/null || plain "there is no C++ compiler"
 
-# The sanitizer and coverage flags are unstable; with this setting a stable compiler accepts them. The host is named as
-# target so that the flags are not for build scripts.
+# The sanitizer and coverage flags are unstable; with this setting a stable compiler accepts them. The host is named as the
+# target, so that the flags do not apply to build scripts.
 export RUSTC_BOOTSTRAP=1 CARGO_INCREMENTAL=0
 host=$(rustc -vV | sed -n 's/^host: //p')
 coverage=(-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4
@@ -44,7 +44,7 @@ for target in $targets; do
     grep -qx "$target" <<<"$known" || { echo "there is no fuzz target $target; there are: "$known >&2 && exit 2; }
 done
 echo "building the fuzz targets"
-# Lock file and output stay in fuzz/, which is apart from the workspace.
+# Lock file and output stay in fuzz/, which is not part of the workspace.
 cargo build --quiet --release --manifest-path fuzz/Cargo.toml --target-dir fuzz/target --target "$host" \
     $(printf -- '--bin %s ' $targets)
 

@@ -3,20 +3,20 @@
 
 have() { command -v "$1" >/dev/null 2>&1; }
 
-# skip NAME REASON: prints what does not run here, the reason and the remedy, and adds it to the list of skips
+# skip NAME REASON: prints that NAME is skipped, with the reason and the remedy, and adds it to the list of skips
 # (CONTRIBUTING.md).
 skip() {
     printf '%s: skipped: %s\n' "$1" "$2"
     [[ -z ${ENTIRE_SKIPPED:-} ]] || printf '%s: %s\n' "$1" "$2" >>"$ENTIRE_SKIPPED"
 }
 
-# Options of cmake that make a warning of the compiler an error.
-# VTK's generators leave fields of Python's type objects out.
+# Options of cmake that make compiler warnings errors, except the one on missing initializers: code that VTK generates leaves
+# out fields of Python's type objects.
 # shellcheck disable=SC2034
 strict=(-DCMAKE_COMPILE_WARNING_AS_ERROR=ON -DCMAKE_CXX_FLAGS="-Wall -Wextra -Wno-missing-field-initializers")
 
-# sdk: prints the folder of the installed C library. The gate installs it once and names it in ENTIRE_SDK; a script that
-# runs alone installs the same as `make install`.
+# sdk: prints the folder of the installed C library. The gate installs it once and names the folder in ENTIRE_SDK. A script
+# that runs alone installs it as `make install` does.
 sdk() {
     if [[ -n ${ENTIRE_SDK:-} ]]; then
         echo "$ENTIRE_SDK"

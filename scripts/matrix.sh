@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # Tests the VTK class and the ParaView plugin with the versions of other Debian releases. Each release is installed into a
-# folder of its own, in which the scripts run that test on the host: the same tests, with warnings of the compiler as errors.
+# folder of its own, in which the same scripts run as on the host: the same tests, with compiler warnings as errors.
 # Results go to MATRIX_OUT/results.csv, logs beside it. Needs root, for chroot.
 #
 #   scripts/matrix.sh [host|stable|testing]...     default: all three
 #
-# MATRIX_FOLDERS  where the folders are kept (default target/matrix); one is made anew where its list of packages has changed
-# MATRIX_MIRROR   Debian's package mirror (default: the one of apt's sources)
-# MATRIX_FRESH    any text makes the folders anew
+# MATRIX_FOLDERS  where the folders are kept (default target/matrix); one is made anew if its list of packages has changed
+# MATRIX_MIRROR   Debian's package mirror (default: that of this machine's apt sources)
+# MATRIX_FRESH    if set, all folders are made anew
 # MATRIX_OUT      default out/matrix
 # ENTIRE_SDK      the folder of an installed libentire (default: that of `make install` is built into target/sdk)
 set -euo pipefail
@@ -30,8 +30,9 @@ packages=(ca-certificates g++ cmake ninja-build pkg-config valgrind xvfb xauth l
     libvtk9-dev python3-vtk9 paraview paraview-dev openmpi-bin qt6-base-dev qt6-svg-dev qt6-tools-dev qt6-5compat-dev
     libutfcpp-dev libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev
     libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
-# Last, in the folder: ParaView's Python modules, which in some releases conflict with VTK's and then lie beside them; and
-# names without Python's suffix for extension modules, by which the CMake packages of Debian's newer ParaViews ask for them.
+# Last commands in the folder. They install ParaView's Python modules, which in some releases conflict with VTK's and are
+# then unpacked beside them; and they link extension modules to names without Python's suffix, which the CMake packages of
+# Debian's newer ParaViews expect.
 # shellcheck disable=SC2016
 finish='export DEBIAN_FRONTEND=noninteractive
     apt-get install --yes --quiet --no-install-recommends --no-remove python3-paraview || {
@@ -43,8 +44,8 @@ finish='export DEBIAN_FRONTEND=noninteractive
 
 mirror=${MATRIX_MIRROR:-$(mirror)}
 
-# inside FOLDER COMMAND...: a command in a folder, this checkout read-only at /entire and the C library at /sdk. What is
-# mounted for it is so for its processes alone: nothing stays mounted in the folder, however they end.
+# inside FOLDER COMMAND...: runs a command in a folder, with this checkout read-only at /entire and the C library at /sdk.
+# Only the command's processes see the mounts, so nothing stays mounted in the folder, however they end.
 # shellcheck disable=SC2016,SC2329
 inside() {
     local folder=$1
@@ -61,7 +62,7 @@ inside() {
     ' inside "$folder" "$root" "$sdk" "$@"
 }
 
-# folder NAME: makes the folder where it is not there, and keeps the seconds that this took in its file made-in.
+# folder NAME: makes the folder if it is missing, and writes the seconds that this took into its file made-in.
 folder() {
     local name=$1 folder=$folders/$1 began=$SECONDS list
     list=$(printf '%s\n' "${packages[@]}" "$finish")
@@ -72,8 +73,8 @@ folder() {
     echo "matrix: $name: installing Debian $name from $mirror into $folder, some minutes and 4 GB: ${packages[*]} python3-paraview"
     rm -rf "$folder"
     mkdir -p "$folders"
-    # What it mounts goes with it. Releases may be past their date on a mirror that is behind, and a folder that is not whole is
-    # made anew: its files need not reach the disk one by one.
+    # The mounts of mmdebstrap end with it. Validity dates are ignored, since a mirror may lag behind. Files are not synced
+    # one by one, since an incomplete folder is made anew.
     unshare --mount mmdebstrap --mode=root --variant=apt --include="$(IFS=,; echo "${packages[*]}")" \
         --aptopt='APT::Install-Recommends "false"' --aptopt='Acquire::Check-Valid-Until "false"' --dpkgopt=force-unsafe-io \
         --customize-hook="chroot \"\$1\" bash -euc '$finish'" \
@@ -89,7 +90,7 @@ folder() {
     echo "matrix: $name: $(chroot "$folder" dpkg-query -f '.\n' -W | wc -l) packages, $(du -shx "$folder" | cut -f 1), in $((SECONDS - began)) s"
 }
 
-# tests NAME PROGRAM COMMAND...: runs a suite and notes how it ended and its seconds for the results.
+# tests NAME PROGRAM COMMAND...: runs a suite, and notes its end and its seconds for the results.
 tests() {
     local name=$1 program=$2 began=$SECONDS ended=passed
     shift 2

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Core's scalar kernels and the C library's unit tests under Miri, which finds undefined behavior; the level is scalar
-# there. Then a small set of core's tests as a 32-bit and as a big-endian machine runs them.
+# Runs the tests of core's scalar kernels and the C library's unit tests under Miri, which finds undefined behavior; the
+# level is scalar there. Then it runs a small set of core's tests as on a 32-bit and on a big-endian machine.
 #
-#   scripts/miri.sh [seconds] [part...]     most seconds for each part (1800); parts: core ffi 32bit bigendian (all)
+#   scripts/miri.sh [seconds] [part...]     time limit of each part (1800); parts: core ffi 32bit bigendian (default: all)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
@@ -15,7 +15,7 @@ if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
     skip miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
     exit 0
 fi
-# Miri is some thousand times slower than the machine: small tests that reach every scalar kernel.
+# Miri is some thousand times slower than the machine, so these are small tests that reach every scalar kernel.
 kernels=(
     kernels::level::
     kernels::helper::
@@ -25,7 +25,7 @@ kernels=(
     nn::prednet::tests::a_batch_without_scratch_or_with_wrong_sizes_is_refused
     nn::prednet::tests::small_networks_agree_with_plain_loops
 )
-# Code that depends on the width of an address and on the order of bytes: sizes, files, packed weights.
+# Tests of code that depends on the width of an address or the order of bytes: sizes, files, packed weights.
 portable=(
     kernels::scalar::
     memory::
@@ -47,7 +47,7 @@ core() { # core TARGET-OPTION... -- TEST...
     timeout "$seconds" "$cargo" +nightly miri test --package entire-core --package entire-steer --lib --features libm/force-soft-floats "$@"
 }
 
-as() { # as TRIPLE: the portable tests as that machine runs them
+as() { # as TRIPLE: runs the portable tests for that target
     if ! "$cargo" +nightly miri setup --target "$1" >/dev/null 2>&1; then
         skip miri "as $1: the standard library cannot be built for it (needs its crates from the registry)"
         return

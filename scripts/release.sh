@@ -5,7 +5,7 @@
 #   scripts/release.sh [FOLDER]        default out/release
 #
 # FOLDER then holds the crates, wheel and sdist, the C library's archive, an SBOM, the notes, and checksums of them.
-# RELEASE_DIRTY=1 packs a checkout with local changes. Needs no network once the crates are downloaded, but for twine.
+# RELEASE_DIRTY=1 packs a checkout with local changes. Once the crates are downloaded, only twine needs the network.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$(realpath -m "${1:-out/release}")

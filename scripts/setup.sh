@@ -6,7 +6,7 @@ cd "$(dirname "$0")/.."
 
 say() { printf 'setup: %s\n' "$*"; }
 
-# Prefix that runs the package manager; empty where this user may not.
+# True if this user may install packages with apt-get.
 may_install() {
     [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]] || return 1
     command -v apt-get >/dev/null || return 1
@@ -49,7 +49,7 @@ if ! command -v cargo >/dev/null && may_install &&
     install_packages "no cargo" rustup && rustup default stable || true
 fi
 if ! command -v cargo >/dev/null; then
-    say "no cargo. Install Rust $wanted or newer with the one command"
+    say "no cargo. Install Rust $wanted or newer with this command:"
     say "  curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh -s -- -y"
     say "open a new shell and run this again."
     missing=1
@@ -112,12 +112,12 @@ fi
 if driver=$(vulkan); then
     say "Vulkan driver $(basename "$driver"): ok"
 else
-    say "no Vulkan driver. Rendering goes on with the CPU twin (slower, same pictures), and tests that need Vulkan are"
-    say "reported as ignored. To have one: apt-get install mesa-vulkan-drivers libvulkan1"
+    say "no Vulkan driver. The CPU version of the raycaster renders instead (slower, same pictures), and tests that need"
+    say "Vulkan are reported as ignored. To install one: apt-get install mesa-vulkan-drivers libvulkan1"
 fi
 
-# Programs that tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
-# ENTIRE_SETUP_FOR is the gate that is to be run: test, change or nightly (see scripts/test.sh); nothing for `make demo`.
+# Programs that tests use. If one is missing, the tests that need it are reported as ignored or skipped, never as passed.
+# ENTIRE_SETUP_FOR is the gate that will run: test, change or nightly (see scripts/test.sh); empty for `make demo`.
 for=${ENTIRE_SETUP_FOR:-}
 packages=()
 case $for in
@@ -144,7 +144,7 @@ if ((${#packages[@]})) && command -v dpkg-query >/dev/null; then
     done
     if ((${#absent[@]})); then
         { may_install && install_packages "used by tests" "${absent[@]}"; } ||
-            say "some tests will be skipped. To have them all: apt-get install ${absent[*]}"
+            say "some tests will be skipped. To run them all: apt-get install ${absent[*]}"
     fi
 fi
 

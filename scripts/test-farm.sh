@@ -6,8 +6,8 @@
 #   scripts/test-farm.sh --full    all tests
 #   scripts/test-farm.sh python    only makes the Python environment and prints its Python
 #
-# FARM_PYTHON   a Python that has hyperqueue, cinemasci and openjd-cli; else an environment is made in target/farm
-# FARM_BIN      the command `entire` to test; else the one that cargo builds for its tests
+# FARM_PYTHON   a Python that has hyperqueue, cinemasci and openjd-cli (default: an environment in target/farm)
+# FARM_BIN      the command `entire` to test (default: the one that cargo builds here)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
@@ -15,7 +15,7 @@ target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 work=$(mktemp -d)
 slurm=
 trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$work"' EXIT
-# No part may hang: a farm of this script takes seconds.
+# Time limit of every part, so that none hangs: a farm of this script takes seconds.
 within=(timeout --kill-after=10 120)
 
 # The environment's packages, each with the tested version.
@@ -44,7 +44,7 @@ python() {
 }
 
 has() { "$python" -c "import $1" 2>"$work/has.log"; }
-# lacks PACKAGE: the reason for which `has` returned false
+# lacks PACKAGE: prints the reason for which `has` returned false
 lacks() { echo "$(tail -n 1 "$work/has.log") (pip install $1)"; }
 
 python=$(python || true)
@@ -62,7 +62,7 @@ else
 fi
 farm() { "${within[@]}" "$entire" farm "$@" --quiet; }
 
-job() { # job NAME: 3 volumes, 8 views, 2 transfer functions
+job() { # job NAME: writes a job file with 3 volumes, 8 views, 2 transfer functions
     cat >"$work/$1.toml" <<TOML
 name = "$1"
 sizes = ["64x64"]
@@ -87,7 +87,7 @@ TOML
 
 sums() { (cd "$work/$1.cdb" && find image -name '*.png' -print0 | sort -z | xargs -0 sha256sum); }
 
-same() { # same NAME: the images of a job are those of the reference
+same() { # same NAME: fails unless the images of a job are those of the reference
     diff <(sums reference) <(sums "$1") >/dev/null || { echo "test-farm: $1: other images than the reference" >&2; exit 1; }
     echo "test-farm: $1: ok"
 }
@@ -106,7 +106,7 @@ else
 fi
 
 if [[ ${1:-} == --full ]]; then
-    # From here on there may be processes to end.
+    # From here on, Slurm's processes must be ended at exit.
     slurm=yes
     if SLURM_CONF=$("${within[@]}" lab/scripts/farm/slurm.sh start "$work/slurm" 2>"$work/slurm.log"); then
         export SLURM_CONF

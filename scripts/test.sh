@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
-# Builds and tests everything, in the order in which a failure is cheapest to find.
+# Builds and tests everything. Cheap steps come first, so that failures are found early.
 #
 #   scripts/test.sh            what `make test` runs
-#   scripts/test.sh change     what `.ci/run` runs for each change: the above, and a form of every other suite that fits in
-#   scripts/test.sh nightly    what `.ci/nightly` and `make test-all` run: all of it, and what takes long
+#   scripts/test.sh change     what `.ci/run` runs for each change: the above, and a short form of every other suite
+#   scripts/test.sh nightly    what `.ci/nightly` and `make test-all` run: every suite in full, and tests that take hours
 #
 # All steps share one build (`profile.dev` of Cargo.toml, the features of the whole workspace) and one installed C library.
 # Wall and processor seconds of each step go to out/test/steps.csv; `make bars-gate` compares them.
 #
-# A step that lacks something on this machine says so and is listed as skipped at the end, never as passed. So are
-# ignored tests. The list is kept in out/test/skipped-GATE, which ENTIRE_SKIPPED names to every script.
+# A step for which this machine lacks something is listed as skipped at the end, with the reason, never as passed. So are
+# ignored tests. The list is kept in out/test/skipped-GATE; ENTIRE_SKIPPED has this path for every script.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
@@ -20,7 +20,7 @@ case $gate in
     *) echo "test.sh: found word \"$gate\"; use change, nightly or nothing" >&2; exit 2 ;;
 esac
 
-# The same property-test cases for everybody: a change fails here for its own effect, not for a random draw. `make
+# Property tests always draw the same cases, so that a change fails here for its own effect, not for a random draw. `make
 # test-properties` draws new ones.
 export PROPTEST_RNG_SEED=${PROPTEST_RNG_SEED:-20261121}
 # Nothing here is built twice, so incremental data need not be written.
@@ -38,11 +38,11 @@ mkdir -p out/test
 export ENTIRE_SKIPPED=$PWD/out/test/skipped-$gate
 : >"$ENTIRE_SKIPPED"
 
-# Rows of other gates stay.
+# The rows of this gate are removed; those of other gates stay.
 { echo "gate,step,wall_s,cpu_s"; grep -vs "^gate,\|^$gate," out/test/steps.csv || true; } >"$work/steps.csv"
 mv "$work/steps.csv" out/test/steps.csv
 
-# Processor seconds of all processes that this shell has waited for, into `cpu`.
+# Sets `cpu` to the processor seconds of all processes that this shell has waited for.
 processor_seconds() {
     times >"$work/times"
     cpu=$(tail -n 1 "$work/times" | tr 'ms' '  ' | awk '{ printf "%.1f", 60 * ($1 + $3) + $2 + $4 }')
@@ -68,16 +68,16 @@ step() { # step NAME COMMAND...
     passed+=("$(printf '%4d s, processor %4d s  %s' "$wall" "$cpu" "$name")")
 }
 
-# With all targets, so that test-only crates are part of the one choice of features.
+# All targets are built, so that crates that only tests use take part in the choice of features.
 build() { "$cargo" build --quiet "${everything[@]}" --all-targets; }
 
-# Notes ignored tests of cargo's own runner: `test NAME ... ignored, REASON`.
+# Adds the ignored tests of cargo's own runner to the skips: lines `test NAME ... ignored, REASON`.
 note_ignored() {
     sed -n -E 's/^test (.*) \.\.\. ignored(, (.*))?$/\1: ignored, \3/p' "$1" | sed 's/: ignored, $/: ignored/' |
         while read -r line; do echo "workspace, $line" >>"$ENTIRE_SKIPPED"; done
 }
 
-# The same tests with either runner: nextest does not run documentation tests.
+# Either runner runs the same tests. nextest does not run documentation tests, so cargo does.
 workspace_tests() {
     if have cargo-nextest; then
         "$cargo" nextest run "${everything[@]}" --no-fail-fast --status-level fail --final-status-level fail || return 1
@@ -90,7 +90,7 @@ workspace_tests() {
     fi
 }
 
-# The crates that are built with it, with the compiler of their `rust-version`.
+# Tests the crates of the C library with the oldest compiler that they support (their `rust-version`).
 oldest_rust() {
     local version
     version=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' core/Cargo.toml)
@@ -102,7 +102,7 @@ oldest_rust() {
     fi
 }
 
-# The C library from the same build, for every suite that needs it.
+# Installs the C library from the same build, for every suite that needs it.
 install_library() {
     export ENTIRE_SDK=$target/sdk
     ffi/package/install.sh --profile dev --no-build --prefix "$ENTIRE_SDK" >/dev/null
@@ -118,7 +118,7 @@ if have python3; then
 else
     skip "house rules" "python3 is not installed (apt-get install python3)"
 fi
-# Folder of the tools that the set-up installs.
+# The set-up installs tools into this folder.
 PATH=$PATH:$target/tools/bin
 if have typos; then
     step "spelling" typos
@@ -168,7 +168,7 @@ if [[ $gate == nightly ]]; then
     step "C library under sanitizers" tests/c/sanitizers.sh
     step "Miri" scripts/miri.sh
     step "VTK under the address sanitizer" plugins/vtk/run.sh asan
-    # This machine's own versions are those of the steps above.
+    # The steps above have tested the versions of this machine.
     step "versions of VTK and ParaView" scripts/matrix.sh stable testing
     step "property tests with new cases" make --no-print-directory test-properties
     step "fuzz targets with new seeds" scripts/fuzz.sh keep "${NIGHTLY_FUZZ_SECONDS:-1200}"

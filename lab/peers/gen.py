@@ -10,7 +10,7 @@ Per network NAME:
   NAME_elu.onnx      PredNet alone: SELU(x) = GAMMA * ELU(x; ALPHA), GAMMA folded into the next layer; the same
                      function, for libraries without a Selu operator (weights: NAME_elu.safetensors)
   NAME_int8.onnx     PredNet alone: ONNX Runtime's dynamic quantization, weights per channel
-and inputs.safetensors, what every contestant is fed.
+and inputs.safetensors, the inputs that every contestant gets.
 """
 import logging
 import pathlib

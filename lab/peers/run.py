@@ -6,8 +6,8 @@ usage: run.py MODELS RUST_PEERS OUT.json [--rounds N] [--secs S] [--extra NAME=C
               [--only TEXT] [--compile]
 
 MODELS is the folder of gen.py, RUST_PEERS the one with the built Rust peers. Every peer is a server process, one per
-number of threads; each round visits every case and, in random order, every peer; a window is S seconds of repeated
-calls, of which the least and the median are kept. Peers that are not there are named and skipped.
+number of threads. Each round visits every case and, in random order, every peer. A window is S seconds of repeated
+calls, whose smallest and median time are kept. Missing peers are named and skipped.
 """
 import argparse
 import json
@@ -19,7 +19,7 @@ import sys
 import time
 
 HERE = pathlib.Path(__file__).resolve().parent
-# Peer: server, environment, request for a network, and abilities: PredNet (p), VolumeNet (v).
+# By peer: server, environment, request for a network, and the networks that it can run: PredNet (p), VolumeNet (v).
 PEERS = {
     "torch eager": ("torch", {}, "eager/{}", "pv"),
     "torch jit.freeze": ("torch", {}, "jit/{}", "pv"),
@@ -70,7 +70,7 @@ def arguments():
 
 
 def contestants(args):
-    """By name: command, environment, request, abilities."""
+    """The peers by name: command, environment, request, networks."""
     peers = PEERS
     if args.compile:
         peers = COMPILED | {name: PEERS[name] for name in ("torch eager", "ORT (iobinding)")}
@@ -98,7 +98,7 @@ def takes_part(kinds, case, threads):
 
 
 def raise_priority(nice):
-    """With automatic groups, plain nice acts only inside a session: this session's group is raised too."""
+    """Raises the priority of this session: with automatic groups, niceness of a process acts only inside its session."""
     try:
         os.setsid()
         pathlib.Path("/proc/self/autogroup").write_text(str(nice))
@@ -155,7 +155,7 @@ def main():
                 random.shuffle(order)
                 for peer in order:
                     key = (peer, threads, case)
-                    # A measurement of a second is made once, one of a quarter of it in two rounds of three.
+                    # A call of over 1 s is measured in the first round only, one of over 0.25 s in two of three rounds.
                     rarely = slow.get(key, 0) > 1e9 and turn > 0 or slow.get(key, 0) > 0.25e9 and turn % 3 == 2
                     if key in failed or rarely:
                         continue

@@ -19,7 +19,7 @@ def shown(nanoseconds):
 
 
 def row(peer, windows):
-    """A line of a table and its sort key, a time; None for a peer without a time."""
+    """Sort key (the smallest time) and line of a table; None for a peer without a time."""
     cells, key = [], None
     for threads in (1, 2):
         found = windows.get((peer, threads), [])

@@ -45,7 +45,7 @@ def build(name):
 
 
 def fold(model):
-    """Batch normalization folded into the convolution before it."""
+    """The model with batch normalization folded into the convolutions."""
     out, rest = [], list(model)
     while rest:
         module = rest.pop(0)

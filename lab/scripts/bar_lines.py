@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Bars: measured value beside its limit, one line `bar NAME VALUE LIMIT ok|short` each (as lab/src/bars.rs).
+"""Bars: goals, each printed with its measured value and limit as `bar NAME VALUE LIMIT ok|short` (as lab/src/bars.rs).
 
-A script says all of its bars before it measures any. What ends the measuring leaves none of them out: a bar without a
-value is `-` and short, below a line that says why.
+A script names all of its bars before it measures any. If measuring ends early, each bar without a value is printed as `-`
+and short, below a line with the reason.
 """
 import contextlib
 import sys
@@ -12,7 +12,7 @@ import traceback
 class Bars:
     """The bars of a script, as a context that ends the process with status 1 if one is short.
 
-    `asked` holds limits by name; a value may not exceed its limit, but for those of `at_least`, which must reach it.
+    `asked` holds limits by name. A value must not exceed its limit; a value of a bar in `at_least` must reach it.
     """
 
     def __init__(self, asked, at_least=()):
@@ -22,7 +22,7 @@ class Bars:
             sys.exit("no bar is asked for: see --help for names")
 
     def found(self, name, value, note="", limit=None):
-        """Prints a bar; None or NaN if it could not be measured. `limit` is given if it follows from the measurement."""
+        """Prints a bar. `value` is None or NaN if it was not measured; `limit` is given if it follows from the measurement."""
         asked = self.left.pop(name)
         value = None if value != value else value
         limit = asked if limit is None else limit

@@ -4,7 +4,7 @@
 # Becomes 1 with the first short bar.
 short=0
 
-# bar NAME VALUE LIMIT: a VALUE that is no number is missing, and short; otherwise it must not exceed the limit.
+# bar NAME VALUE LIMIT: prints a bar. VALUE must not exceed LIMIT; a VALUE that is no number is printed as `-` and short.
 bar() {
     local value=$2 verdict=short
     [[ $value =~ ^-?[0-9]+(\.[0-9]+)?(e[-+]?[0-9]+)?$ ]] || value=-
@@ -12,7 +12,7 @@ bar() {
     echo "bar $1 $value $3 $verdict"
 }
 
-# lacking WHY (NAME LIMIT)...: bars that cannot be measured; WHY names the missing thing and the remedy.
+# lacking WHY (NAME LIMIT)...: prints bars that cannot be measured. WHY names the missing thing and the remedy.
 lacking() {
     echo "not measured: $1"
     shift
@@ -22,7 +22,7 @@ lacking() {
     done
 }
 
-# tests_in LOG: numbers of passed and failed tests in the summaries of cargo test in a file, as "PASSED FAILED".
+# tests_in LOG: prints the numbers of passed and failed tests in a log of cargo test, as "PASSED FAILED".
 tests_in() {
     awk '/^test result:/ { for (i = 2; i <= NF; i++) { if ($i == "passed;") p += $(i - 1); if ($i == "failed;") f += $(i - 1) } }
         END { print p + 0, f + 0 }' "$1"

@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""Measures the inference bars afresh: one line `bar NAME VALUE LIMIT ok|short` each; exit status 1 when any is short.
+"""Measures the inference bars: one line `bar NAME VALUE LIMIT ok|short` each; exit status 1 when any is short.
 
 usage: bars_inference.py --server PEER_SERVER --peers FOLDER --models FOLDER [--rust FOLDER] [--rounds N] [--seconds S] [--nice N]
 
 Every contestant is a server process (line `NAME BATCH SECONDS` in, `@@{json}` out). Each round visits every bar and, in
-random order, its contestants; a window is SECONDS of repeated calls. A ratio is the smallest time of ours over the
-smallest time of theirs, all windows of one run. A peer that is not there, or that fails, is named, and every bar that asks
-for it is short: the others may not be the fastest.
+random order, its contestants; a window is SECONDS of repeated calls. A ratio is our smallest time over the smallest time
+of the peers, over all windows of a run. A peer that is missing or fails is named, and every bar that asks for it is
+short, since the other peers may not be the fastest.
 
-Other rooms add rows: an executable `*_bars` beside PEER_SERVER, or named with --also, is run and its own `bar` lines
-are passed on.
+--only TEXT selects bars whose names contain the text. Each --also COMMAND is run, and the `bar` lines that it prints are
+passed on.
 """
 import argparse
 import json
@@ -22,8 +22,7 @@ import tempfile
 
 from bar_lines import Bars
 
-# name, limit, our storage (of several the fastest counts), network, batch, threads, peers (of several the fastest
-# counts)
+# Name, limit, our storage formats (the fastest counts), network, batch, threads, peers (the fastest counts).
 ORT = ["ort"]
 F32 = ["ort", "torch", "rten"]
 VOLUME = ["ort", "torch", "ov"]
@@ -42,11 +41,11 @@ RATIOS = [
     ("volumenet_b_u8_1_thread", 0.53, ["f32"], "vol_b", 1, 1, VOLUME),
     ("volumenet_b_u8_2_threads", 0.53, ["f32"], "vol_b", 1, 2, VOLUME),
 ]
-# name, limit, storage, networks: largest error against float64 (see the server's `accuracy/`)
+# Name, limit, storage, networks: the largest error against float64 (the server's request `accuracy/NETWORK`).
 ERRORS = [("error_f32", 1e-5, "f32", ["pred_0c256", "pred_4c256", "pred_12c256", "pred_12c64"])]
-# name, limit as a multiple of the time of reading the bytes once with as many threads, edge of the volume, threads
+# Name, limit as a multiple of the time to read the bytes once with as many threads, edge of the volume, threads.
 READS = [("resample_512_u8_2_threads", 1.5, 512, 2)]
-# name, limit in microseconds, name of the server's measurement
+# Name, limit in microseconds, name of the server's measurement.
 CALLS = [("2x64_warm_us", 0.5, "small/warm"), ("2x64_cold_us", 2.5, "small/cold")]
 # Remedies for missing peers; PYTHON names the Python that has a peer's packages.
 REMEDIES = {"ort": "pip install numpy safetensors onnxruntime", "torch": "pip install numpy safetensors torch",
@@ -102,7 +101,7 @@ def main():
     parser.add_argument("--also", action="append", default=[])
     options = parser.parse_args()
     if options.nice:
-        # If the kernel schedules by session, niceness acts only inside one: raise this session's too.
+        # If the kernel schedules by session, niceness of a process acts only inside it: the session is raised, too.
         try:
             os.setsid()
         except OSError:
@@ -146,7 +145,7 @@ def measure(options, bars):
         return answer
 
     def why(cases):
-        """Failures among these, one sentence each with the remedy; None where none failed."""
+        """Failures among these cases, each with its remedy; None if none failed."""
         found = [(c[0], failed[c]) for c in cases if c in failed]
         told = (f"{key}: {reason} ({REMEDIES[key.split('/')[0]]})" for key, reason in found)
         return "; ".join(dict.fromkeys(told)) or None
@@ -179,7 +178,7 @@ def measure(options, bars):
                        f"{theirs[2]} {theirs[0] / 1e3:.2f} us (median {theirs[1] / 1e3:.2f})")
 
     def several(name, threads, specs, batch, seconds):
-        """Our results; None if one of them failed, and then the bar names the failure."""
+        """Our results; none if one of them failed, and then the bar names the failure."""
         answers = [ask("ours/f32", threads, spec, batch, seconds) for spec in specs]
         if None in answers:
             bars.lacking(why([("ours/f32", threads, spec, batch) for spec in specs]), [name])

@@ -4,12 +4,12 @@
 
     bars_machine.py --data FOLDER [--out out/bars-machine] [--only STEP,…] [--no-test] [--steps]
 
-Prints `bar NAME VALUE LIMIT ok|short`, and `interval NAME LOW HIGH` where volumes can be drawn anew (95 %); exit status 1 when
-one is short, as it is without a value. FOLDER holds ensembles/ and scans/.
-Test frames are timed once before the calibration of their mode and once after it, and count with the mean: a machine that
-changes speed meanwhile was on average as fast as while it was calibrated.
-Every step leaves a file in --out and is passed over when that is there, so that the whole can be done in slices of a few
-minutes each on a quiet machine: --steps lists them, --only makes some and prints the bars that they are enough for.
+Prints `bar NAME VALUE LIMIT ok|short`, and `interval NAME LOW HIGH` for errors (95 %, by bootstrap over volumes); exit
+status 1 when a bar is short or has no value. FOLDER holds ensembles/ and scans/.
+Test frames are timed once before the calibration of their mode and once after it, and the mean counts: so a machine that
+changes speed meanwhile was on average as fast as during the calibration.
+Every step leaves a file in --out and is skipped if that file exists, so that the work can be done in slices of a few
+minutes on a quiet machine: --steps lists the steps, --only runs some and prints the bars for which they suffice.
 Needs Python 3.9 and `entire` (--bin), and nothing else.
 """
 import argparse
@@ -27,7 +27,7 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# Held-out members, and the interval of their time steps from the first on.
+# Held-out members, and their time steps.
 MEMBERS = ("castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05", "maestroex_bubbles/m03")
 MEMBER_STEPS = (3, 6, 9, 12)
 SCANS = ("ct_abdomen", "ct_bonsai", "ct_engine", "ct_head_stanford", "cta_avm", "mr_angio_head", "mr_icbm152",
@@ -35,7 +35,7 @@ SCANS = ("ct_abdomen", "ct_bonsai", "ct_engine", "ct_head_stanford", "cta_avm", 
 MODES = ("none", "local", "scatter")
 # Frames per volume; a frame with scattering takes several times as long.
 FRAMES = {"none": 6, "local": 6, "scatter": 4}
-# Limits: median error and RMSE/SD on members, and on scans.
+# Limits of median error and RMSE/SD on members, then on scans.
 LIMITS = {"none": (0.055, 0.06, 0.08, 0.10), "local": (0.05, 0.06, 0.08, 0.10), "scatter": (0.07, 0.08, None, None)}
 CALIBRATION_SECONDS = 90.0
 FEW_FRAMES = 20
@@ -58,7 +58,7 @@ while True:
 
 @contextlib.contextmanager
 def neighbors(*seeds):
-    """As many neighbors on the machine as there are seeds, for as long as the context lasts."""
+    """Context in which one neighbor per seed loads the machine."""
     loops = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(seed)]) for seed in seeds]
     try:
         yield
@@ -68,7 +68,7 @@ def neighbors(*seeds):
             loop.wait()
 
 
-# Times of the test frames' measurements, with calibration between.
+# The test frames are measured before the calibration and after it.
 WHEN = ("before", "after")
 INVALID_LIMIT = 0
 
@@ -235,7 +235,7 @@ def main():
     parser.add_argument("--data", default=os.environ.get("DATA", ""), help="the folder that holds ensembles/ and scans/")
     parser.add_argument("--out", default="out/bars-machine")
     parser.add_argument("--bin", default="target/release/entire")
-    parser.add_argument("--only", default="", help="make these steps alone, comma-separated")
+    parser.add_argument("--only", default="", help="run these steps only, comma-separated")
     parser.add_argument("--no-test", action="store_true", help="leave out the bar that builds and runs a test")
     parser.add_argument("--steps", action="store_true", help="list the steps and whether each is done")
     options = parser.parse_args()
@@ -260,7 +260,7 @@ def main():
                 if not (machine.out / stamp).exists():
                     make()
         except (OSError, subprocess.SubprocessError) as error:
-            # Finished parts give some bars all the same.
+            # Finished steps still give some bars.
             print(error, file=sys.stderr)
         for name, value, interval in found(machine, not options.no_test):
             if value is not None:

@@ -5,9 +5,9 @@
     bars_model.py [--study out/study] [--wall out/study-wall] [--frames out/frames] [--machine out/bars-machine]
                   [--before REVISION]
 
-Reads what other commands left: `entire-lab study` by either clock, `entire-lab frames`, and `make bars-machine`, whose steps
-need a quiet machine and the ensembles. Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short, as it is
-without a value. Needs Python 3.9 and git, and nothing else.
+Reads the results of `entire-lab study` by either clock, of `entire-lab frames`, and of `make bars-machine`, whose steps need
+a quiet machine and the ensembles. Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when a bar is short or has no
+value. Needs Python 3.9 and git, and nothing else.
 """
 import argparse
 import csv
@@ -21,7 +21,7 @@ from bars_machine import CALIBRATION_SECONDS, MODES, Machine
 
 ROOT = Path(__file__).resolve().parents[2]
 UNSHADED = ("unshaded", "unshaded epyc", "unshaded xeon")
-# Set or group, split: limits of median error and RMSE/SD.
+# By set (or group of sets) and split: limits of median error and RMSE/SD.
 STUDY = {
     "unshaded/members": (0.058, 0.055), "unshaded/scans": (0.07, 0.08), "unshaded/other-codes": (0.07, 0.07),
     "local/members": (0.06, 0.046), "local/scans": (0.07, 0.075),
@@ -55,7 +55,7 @@ def asked():
 
 
 def mean(values):
-    """The geometric mean; None where one is missing."""
+    """The geometric mean; None if a value is missing."""
     return None if None in values or not values else math.exp(sum(map(math.log, values)) / len(values))
 
 
@@ -119,7 +119,7 @@ def of_machine(bars, folder):
 
 
 def latency(study, caches):
-    """Seconds of a plan's prediction with 11² rays."""
+    """Microseconds of a plan's prediction with 11² rays; None if the study did not measure it."""
     latencies = (study.found or {}).get("latencies", ())
     return next((1e6 * l[2][caches] for l in latencies if l[:2] == ["unshaded", "costs (11² rays)"]), None)
 
@@ -139,7 +139,7 @@ def main():
     parser.add_argument("--wall", default=ROOT / "out/study-wall")
     parser.add_argument("--frames", default=ROOT / "out/frames")
     parser.add_argument("--machine", default=ROOT / "out/bars-machine")
-    parser.add_argument("--before", default="", metavar="REVISION", help="count lines from here on")
+    parser.add_argument("--before", default="", metavar="REVISION", help="count lines that were removed since then")
     options = parser.parse_args()
     with Bars(asked(), at_least=("lines-taken-out",)) as bars:
         by_clock = {"cpu": Study(options.study), "wall": Study(options.wall)}

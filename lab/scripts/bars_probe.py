@@ -5,8 +5,8 @@ each; exit status 1 when any is short.
 usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT] [--no-build]
 
 Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with the
-calls of today's example), and asks both in turns, in random order, N rounds long. A scene's time is the smallest of all
-rounds, a figure the mean over its scenes. Ratios are today's over the commit before.
+calls of the present example), and asks both in turns, in random order, for N rounds. The time of a scene is the smallest
+of all rounds, a figure the mean over its scenes. Ratios are those of the working tree over REVISION.
 """
 import argparse
 import json
@@ -18,7 +18,7 @@ from bar_lines import Bars
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 EXAMPLE = "steer/examples/probe_server"
-# The part of the example that older versions can build needs a main function.
+# The main function with which an older revision can build the calls of the example.
 MAIN_BEFORE = """//! The calls of a later version.
 
 mod calls;
@@ -56,7 +56,7 @@ SPEED = {"u8": 2.5, "u16": 3.0, "f32": 3.0}
 
 
 def asked_for():
-    """Every bar's limit, and the names of what it is taken from: ours first."""
+    """By bar: limit, and the names of the measurements that it is computed from, the working tree's first."""
     out = {}
     for mode in MODES:
         warm, cold, fine = (f"plan/{what}/{mode}" for what in ("11/warm", "11/cold", "24/cold"))
@@ -89,7 +89,7 @@ def build(where, target):
 
 
 def prepare(revision, work):
-    """A worktree of the revision with today's calls."""
+    """A worktree of the revision with the present calls."""
     tree = work / "before"
     commit = subprocess.run(["git", "rev-parse", f"{revision}^{{commit}}"], cwd=ROOT, check=True, capture_output=True,
                             text=True).stdout.strip()
@@ -179,7 +179,7 @@ def measure(options, targets, asked, today_only, bars):
         if name.endswith("_us"):
             bars.found(name, mean["today", needs[0]] * 1e6)
         elif name.endswith("_gb_per_s"):
-            # Or 0.7 of the rate of reading the bytes once, if that is less.
+            # The limit is 0.7 of the rate of reading the bytes once, if that is less.
             own, read = (BYTES / mean["today", n] * 1e-9 for n in needs)
             bars.found(name, own, limit=min(bars.asked[name], 0.7 * read))
         elif name.endswith("_two_threads"):

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Errors and latency of today's scene features against an earlier revision: the selected
-recipe of each, on the same training frames and times. Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short.
+"""Errors and latency with the present scene features against an earlier revision: the selected recipe of each, on the same
+training frames and times. Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short.
 
     bars_probe_study.py --before REVISION --data FOLDER [--work target/bars-probe] [--sets unshaded,local,scatter] [--no-build]
 
 Both versions compute features of the training tables with their own code from the volumes in FOLDER (which holds
-ensembles/), make their selected predictor once for each ensemble member that is left out, and judge it on that member:
-nothing is tested on other frames. Latencies are those that each version's study takes, asked in turns.
+ensembles/), and cross-validate their selected predictor by ensemble member; nothing is tested on other frames. Latencies
+are those that the study of each version measures, the two in turns.
 """
 import argparse
 import json
@@ -21,7 +21,7 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = {"unshaded": "none-train", "local": "local-train", "scatter": "scatter-train"}
-# Error over that of the earlier revision, and latency over it.
+# Limits of error and latency over those of the earlier revision.
 ERROR_LIMIT = 0.75
 LATENCY_LIMIT = 0.5
 FRAMES_PER_TRANSFER = 30.0

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Holds a frame time by wall time, on a quiet machine and beside another program, and prints every bar.
+"""Measures how well a frame time is held by the wall clock, alone and beside another program, and prints every bar.
 
 Each volume is explored by `entire demo` (medians of five runs count), once on a quiet machine and once
-while a neighbor takes a core in bursts of 50 to 500 ms, a fifth of the time. Rivals are the demo's other controllers. Runs
-that are there stay, so that an interrupted command goes on where it was.
+while a neighbor takes a core in bursts of 50 to 500 ms, a fifth of the time. Rivals are the demo's other controllers.
+Finished runs are not repeated, so that an interrupted command continues.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from bar_lines import Bars
 from bars_machine import neighbors
 
 ROOT = Path(__file__).resolve().parents[2]
-# Volumes that no model was trained on. Scans are in the folder of --data.
+# Volumes on which no model was trained. Scans are in the folder of --data.
 VOLUMES = {
     "nyx": "data/nyx_cosmology/m04/t0010.nrrd",
     "castro": "data/castro_blast/m04/t0012.nrrd",
@@ -30,7 +30,7 @@ OURS, OLP = "hybrid", "olp"
 RIVALS = ("olp", "pid", "algorithm1")
 SWITCH_FRAMES = 3
 LATE = 0.1
-# Name, figure, and the limits of ours over the best rival: quiet, beside another program.
+# Figure, and limits of ours over that of the best rival: on a quiet machine, beside another program.
 SHARES = (("late", 0.5, 0.6), ("mean-error", 0.8, 0.9), ("error-at-switches", 0.4, 0.6))
 PSNR_BELOW = {"quiet": 0.3, "neighbor": 0.5}
 PSNR_BELOW_QUIET = 2.0
@@ -139,7 +139,8 @@ def measure(machine, bars):
                 best = min(mean(load, rival, key) for rival in RIVALS)
                 bars.found(f"wall/{load}/{key}-of-best-rival", mean(load, OURS, key) / max(best, 1e-9))
             often = 2 * mean(load, OURS, "late")
-            # Rivals with less than twice our share of late frames; OLP if there are none, and beside another program.
+            # Compared with rivals that have less than twice our share of late frames; with OLP if there are none, and
+            # beside another program.
             rivals = [r for r in RIVALS if load == "quiet" and mean(load, r, "late") < often] or [OLP]
             below = max(mean(load, r, "psnr") for r in rivals) - mean(load, OURS, "psnr")
             bars.found(f"wall/{load}/psnr-below-rival", below)

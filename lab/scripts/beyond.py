@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Errors of a learned factor beyond the range of its training frames, on training frames alone.
+"""Errors of a learned factor beyond the range of its training frames, measured on training frames only.
 
     beyond.py [--mode none|local|scatter] [--data data/timings]
 
-For each input of the shipped model's factor, and each of its ends, the 15 % of training frames that lie beyond are left out,
-unit costs and factor are fitted to the rest, and the frames beyond are judged: by the estimate alone, by the factor as it goes
-on, and by the factor with its inputs held within what it has seen. Needs Python 3.9, NumPy and PyTorch.
+For each input of the shipped model's factor and for both ends of its range, the outermost 15 % of the training frames are
+left out, and unit costs and factor are fitted to the others. The frames left out are then predicted by the unit costs
+alone (estimate), by the extrapolating factor (free), and by the factor with its inputs clamped to the range that it was
+trained on (held). Needs Python 3.9, NumPy and PyTorch.
 """
 import argparse
 import csv
@@ -27,7 +28,7 @@ ROUNDS = 12
 
 
 def floors():
-    """Constant that the log variant of every quantity adds, from the core's schema."""
+    """Constant that the logarithm of every quantity adds, from the schema of scene features."""
     text = (ROOT / "steer/src/features/schema.rs").read_text()
     return {name: float(floor.replace("_", "")) for name, floor in re.findall(r'"(\w+)", "[^"]*", ([0-9.e_-]+),', text)}
 
@@ -55,7 +56,7 @@ def read(table, side):
 
 
 def fit_costs(work, seconds, prior):
-    """Unit costs with a weak prior; errors of ln(seconds), outliers down-weighted."""
+    """Fits unit costs with a weak prior to ln(seconds); outliers are down-weighted."""
     paid = prior > 0
     work, log = work[:, paid], np.log(prior[paid])
     first = log.copy()
@@ -73,7 +74,7 @@ def fit_costs(work, seconds, prior):
 
 
 def train(inputs, logs):
-    """A factor of two hidden layers; a function of inputs and of the flag that clamps them."""
+    """Trains a factor with two hidden layers. Returns a function of the inputs and of a flag that clamps them."""
     torch.manual_seed(1)
     generator = torch.Generator().manual_seed(1)
     mean, sd = inputs.mean(0), inputs.std(0) + 1e-9

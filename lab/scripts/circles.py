@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Lists circles of files in the crates: sets of files of which each uses the next by a path that begins with `crate` or
-`super`. Tests and the files that open a crate or a folder (lib.rs, main.rs, mod.rs) are left out.
+"""Lists cycles of dependencies between files of a crate (circles): sets of files that use each other, directly or through
+others, by paths that begin with `crate` or `super`. Tests and lib.rs, main.rs and mod.rs are left out.
 
     circles.py              prints a line for each circle
 """
@@ -16,7 +16,7 @@ NAME = re.compile(r"\s*([a-z_0-9]+)\s*(::)?")
 
 
 def file_of(source, parts):
-    """The file of the longest beginning of a module path that has one."""
+    """The file of the longest beginning of a module path that has a file; None if there is none."""
     for n in range(len(parts), 0, -1):
         place = source.joinpath(*parts[:n])
         for found in (place.with_suffix(".rs"), place / "mod.rs"):
@@ -26,7 +26,7 @@ def file_of(source, parts):
 
 
 def branches(text, at, before=()):
-    """Module paths that begin at a place of the text, those of a group in braces one by one, and the place behind."""
+    """Module paths that begin at a place of the text (several for a group in braces), and the place behind them."""
     while text[at:at + 1].isspace():
         at += 1
     if text[at:at + 1] == "{":

@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# The paper's network, distilled: `entire collect --teacher` predicts many random frames of the training volumes with the
-# selected predictor, and PredNet learns from those. Makes out/distill/SET-distilled.safetensors for every SET named
-# (unshaded, local, scatter; all unless given) and puts it into models/, where the accuracy study finds it.
+# Distills the selected predictors into the paper's network: `entire collect --teacher` predicts many random frames of the
+# training volumes with a selected predictor, and PredNet is trained on these predictions. Makes
+# out/distill/SET-distilled.safetensors for every SET named (unshaded, local, scatter; all unless given) and puts it into
+# models/, where the accuracy study finds it.
 #   DATA     the folder that holds ensembles/ (the volumes that data/timings/*-train.csv.gz name)
 #   FRAMES   frames per volume; 10000 take 130 MB and some minutes per set
-#   EPOCHS   passes over them; 18 to 30 by set unless given, 6 from START
-#   START    a folder with SET-distilled.safetensors to go on from, for teachers that changed a little: models, for example;
-#            fewer frames and passes do then
-#   ONLY     collect: the labels alone, out/distill/SET.csv
+#   EPOCHS   epochs of training; 18 to 30 by set unless given, 6 from START
+#   START    a folder with SET-distilled.safetensors to start from if the teachers changed little (models, for example);
+#            fewer frames and epochs suffice then
+#   ONLY     the value collect makes only the labels, out/distill/SET.csv
 #   MODELS   where the models go, models/ unless given
 set -euo pipefail
 cd "$(dirname "$0")/../.."

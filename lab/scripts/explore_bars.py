@@ -2,8 +2,8 @@
 
     python3 lab/scripts/explore_bars.py ENTIRE [--out DIR] [--only NAME,…]
 
-ENTIRE is the command, built with the feature `explore`. Everything runs under Xvfb, with whatever Vulkan driver there is.
-The frame logs stay in DIR. A bar that cannot be measured is `-` and short.
+ENTIRE is the command, built with the feature `explore`. Everything runs under Xvfb, with the Vulkan driver of the
+machine. The frame logs stay in DIR. A bar that cannot be measured is `-` and short.
 """
 
 import argparse
@@ -67,8 +67,8 @@ def steering(bars, command, display, folder):
 
 
 def interface(bars, command, display, folder):
-    """Processor time of layout, presentation and drawing of the interface. A software device draws on one thread here:
-    so its seconds are processor time, which they are not on a GPU."""
+    """Processor time of layout, presentation and drawing of the interface. A software device draws on one thread here, so
+    that its seconds are processor time; those of a GPU are not."""
     probed = subprocess.run([str(command), "probe", "--device", "vulkan", "--json"], capture_output=True, text=True, check=True)
     software = json.loads(probed.stdout)["limits"]["is_software"]
     single = SimpleNamespace(environment={**display.environment, "LP_NUM_THREADS": "1"})
@@ -79,7 +79,7 @@ def interface(bars, command, display, folder):
     layout, handing, shown = (1e3 * middle(part) for part in parts)
     print(f"     laying out {layout:.3f} ms, handing over {handing:.3f} ms of processor time; from recording what is drawn to "
           f"its end, handing over included, {shown:.1f} ms, " + ("of the processor too" if software else "of a GPU"))
-    # Recording, a part of the layout thread's work, is in both summands.
+    # The recording of commands, done by the layout thread, is in both summands.
     sums = [l + (max(h, s) if software else h) for l, h, s in zip(*parts)]
     bars.found("explore_interface_ms", 1e3 * middle(sums), "laying out, handing over, drawing")
 
@@ -170,7 +170,7 @@ def memory(bars, command, display, folder):
     log = tools.run_script(command, display, lines, folder, arguments, seconds=1500)
     used = numbers(log["frame"], "resident_bytes")
     assert len(used) == MANY_FRAMES and min(used) > 0, "the log lacks the memory in use"
-    # By then every preset was shown, and the graph is full.
+    # After a tenth of the frames every preset was shown, and the graph is full.
     tenth = MANY_FRAMES // 10
     early, late = max(used[tenth : 2 * tenth]), max(used[-tenth:])
     print(f"     {MANY_FRAMES} frames, {early / 2**20:.1f} MiB in use after the first tenth, {late / 2**20:.1f} at the end")

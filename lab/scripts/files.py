@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of files: volumes from real users, and kept results.
+"""The bars of files: volume files as users have them, and results that commands keep.
 
     files.py [--seconds 600] [--neighbors 2000] [--only NAME...]
 
@@ -40,7 +40,7 @@ SITUATIONS = {
         "lists_of_spreadsheets_are_read"],
     "bytes of a narrow range": ["bytes_of_a_narrow_range_are_said_and_can_be_spanned"],
 }
-# Kept results, and the tests that change their inputs (content, name, order, addition, deletion, settings).
+# Commands that keep results, and the tests that change the inputs of these (content, name, order, settings and so on).
 KEPT = {
     "farm": ["a_resumed_database_shows_what_its_files_are_now", "a_resumed_database_follows_the_settings",
              "data_files_of_headers_count_too", "programs_that_are_told_times_draw_them_anew",

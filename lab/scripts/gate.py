@@ -25,14 +25,14 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out/test"
-# Wall seconds on two processors, with only the downloaded crates.
+# Limits in wall seconds on two processors, when crates are downloaded and nothing is built.
 WALL_SECONDS = {"demo": 140, "test": 900, "change": 2100}
 COMMANDS = {"demo": ["make", "demo"], "test": ["make", "test"], "change": [".ci/run"], "nightly": [".ci/nightly"]}
 # The gates that list their skips.
 SKIPPING = ("change", "nightly")
 # A step counts as doubled if it takes twice the committed processor time, and this many seconds more.
 NOISE_SECONDS = 20
-# Tests under a new name.
+# Renamed tests: old name, new name.
 RENAMED = {
     "every_prediction_is_a_positive_number_of_seconds": "no_more_predictions_than_are_known_had_to_be_made_positive",
     "rules_can_fail": "every_scene_but_one_fails_for_a_rival",
@@ -122,7 +122,7 @@ def measure(gates):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--measure", nargs="*", choices=COMMANDS, metavar="GATE", help="run these in a clone first (demo test change)")
-    parser.add_argument("--before", default="5c08403", help="revision whose tests must all be there (default %(default)s)")
+    parser.add_argument("--before", default="5c08403", help="revision whose tests must all still exist (default %(default)s)")
     options = parser.parse_args()
     if options.measure is not None:
         measure(options.measure or ["demo", "test", "change"])
@@ -163,7 +163,7 @@ def judge(bars, before):
 
 
 def said(bars, name, lines):
-    """A bar whose value is the number of the lines that follow it."""
+    """Prints a bar whose value is the number of some lines, and these lines."""
     bars.found(name, len(lines))
     for line in lines:
         print(f"  {line}")

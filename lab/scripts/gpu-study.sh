@@ -28,7 +28,7 @@ out=${OUT:-$here/results}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
 cd "$here"
-# A loader and a manifest of the driver if the system has none.
+# Uses the loader of this folder, and writes a manifest of the driver, if the system has none.
 if [[ -e lib/libvulkan.so.1 ]] && ! ldconfig -p 2>/dev/null | awk '/libvulkan\.so\.1 / { found = 1 } END { exit !found }'; then
     export LD_LIBRARY_PATH="$here/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
 fi

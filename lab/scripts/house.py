@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of the house: promises of README, book and source to a reader, checked.
+"""The bars of the house: checks of the promises that README, book and source make to a reader.
 
     house.py [--quick] [--bin-dir target/release]     prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
     house.py --measure-build OLD NEW                  also builds `entire` at two revisions and compares their processor seconds
@@ -29,17 +29,17 @@ FILE_LINES = 700
 FRONT_CRATES = ("core", "steer")
 PUBLIC_ITEMS = 130
 RUST_LINES = 85_000
-# Of `core` alone, without tests: lines, and crates that it brings, itself included.
+# Limits for `core` alone: lines without tests, and crates that it needs, itself included.
 INFERENCE_LINES = 10_000
 INFERENCE_CRATES = 12
-# Circles of files, and files of one.
+# Limits of cyclic dependencies between files (see circles.py): number of cycles, and files of the largest.
 CIRCLES = 3
 CIRCLE_FILES = 3
 # Crates that only studies use.
 STUDY_CRATES = ("forust-ml", "image-compare")
 SOURCE_ROOMS = ("core", "steer", "io", "report", "train", "farm", "ffi", "cli", "vk-raycaster", "explore", "plugins", "lab")
 SOURCES = (".rs", ".c", ".cxx", ".cpp", ".h", ".hpp", ".py", ".sh", ".wgsl")
-# Languages of the code blocks that somebody who embeds the library looks for.
+# Languages of the code blocks for a reader who embeds the library.
 EMBEDDING = ("c", "cpp", "python", "rust")
 # Folders whose paths are checked where a page names them in backquotes.
 ROOMS = SOURCE_ROOMS + ("include", "tests", "fuzz", "examples", "docs", "models", "data", "make", "scripts")
@@ -300,7 +300,7 @@ def file_lengths():
 
 
 def dependency_tree(package, edges, *options):
-    """Names of the crates that a package brings by such edges, itself included."""
+    """Names of the crates that a package needs by these kinds of dependencies, itself included."""
     done = run("cargo", "tree", "--package", package, "--edges", edges, "--prefix", "none", *options)
     if done.returncode != 0:
         raise SystemExit(f"house: cargo tree: {done.stderr.strip()}")
@@ -355,7 +355,7 @@ def main():
     options = parser.parse_args()
     bars = Bars()
 
-    # The changelog mentions removed names, and scratch folders are not ours.
+    # The changelog mentions names that are removed.
     pages = [Page(path) for path in tracked("*.md") if path != "CHANGELOG.md"]
     readme = next(page for page in pages if page.path == "README.md")
     front = [page for page in pages if page.path == "README.md" or page.path.startswith("docs/src/")]

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Runs a command that prints bars. Where it ends before any, as one that skips what it lacks, SCRIPT prints them as short.
+# Runs a command that prints bars. If it ends without printing any, for example because it skips, SCRIPT prints the bars
+# as short.
 #
 #   lab/scripts/or_short.sh SCRIPT... -- COMMAND...
 #
@@ -19,7 +20,7 @@ status=0
 if ! grep -q '^bar ' "$log"; then
     why=$(sed -n 's/^.*skipped: //p' "$log" | tail -n 1)
     why=${why:-$(grep -v '^$' "$log" | tail -n 1 || true)}
-    "${script[@]}" --lacking "${why:-$1 said nothing}" || true
+    "${script[@]}" --lacking "${why:-$1 printed nothing}" || true
     status=1
 fi
 exit "$status"

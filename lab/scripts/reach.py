@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The versions of VTK and ParaView that the adapters are tested with: results, bars, and the table in the book.
 
-    reach.py record ...      what scripts/matrix.sh has run, into a file of results
-    reach.py bars            `bar NAME VALUE LIMIT ok|short` of the last run here, or of the kept results where nothing was run;
-                             exit status 1 when one is short
-    reach.py keep            the last run's results become the kept ones; the tables in the documents follow
-    reach.py check           prints which documents do not say what the kept results say
+    reach.py record ...      writes the results of scripts/matrix.sh into a file
+    reach.py bars            prints `bar NAME VALUE LIMIT ok|short` for the last run here, or for the kept results if there was
+                             none; exit status 1 when one is short
+    reach.py keep            keeps the results of the last run, and updates the tables in the documents
+    reach.py check           prints the documents that differ from the kept results
 
-Results have a row for each suite of tests on each system: the tests that passed of those that there are, the names of tests that
-this version has skipped for want of what they test, lines with a warning of the compiler, and wall seconds. Needs Python 3.9
-and nothing else.
+Results have a row for each suite of tests on each system: the number of passed tests and of all tests, the names of tests
+that were skipped because this version lacks what they test, the number of compiler warnings, and wall seconds. Needs
+Python 3.9 and nothing else.
 """
 import argparse
 import csv
@@ -25,13 +25,14 @@ ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / ".ci/matrix.csv"
 LAST = ROOT / "out/matrix/results.csv"
 FIELDS = ("system", "program", "version", "suite", "passed", "tests", "skipped", "warnings", "wall_s")
-# Places in which the plugin is checked, in check.sh's order.
+# Programs in which the plugin is checked, in the order of check.sh.
 SUITES = ("pvbatch", "pvpython", "two-ranks", "pvserver", "gui")
 
 VERSIONS = {"VTK": ("9.1", "9.3", "9.6"), "ParaView": ("5.11", "5.13", "6.1")}
 WARNINGS = 0
 MINUTES_FROM_NOTHING, MINUTES_KEPT = 40, 12
-# Frames over 1.25 times the target while presets of Slicer are switched, and how many times as many Slicer's own rule has.
+# Limits while presets of Slicer are switched: percentage of frames over 1.25 times the target, and the percentage by
+# Slicer's own rule over ours.
 SLICER = ROOT / "out/python/slicer.csv"
 SLICER_OVER, SLICER_RATIO = 2, 2
 
@@ -79,7 +80,7 @@ def ctest(path):
 
 
 def record(options):
-    """Rows of the suites at hand; those of other systems stay. Returns whether all of them ran and passed."""
+    """Writes the rows of the suites that ran here; rows of other systems stay. Returns True if all ran and passed."""
     whole = True
     seconds = {tuple(s.split(",")[:2]): s.split(",")[3] for s in options.suites}
     places = [place.split("=") for place in options.places]
@@ -137,7 +138,7 @@ def slicer_bars(out):
         return
     over = {row["rule"]: float(row["over_percent"]) for row in read(SLICER)}
     out.found("slicer-frames-over-percent", over["entire"], f"Slicer's own rule: {over['slicer']:g} %")
-    # None of ours is better than any number of times.
+    # If none of our frames is over, the ratio is infinite.
     ratio = over["slicer"] / over["entire"] if over["entire"] else float("inf") if over["slicer"] else 0
     out.found("slicer-own-rule-over-ours", ratio)
 
@@ -157,18 +158,18 @@ def bars(options):
             if not mine:
                 out.lacking(f"no {program} {version} was tested: make test-matrix", [name])
                 continue
-            # The list is the longest that any version ran.
+            # The number of tests of a suite is the largest that any version has.
             suites = {r["suite"]: max(int(s["tests"]) for s in rows if s["suite"] == r["suite"] and s["tests"]) for r in mine}
             skipped = sum(len(r["skipped"].split()) for r in mine)
             note = f"{mine[0]['system']}: {program} {mine[0]['version']}" + (f", {skipped} skipped" if skipped else "")
             out.found(name, sum(int(r["passed"]) for r in mine), note, limit=sum(suites.values()) - skipped)
         if any(r["program"] in VERSIONS for r in rows):
-            # Of one build there are several rows.
+            # Several rows belong to one build.
             builds = {(r["system"], r["program"]): int(r["warnings"]) for r in rows if r["program"] in VERSIONS}
             out.found("compiler-warnings", sum(builds.values()))
             skips = [set(r["skipped"].split()) for r in rows if r["program"] == "VTK"]
             out.found("tests-that-no-vtk-ran", len(set.intersection(*skips)))
-        # One suite runs after the other; both programs' rows of a system have the seconds of all of their suites.
+        # Suites run one after the other. Every row of a program on a system has the seconds of all of its suites.
         seconds = {(r["system"], r["program"]): int(r["wall_s"] or 0) for r in rows}
         tested = sum(s for (_, program), s in seconds.items() if program in VERSIONS)
         if all(of_version(rows, program, version) for program, version in names.values()):
@@ -227,7 +228,7 @@ def documents(rows):
 
 
 def stale():
-    """Documents that say another thing than the kept results, as lines."""
+    """Lines that name the documents that differ from the kept results."""
     rows = read(KEPT)
     return [f"{path.relative_to(ROOT)} names other versions than {KEPT.relative_to(ROOT)}: make versions"
             for path, text, must in documents(rows) if text != must]  # fmt: skip

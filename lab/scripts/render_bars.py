@@ -4,13 +4,13 @@ voxel) and image, each with its own early termination and space leaping. Interle
 
 usage: render_bars.py --server FRAME_SERVER [--out FOLDER] [--scans FOLDER] [--rounds N] [--size PIXELS] [--bars]
 
-Prints a line per contestant and scene, how well the pictures agree, what a change of the transfer function costs, and
-with --bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when any is short, as it is where VTK or a scan is
-missing). The pictures go to FOLDER as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and python3 that can import vtkmodules); it needs an X
-server, which xvfb-run brings.
+Prints a line per contestant and scene, how well the pictures agree, the time of a change of the transfer function, and with
+--bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when a bar is short, as it is without VTK or a scan).
+The pictures go to FOLDER as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and python3 that can
+import vtkmodules); it needs an X server, which xvfb-run provides.
 
-A frame's cost is the CPU time that the contestant's process spends on it, all threads. Ours holds everything, reading
-the picture back included; VTK's holds what its window costs without a volume, which is less than a millisecond.
+A frame's cost is the CPU time that the contestant's process spends on it, all threads. Ours includes reading the picture
+back; VTK's includes the cost of its window, which is less than a millisecond without a volume.
 """
 import argparse
 import gzip
@@ -32,7 +32,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 MODES = ["none", "blocks", "distance"]
 PEERS = {"fixed": "vtkFixedPointVolumeRayCastMapper", "gpu": "vtkGPUVolumeRayCastMapper"}
 PACKAGES = "apt-get install python3-vtk9 python3-numpy xvfb, or point VTK_PYTHON at a Python that has them"
-# name, volume, transfer function, limit against the fixed-point mapper, against the GPU mapper
+# Name, volume, transfer function, limits of the ratio to the fixed-point mapper and to the GPU mapper.
 SCENES = [
     ("transparent", "noise", "transparent", 0.8, 0.6),
     ("medium", "noise", "medium", 0.8, 0.6),
@@ -190,7 +190,7 @@ def measure(options):
         shape = " ".join(map(str, [path, *dims, *spacing]))
         ours.ask(f"volume {shape}")
         table = out / f"{transfer}.table"
-        # Time of an edit, several times: the first of a volume also makes room on the device.
+        # The time of an edit is measured several times: the first edit of a volume also allocates memory on the device.
         edits = [ours.ask(f"transfer {transfer} {table}") for _ in range(5)]
         edit = {k: statistics.median(e[k] for e in edits) for k in ("wall", "occupancy", "distance_map")}
         camera = ours.ask(f"camera {CAMERA} {options.size} {options.size}")
@@ -208,7 +208,7 @@ def measure(options):
             shuffler.shuffle(order)
             for key in order:
                 process, line = contestants[key]
-                # The first frame of a renderer after another's is not counted: its caches are cold.
+                # The first frame after one of another renderer is not counted: caches are cold.
                 process.ask(line)
                 answer = process.ask(line)
                 if turn >= 2:
@@ -268,14 +268,14 @@ def say(bars, results, lacking):
     """Prints the bars: `results` has the times of a scene under its name."""
     for scene in [key for key in results if "/" not in key]:
         times = results[scene]
-        # One mode for all scenes.
+        # Skipping by distance map counts in all scenes.
         own, blocks = (times[f"ours/{mode}"]["cpu"] for mode in ("distance", "blocks"))
         for peer in PEERS:
             if f"vtk/{peer}" in times:
                 theirs = times[f"vtk/{peer}"]["cpu"]
                 note = f"{1e3 * own:.1f} ms CPU, skipping distance; {1e3 * theirs:.1f} ms CPU"
                 bars.found(ratio_name(scene, peer), own / theirs, note)
-                # A renderer with another picture is not compared: mean difference of a channel, of 255.
+                # Times are compared only for like pictures: mean difference of a channel, on a scale of 0 to 255.
                 name = f"render_{scene}_picture_difference_{peer}"
                 bars.found(name, results[f"{scene}/difference/{peer}"], "levels of 255, mean")
         if f"render_{scene}_distance_vs_blocks" in bars.asked:

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Timing tables of data/timings collected anew on this machine, as their manifests say (`entire collect --like`), with their
-# scene features. The first rendering of every frame is thrown away, but for low-resolution proxies: LVRP renders those once.
-# Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. Interrupted, it goes on with
-# the same command. Nothing else should run meanwhile.
+# Collects timing tables of data/timings anew on this machine, as their manifests say (`entire collect --like`), with scene
+# features. The first rendering of every frame is discarded, except in tables of the low-resolution proxy: LVRP renders a
+# frame once. Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. If it is
+# interrupted, the same command continues. Nothing else should run meanwhile.
 #   DATA     the folder that holds ensembles/ and scans/
 #   OUT      where the tables go, out/tables unless given
 set -euo pipefail

@@ -4,8 +4,8 @@ usage: vtk_peer.py fixed|gpu
 
 One mapper per process: in a window that both share, the GPU mapper takes more than three times as long.
 
-    volume FILE NX NY NZ SX SY SZ     raw bytes; voxel centers half a spacing inside the box at the origin
-    table FILE                        256 RGBA as f32, for the values 0 to 255, opacities per voxel of the smallest spacing
+    volume FILE NX NY NZ SX SY SZ     raw bytes; the box begins at the origin, half a spacing before the first voxel center
+    table FILE                        256 RGBA as f32, for the values 0 to 255; opacities are per smallest spacing
     camera EX EY EZ FX FY FZ UX UY UZ FOV WIDTH HEIGHT
     frame                             renders; seconds by wall clock and of this process's threads
     image FILE                        renders and writes RGB bytes, rows from the top

@@ -1,9 +1,9 @@
-//! Bars: measured value beside its limit, one line each.
+//! Bars: goals, each with a measured value and its limit, printed one to a line.
 
 use anyhow::{Result, ensure};
 use entire_report::{Column, Table};
 
-/// A bar.
+/// A goal with its measured value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
     /// Name of the bar, without blanks.
@@ -19,17 +19,17 @@ pub struct Bar {
 }
 
 impl Bar {
-    /// Met if the value is no more than the limit.
+    /// A bar that is met if the value is no more than the limit.
     pub fn at_most(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v <= limit), note: String::new() }
     }
 
-    /// Met if the value is no less than the limit.
+    /// A bar that is met if the value is no less than the limit.
     pub fn at_least(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit), note: String::new() }
     }
 
-    /// The same with something behind it in brackets.
+    /// The same bar with a note, which is printed in brackets behind it.
     pub fn with_note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
@@ -40,7 +40,7 @@ impl Bar {
 }
 
 impl std::fmt::Display for Bar {
-    /// `bar NAME VALUE LIMIT ok|short`, the value `-` where nothing was found; then the note, where there is one.
+    /// `bar NAME VALUE LIMIT ok|short`, then the note in brackets. The value is `-` if it was not measured.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
         let verdict = if self.ok { "ok" } else { "short" };
@@ -52,9 +52,9 @@ impl std::fmt::Display for Bar {
 pub fn table(bars: &[Bar]) -> Table {
     let mut table = Table::new(vec![
         Column::text("bar"),
-        Column::number("found"),
-        Column::number("asked for"),
-        Column::text("holds"),
+        Column::number("value"),
+        Column::number("limit"),
+        Column::text("met"),
     ]);
     for b in bars {
         table.row(vec![
@@ -70,7 +70,7 @@ pub fn table(bars: &[Bar]) -> Table {
 /// Prints bars, one line each.
 ///
 /// # Errors
-/// Names those that are short.
+/// When a bar is short; the error names all of these.
 pub fn print(bars: &[Bar]) -> Result<()> {
     bars.iter().for_each(|b| println!("{b}"));
     let short: Vec<&str> = bars.iter().filter(|b| !b.ok).map(|b| b.name.as_str()).collect();

@@ -8,8 +8,7 @@ use indicatif::ProgressBar;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-/// Samples of timing tables, the frames of one scene next to each other under one number; probes have `side`²
-/// rays.
+/// Samples of timing tables; all frames of a scene have the same scene number. Probes have `side`² rays.
 ///
 /// # Errors
 /// When a table or a volume cannot be read.

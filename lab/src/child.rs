@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 /// Interval between checks of a running process.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// End of a process.
+/// Result of waiting for a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended {
     /// Exit status.
@@ -32,8 +32,8 @@ pub fn wait(child: &mut Child, over: impl Fn() -> bool, signal: Signal, grace: D
         }
         match asked {
             None if over() => {
-                // The process was not waited for, so its number is still its own; a process that does not
-                // react is killed.
+                // The process was not waited for, so no other process can have its id. An error is ignored,
+                // since a process that does not end is killed below.
                 let _ = kill(Pid::from_raw(child.id().cast_signed()), signal);
                 asked = Some(Instant::now());
             }
@@ -54,7 +54,7 @@ mod tests {
     use std::os::unix::process::ExitStatusExt;
     use std::process::Command;
 
-    /// A shell that runs `on_term` at SIGTERM and continues; its time is over once it is ready.
+    /// A shell that runs `on_term` at SIGTERM and continues; it is asked to end once its trap is set.
     fn told_to_end(on_term: &str, grace: Duration) -> (Ended, Duration) {
         let dir = tempfile::tempdir().unwrap();
         let ready = dir.path().join("ready");

@@ -14,10 +14,10 @@ use entire_train::gradient::{Network, Samples, Settings, train};
 use serde::Serialize;
 use std::ops::ControlFlow;
 
-/// Hidden widths of the small network.
+/// Widths of the small network's hidden layers.
 pub const HIDDEN: [usize; 2] = [24, 24];
 
-/// Every this many scenes, one is held out for testing.
+/// One of this many scenes is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
 
 /// True for a held-out sample.
@@ -145,12 +145,12 @@ impl Calibrated {
         }
     }
 
-    /// The chosen one.
+    /// The chosen candidate.
     pub fn chosen(&self) -> &Candidate {
         self.candidates.iter().find(|c| c.chosen).unwrap_or(&self.candidates[0])
     }
 
-    /// Prior of a controller that uses it.
+    /// Prior of a controller that uses the chosen predictor.
     pub fn prior(&self) -> Prior {
         Prior::Fitted { log_sd: self.chosen().held_out.log_sd as f32 }
     }

@@ -1,5 +1,5 @@
-//! Latency of a prediction between frames: from camera and transfer function to seconds, with the processor's
-//! caches filled by something else.
+//! Latency of a prediction between frames: from camera and transfer function to seconds, with other data in the
+//! processor's caches.
 
 use anyhow::Result;
 use entire_core::model::Model;
@@ -13,7 +13,7 @@ use entire_steer::predict::{GroupKind, Inputs, load};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// Bytes that are read before each cold call: more than the first two cache levels hold.
+/// Bytes that are read and written before each cold call: more than the first two cache levels hold.
 const EVICTED_BYTES: usize = 16 << 20;
 
 /// Number of predicted frames.
@@ -49,7 +49,7 @@ impl Latency {
         self.cold + self.transfer / FRAMES_PER_TRANSFER
     }
 
-    /// The shorter of each.
+    /// The smaller value of each figure.
     fn min(self, other: Self) -> Self {
         Self {
             cold: self.cold.min(other.cold),
@@ -59,7 +59,7 @@ impl Latency {
     }
 }
 
-/// A frame, and the one before it.
+/// A frame, the frame before it, and the transfer function of both.
 #[derive(Debug)]
 struct Shot {
     frame: Frame,
@@ -68,7 +68,7 @@ struct Shot {
     lobes: Vec<GaussianLobe>,
 }
 
-/// Frames of one volume for measuring latencies.
+/// Measures latencies on frames of one volume.
 #[derive(Debug)]
 pub struct Bench {
     summary: VolumeSummary,
@@ -77,7 +77,7 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Random frames of a volume, as `entire collect` draws them.
+    /// Draws random frames of a volume, as `entire collect` does.
     ///
     /// # Errors
     /// When the volume cannot be summarized.
@@ -125,7 +125,7 @@ impl Bench {
     /// of volume features.
     ///
     /// # Errors
-    /// Latency of `predict`.
+    /// When `predict` fails or a frame's features cannot be computed.
     pub fn latency_of(
         &mut self,
         probe_side: Option<usize>,

@@ -1,4 +1,4 @@
-//! Shipping of a study's models: model files with cards, evaluated in their shipped form.
+//! Ships the models of a study: writes model files with their cards. The models are evaluated with the weights as stored.
 
 use crate::study::{Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, Set, Ship, Study, clock, shipped};
 use anyhow::{Context, Result};
@@ -78,7 +78,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
     Ok(out)
 }
 
-/// Stores the network's weights in another format.
+/// Changes the storage format of the network's weights.
 fn store_as(file: &mut ModelFile, dtype: DtypeChoice) -> Result<()> {
     let model = file.to_model()?;
     let mut parts = model.prednet().context("the model file holds no PredNet")?.clone();

@@ -1,9 +1,9 @@
 //! Traces: time and picture quality of every frame of a path at a grid of ray steps and image scales.
 //!
-//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds. A
-//! controller's step is answered by the frame's own curve over the step at full size, a decision on image
-//! resolution by its curve over image scales at the reference step, both times the noise that was measured at
-//! that very frame. An oracle knows the curve over the step without the noise.
+//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds. The seconds of a
+//! step are interpolated on the frame's curve over the step at full image size, those of an image resolution on its
+//! curve over image scales at the reference step. Both are multiplied by noise that was measured at the same frame.
+//! An oracle knows the curve over the step, but not the noise.
 //!
 //! # File format
 //!
@@ -36,8 +36,8 @@ use std::time::{Duration, Instant};
 /// Default ray steps of the grid, reference steps: half octaves over the default limits.
 pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
 
-/// Smaller images of every frame at the reference step, as s for images with 1 / s of the pixels: the steps'
-/// half octaves, and on to image sample distance 10, the largest of VTK's fixed-point mapper.
+/// Smaller images of every frame at the reference step, as s for images with 1 / s of the pixels: half octaves as for
+/// the steps, and further to image sample distance 10, the largest of VTK's fixed-point mapper.
 pub const TRACE_IMAGES: [f32; 11] = [1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0, 32.0, 64.0, 100.0];
 
 /// Image scales of every fourth frame, at the steps of [`SCALED_STEPS`], for the quality law.
@@ -46,7 +46,7 @@ pub const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
 /// Steps at which the images of [`TRACE_SCALES`] are drawn.
 pub const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
 
-// Apart from the file's reader, which does not open volumes.
+// Not in `format`, which reads traces without opening volumes.
 impl TraceVolume {
     /// Opens the volume, enlarged as in the recording.
     ///
@@ -61,21 +61,21 @@ impl TraceVolume {
 /// Settings of a recording.
 #[derive(Clone, Debug)]
 pub struct Recording<'a> {
-    /// A name for reports.
+    /// Name in reports.
     pub name: String,
-    /// Volumes with their enlargement, in order.
+    /// Volumes in order, opened and enlarged.
     pub volumes: &'a [(TraceVolume, Volume)],
     /// The path.
     pub path: &'a PathFile,
     /// Frames per volume; 0 for a single volume.
     pub hold: u32,
-    /// Image scales, each from a frame on.
+    /// Image scales, each with the frame from which on it holds.
     pub scales: &'a [(u32, f32)],
     /// Settings of drawing.
     pub draw: DrawSettings,
     /// Ray steps of the grid at scale 1, ascending; smaller images are drawn only with [`TRACE_STEPS`].
     pub steps: &'a [f32],
-    /// Renderings of every point.
+    /// Number of renderings of every point of the grid.
     pub repeats: usize,
 }
 
@@ -102,7 +102,7 @@ impl Recording<'_> {
         }
     }
 
-    /// Ray steps and image scales of a frame.
+    /// Points of a frame's grid: ray step and image scale.
     fn grid(&self, index: usize) -> Vec<(f32, f32)> {
         let mut grid: Vec<(f32, f32)> = self.steps.iter().map(|s| (*s, 1.0)).collect();
         if self.steps != TRACE_STEPS {
@@ -120,7 +120,7 @@ impl Recording<'_> {
     }
 }
 
-/// True for the same volumes, by their files' content if both sides have it.
+/// True for the same volumes. The content of their files is compared if both sides have its identity.
 fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
     let same = |(a, b): (&TraceVolume, &TraceVolume)| {
         let unknown = a.files.is_empty() || b.files.is_empty();
@@ -130,7 +130,7 @@ fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
 }
 
 impl Trace {
-    /// Differences from a recording that prevent its continuation; empty where there are none.
+    /// Names of the differences from a recording that prevent its continuation; empty if there are none.
     pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
         let other = recording.begun();
         let points = |frame: &Vec<TracePoint>| frame.iter().map(|p| (p.step, p.scale)).collect::<Vec<_>>();
@@ -165,7 +165,7 @@ impl Trace {
         })
     }
 
-    /// Volume of a frame.
+    /// Index of the volume of a frame.
     pub fn volume_at(&self, frame: usize) -> usize {
         volume_at(self.hold, self.volumes.len(), frame)
     }
@@ -197,15 +197,16 @@ fn drawn_frame(path: &FlightPath, draw: &DrawSettings, scale: f32, index: usize)
     DrawSettings { width, height, ..*draw }.frame(camera)
 }
 
-/// Interval between savings of a recording.
+/// Time between two savings of a recording.
 const KEEP_EVERY: Duration = Duration::from_secs(5);
 
 /// Draws every frame of a path at every point of the grid, except those that `begun` holds.
 ///
-/// `keep` gets the trace every few seconds and at the end. The trace is incomplete if `stop` returned true.
+/// `keep` saves the trace; it is called every few seconds and at the end. The trace is incomplete if `stop` returned
+/// true.
 ///
 /// # Errors
-/// When the renderer fails; names the frame. Earlier frames have been saved.
+/// When the renderer fails: the error names the frame. Earlier frames are saved.
 pub fn record(
     recording: &Recording<'_>,
     renderer: &mut dyn Renderer,
@@ -270,7 +271,7 @@ fn record_on(
         let mut seconds = vec![Vec::with_capacity(recording.repeats); grid.len()];
         let mut looks = vec![(0.0, 0.0); grid.len()];
         let mut reference: Option<Image> = None;
-        // Repeats are whole rounds over the grid, so that a disturbance does not affect one point only.
+        // Each repeat is a round over the whole grid, so that a disturbance does not hit all repeats of one point.
         for round in 0..recording.repeats {
             for (k, &(step, scale)) in grid.iter().enumerate() {
                 let (width, height) = scaled_size(full, scale);
@@ -309,23 +310,23 @@ fn record_on(
 
 /// Time and picture quality of a frame as functions of the ray step or of image resolution, and its noise.
 ///
-/// Image resolution is s, for images with 1 / s of the pixels; statements about steps hold for s as well.
+/// Image resolution is stated as s, for images with 1 / s of the pixels; what is said about steps holds for s as well.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// ln(step), ln(seconds), psnr, ssim; seconds never rise with the step.
+    /// ln(step), ln(seconds), PSNR in decibels, structural similarity; seconds never rise with the step.
     points: Vec<[f64; 4]>,
-    /// ln(measured / curve) of every rendering.
+    /// Noise of every rendering: ln(measured seconds / seconds of the curve).
     residuals: Vec<f64>,
 }
 
 impl Curve {
-    /// From a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with
-    /// the step by pooling neighbors that do not.
+    /// The curve over the ray step, from a frame's points at scale 1. Seconds at a step are the median of its repeats;
+    /// neighbors whose seconds rise with the step are pooled.
     pub fn of(points: &[TracePoint]) -> Self {
         Self::over(points.iter().filter(|p| p.scale == 1.0).map(|p| (f64::from(p.step), p)).collect())
     }
 
-    /// Over image resolution, from a frame's points at the reference step; `None` without smaller images.
+    /// The curve over image resolution, from a frame's points at the reference step; `None` without smaller images.
     pub fn of_images(points: &[TracePoint]) -> Option<Self> {
         let mut images: Vec<(f64, &TracePoint)> = points
             .iter()
@@ -336,7 +337,7 @@ impl Curve {
         (images.len() >= 2 && images[0].0 == 1.0).then(|| Self::over(images))
     }
 
-    /// From points with their steps, ascending.
+    /// The curve over points with ascending steps.
     fn over(points: Vec<(f64, &TracePoint)>) -> Self {
         let logs: Vec<f64> =
             points.iter().map(|(_, p)| median(&mut p.seconds.clone()).unwrap_or(f64::NAN).ln()).collect();
@@ -384,7 +385,7 @@ impl Curve {
         self.at(step, 1).exp()
     }
 
-    /// Decibels.
+    /// PSNR, decibels.
     pub fn psnr(&self, step: f64) -> f64 {
         self.at(step, 2)
     }
@@ -399,8 +400,8 @@ impl Curve {
         self.residuals[(which % self.residuals.len() as u64) as usize]
     }
 
-    /// Choice of an oracle: the finest step within the limits whose seconds do not exceed the target; the
-    /// coarsest where none does.
+    /// Step of an oracle: the finest step within the limits whose seconds do not exceed the target; the coarsest step
+    /// if there is none.
     pub fn oracle(&self, target: f64, finest: f64, coarsest: f64) -> f64 {
         if self.seconds(finest) <= target {
             return finest;
@@ -416,7 +417,7 @@ impl Curve {
         high.exp()
     }
 
-    /// True if the target lies between the times of the limits' steps.
+    /// True if the target lies between the seconds at the finest and at the coarsest step.
     pub fn reaches(&self, target: f64, finest: f64, coarsest: f64) -> bool {
         (self.seconds(coarsest)..=self.seconds(finest)).contains(&target)
     }
@@ -472,7 +473,7 @@ mod tests {
             TracePoint { step: 2.0, ..image(0.7, 1.5) },
         ];
         let c = Curve::of_images(&frame).unwrap();
-        // A fourth and a hundredth of the pixels; s is interpolated between points like a step.
+        // The images have a fourth and a hundredth of the pixels; s is interpolated between points like a step.
         assert!((c.seconds(4.0) - 1.0).abs() < 1e-9 && (c.seconds(2.0) - 2.0).abs() < 1e-9);
         assert!((c.coarsest() - 100.0).abs() < 1e-4 && (c.seconds(400.0) - 0.2).abs() < 1e-9);
         assert!((c.ssim(4.0) - 0.5).abs() < 1e-9 && (c.ssim(1.0) - 1.0).abs() < 1e-9);

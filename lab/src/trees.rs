@@ -1,4 +1,4 @@
-//! Gradient-boosted trees of a library, as a reference in studies: no model file holds them and no renderer
+//! Gradient-boosted trees of the crate forust-ml, as a reference in studies. No model file holds them and no renderer
 //! uses them.
 
 use anyhow::{Result, anyhow, ensure};
@@ -15,13 +15,13 @@ use indicatif::ProgressBar;
 /// Maximum number of trees.
 const TREES: usize = 1500;
 
-/// Learning rate: the share of each tree that is added.
+/// Learning rate: the factor on the output of each tree.
 const LEARNING_RATE: f32 = 0.05;
 
-/// Trees without a better validation error after which growing stops.
+/// Number of trees without a better validation error after which growing stops.
 const PATIENCE: usize = 60;
 
-/// Trees on ln seconds or, for residual recipes, on the residual of an analytic model.
+/// Trees that predict ln(seconds) or, for residual recipes, the residual of an analytic model.
 pub struct Trees {
     layout: Layout,
     analytic: Option<Model>,
@@ -82,7 +82,7 @@ impl Trees {
         Ok(Self { layout, analytic, booster })
     }
 
-    /// Seconds of frames.
+    /// Predicted seconds of frames.
     ///
     /// # Errors
     /// When their inputs cannot be computed.
@@ -101,7 +101,7 @@ impl Trees {
         })
     }
 
-    /// Seconds of one frame.
+    /// Predicted seconds of one frame.
     ///
     /// # Errors
     /// When an input is missing.
@@ -116,7 +116,7 @@ impl Trees {
         })
     }
 
-    /// Rays along each side of the probe.
+    /// Number of rays along each side of the probe.
     pub fn probe_side(&self) -> usize {
         self.layout.probe_side()
     }
@@ -127,7 +127,7 @@ impl Trees {
     }
 }
 
-/// Rows rearranged column by column.
+/// The values of some rows, column by column.
 fn by_columns(rows: &[f32], width: usize) -> Vec<f64> {
     let count = rows.len() / width;
     let mut out = vec![0.0; rows.len()];

@@ -1,6 +1,6 @@
-//! `entire-lab gpu-study` as a process, on a Vulkan driver or else on the CPU version: pictures of all
-//! shading modes are compared, steps without time are skipped and named, finished steps are kept, and the
-//! same command continues.
+//! `entire-lab gpu-study` as a process, on a Vulkan driver or else on the CPU version of the raycaster: pictures of all
+//! shading modes are compared, steps for which no time is left are skipped and named, finished steps are kept, and
+//! the same command continues.
 
 use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
@@ -14,8 +14,8 @@ fn entire() -> Option<PathBuf> {
     path.is_file().then_some(path)
 }
 
-/// Renderer and clock, as options: the study's own, the Vulkan device by its time stamps, if there are both;
-/// wall time if the device has no time stamps, and the CPU version if there is no device.
+/// Options for renderer and clock: the Vulkan device with its time stamps, as the study does by default; with wall time
+/// if the device has no time stamps; and the CPU version if there is no device.
 fn setting() -> [&'static str; 4] {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => {
@@ -24,7 +24,7 @@ fn setting() -> [&'static str; 4] {
             ["--device", "vulkan", "--clock", if stamps { "device" } else { "wall" }]
         }
         Err(error) => {
-            println!("no Vulkan device, on the CPU twin: {error}");
+            println!("no Vulkan device, on the CPU version: {error}");
             ["--device", "cpu", "--clock", "wall"]
         }
     }
@@ -60,7 +60,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     let ended = |name: &str, text: &str| {
         assert!(matches!(state(name).as_deref(), Some("done" | "cut-short")), "{name}: {text}");
     };
-    // Far too little time: skipped steps are named, and the page exists.
+    // With far too little time, skipped steps are named, and there is a report.
     let (code, text) = study("1", &[]);
     assert_eq!(code, Some(1), "{text}");
     assert_eq!(state("pictures").as_deref(), Some("done"), "{text}");
@@ -77,8 +77,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     assert_eq!(modes, BTreeSet::from(["none", "local", "scatter"]));
     let drawn = || std::fs::metadata(out.join("pictures.json")).unwrap().modified().unwrap();
     let first = drawn();
-    // With enough time one mode is finished, and finished steps stay. Modes that are not selected stay
-    // unchanged.
+    // With enough time the selected mode is finished. The steps of other modes stay as they were.
     let (code, text) = study("600", &["--shade", "none"]);
     for step in ["calibrate-none", "frames-none", "evaluate-frames-none", "switches"] {
         ended(step, &text);
@@ -101,7 +100,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     Ok(())
 }
 
-// Ignored, rather than passed, if the command does not exist.
+// The test is ignored, not passed, if the command does not exist.
 fn main() {
     let arguments = Arguments::from_args();
     let missing = entire().is_none();

@@ -46,15 +46,15 @@ def options() -> argparse.Namespace:
     parser.add_argument("--size", type=int, default=64, help="input side (default 64)")
     parser.add_argument("--features", type=int, default=2, help="length F of the feature vector (default 2)")
     parser.add_argument("--layers", type=int, default=4, help="hidden layers of PredNet, each 256 wide (default 4)")
-    parser.add_argument("--clock", choices=("cpu", "wall", "device"), default="cpu", help="whose seconds count")
+    parser.add_argument("--clock", choices=("cpu", "wall", "device"), default="cpu", help="clock of the frame times")
     parser.add_argument("--reconstruction", type=float, default=1.0, help="weight of the reconstruction loss (default 1)")
     parser.add_argument("--steps", type=int, default=1500, help="optimizer steps at most")
     parser.add_argument("--batch", type=int, default=8, help="volumes per step")
     parser.add_argument("--frames-per-volume", type=int, default=32, help="frames of each volume per step")
     parser.add_argument("--lr", type=float, default=1e-3, help="first learning rate; falls to 1/100 by a half cosine")
     parser.add_argument("--clip", type=float, default=1.0, help="largest gradient norm")
-    parser.add_argument("--judge-every", type=int, default=50, help="steps between looks at the validation frames")
-    parser.add_argument("--patience", type=int, default=10, help="looks without a better validation loss before stopping")
+    parser.add_argument("--judge-every", type=int, default=50, help="steps between evaluations on the validation frames")
+    parser.add_argument("--patience", type=int, default=10, help="evaluations without a better validation loss before stopping")
     parser.add_argument("--val-members", type=lambda s: s.split(","), help="dataset/member,... (default: a tenth)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--dtype", choices=("f32", "f16", "bf16"), default="f16", help="how weights are stored")
@@ -64,7 +64,7 @@ def options() -> argparse.Namespace:
 
 
 def frames_of(tables: list[Path], clock: str) -> dict[str, list[tuple[list[float], float]]]:
-    """By volume: (camera, resolution and transfer function; ln of the median of the repeats' seconds)."""
+    """Frames by volume: inputs (camera, resolution, transfer function), and ln of the median seconds of the repeats."""
     repeats: dict[tuple, list[float]] = defaultdict(list)
     inputs: dict[tuple, tuple[str, list[float]]] = {}
     for table in tables:
@@ -198,7 +198,7 @@ def main() -> None:
         print("\nstopping; the best weights so far are kept", file=sys.stderr)
     bar.close()
     if best_state is None:
-        sys.exit("stopped before the first look at the validation frames; nothing was written")
+        sys.exit("stopped before the first evaluation on the validation frames; nothing was written")
     model.load_state_dict(best_state)
     model.eval()
 

@@ -51,7 +51,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--lr-final", type=float, default=1e-5, help="last learning rate")
     parser.add_argument("--clip", type=float, default=1.0, help="largest gradient norm")
     parser.add_argument("--patience", type=int, default=40, help="epochs without a better validation loss before stopping")
-    parser.add_argument("--minutes", type=float, help="stop after this long, keeping the best")
+    parser.add_argument("--minutes", type=float, help="stop after this many minutes and keep the best weights")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--split",
@@ -65,13 +65,13 @@ def options() -> argparse.Namespace:
         "--parts",
         type=Path,
         metavar="JSON",
-        help='the split as it is to be: {"train": [...], "validation": [...], "test": [...]} of dataset/member/file',
+        help='JSON file of the split: {"train": [...], "validation": [...], "test": [...]} of dataset/member/file',
     )
     parser.add_argument("--dtype", choices=("f32", "f16", "bf16"), default="f16", help="how weights are stored")
     parser.add_argument("--encoder-only", action="store_true", help="leave the decoder out of the model file")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--threads", type=int, help="CPU threads")
-    parser.add_argument("--resume", action="store_true", help="go on from the checkpoint beside the model file")
+    parser.add_argument("--resume", action="store_true", help="continue from the checkpoint beside the model file")
     args = parser.parse_args()
     for name in ("size", "features", "epochs", "batch", "patience"):
         if getattr(args, name) < 1:

@@ -127,8 +127,8 @@ def resample(volume: np.ndarray, size: int) -> np.ndarray:
 def read_volume(path: Path, scalar_range: tuple[float, float] | None = None) -> np.ndarray:
     """An NRRD file (.nrrd, .nhdr) as (z, y, x) in [0, 1].
 
-    The range maps to 0..1: the one given, else 0..255 for unsigned bytes, else the finite minimum and maximum. Values
-    beyond are clamped, NaN becomes 0.
+    The range maps to 0..1: the given range, else 0..255 for unsigned bytes, else the finite minimum and maximum. Values
+    outside of the range are clamped, NaN becomes 0.
     """
     data, _ = nrrd.read(str(path), index_order="C")
     if data.ndim != 3:

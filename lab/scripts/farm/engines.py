@@ -1,4 +1,4 @@
-"""The bars of `entire farm` that need engines: real HyperQueue and Slurm runs, and kills at random moments.
+"""The bars of `entire farm` that need engines: runs on real HyperQueue and Slurm, kills at random moments, full disks.
 
 Prints what it measures and one line `bar NAME VALUE LIMIT ok|short` per bar; ends with status 1 when one is short.
 
@@ -36,10 +36,10 @@ ASKED = {
     "kills": {"farm-kills-lost-or-wrong": 0},
     "full": {"farm-full-disk-lost-or-wrong": 0},
 }
-# Tasks per slot, and repeats, of the jobs that measure an engine's overhead.
+# Number of tasks per slot, and number of repeats, of the jobs that measure an engine's overhead.
 ROUNDS = 16
 REPEATS = 3
-# Requested runs with killed processes.
+# Number of runs with killed processes that the bar asks for.
 RUNS = 20
 
 
@@ -107,8 +107,8 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
         return end - begin, [a["seconds"] + a["load_s"] for a in done], len({a["bundle"] for a in done})
 
     def turns(self, job, slots):
-        """Mean seconds from the engine's start to the first task, and on a slot from a bundle's end to the next one's
-        start; None if no bundle followed another."""
+        """Seconds from the engine's start to the first task, and mean seconds on a slot from a bundle's end to the next
+        one's start; None if no bundle followed another."""
         begin, done = self.journal(job)
         begins, ends = {}, {}
         for a in done:
@@ -137,7 +137,7 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
         return list(csv.DictReader(file.open()))
 
     def sleeping(self, name, engine, slots, frames, order="longest", views=64, volumes=6):
-        """384 tasks, or `views` of `volumes`, that sleep for recorded times, on an engine."""
+        """Runs `views` times `volumes` tasks that sleep for recorded times on an engine."""
         volumes = sorted((self.root / "data").glob("*/*/*.nrrd"))[:volumes]
         times = self.out / name / "times.csv"
         command = json.dumps([str(self.lab), "farm-stand-in", str(times)])
@@ -322,7 +322,7 @@ def kills(farm, bars, runs):
             more = ["--resume"] if begun.exists() and begun.stat().st_size else []
             command = [str(farm.entire), "farm", str(job), "--quiet", "--slots", "2", *engine, *more]
             driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            # Kills a worker or the engine, some more of them, then the driver itself.
+            # Kills some workers or the engine at random moments, then the driver itself.
             until = time.time() + draw.uniform(0.2, 1.2)
             while driver.poll() is None and time.time() < until:
                 time.sleep(draw.uniform(0.02, 0.3))

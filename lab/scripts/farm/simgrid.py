@@ -34,7 +34,7 @@ def skip(reason):
 
 
 def recorded(table):
-    """Median process-CPU seconds of a table's frames."""
+    """Process-CPU seconds of a table's frames: the medians of their repeats."""
     times = {}
     with gzip.open(table, "rt", encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
@@ -46,7 +46,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bin", type=Path, default=ROOT / "target/release", help="folder of entire-lab")
     parser.add_argument("--table", type=Path, default=ROOT / "data/timings/none-members.csv.gz")
-    parser.add_argument("--scale", type=float, default=20.0, help="times by which recorded seconds are multiplied")
+    parser.add_argument("--scale", type=float, default=20.0, help="factor on the recorded seconds")
     options = parser.parse_args()
     if shutil.which("g++") is None:
         skip("there is no g++ (apt-get install g++)")
@@ -65,7 +65,7 @@ def main():
         tasks = [options.scale * t for t in recorded(options.table)]
         failed = False
         for copies, slots, latency, dispatch in CASES:
-            # Sent longest first, by times with errors of a tenth.
+            # Tasks are sent longest first, by times with errors of 10 %.
             order = sorted(copies * tasks, key=lambda t: -t * draw.lognormvariate(0.0, 0.1))
             listed, seconds = folder / "tasks.csv", folder / "seconds.txt"
             listed.write_text("predicted_s,measured_s\n" + "".join(f"{t!r},{t!r}\n" for t in order), encoding="utf-8")

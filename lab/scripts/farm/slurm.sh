@@ -9,7 +9,7 @@ set -euo pipefail
 what=${1:?start or stop}
 folder=$(realpath -m "${2:?a folder}")
 
-# runs PID: true if the process runs; an ended one that was not waited for does not
+# runs PID: true if the process runs. One that has ended and was not waited for (a zombie) does not run.
 runs() { grep -q '^State:[[:space:]]*[^XZ]' "/proc/$1/status" 2>/dev/null; }
 
 # ended SECONDS PID…: waits until all have ended; fails if one still runs after SECONDS

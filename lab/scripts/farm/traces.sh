@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Records the data of the bars of a farm's schedules: the frames of an image database, and frames rendered before it.
-# Existing files are kept; both recordings must be of one renderer: remove both together to record again.
+# Existing files are kept. Both recordings must be of one renderer: to record again, remove both.
 set -euo pipefail
 out=$1 clock=$2
 lab=${ENTIRE_LAB:-target/release/entire-lab}

@@ -9,9 +9,9 @@
                                        those of them that are not read alike
 
 Compared are sizes (x fastest), the voxels' type in memory, the spacing (to a relative 1e-5), the range of the finite
-voxels, and a CRC-32 of the voxels. Prints `bar files-read-alike`: the percentage of reads that both sides accept and that
-agree. What only one side reads is listed by reason. The command's readers are built from lab/scripts/readers/Cargo.toml
-(--target-dir DIR: where). Needs Python 3.9, and cargo.
+voxels, and a CRC-32 of the voxels. Prints `bar files-read-alike`: of the reads that both sides accept, the percentage on
+which they agree. Files that only one side reads are listed by reason. The command's readers are built from
+lab/scripts/readers/Cargo.toml (--target-dir DIR: where). Needs Python 3.9, and cargo.
 """
 import argparse
 import csv
@@ -90,7 +90,7 @@ def differences(a, b):
 
 
 def shape(reason):
-    """A reason without the numbers and names of its file."""
+    """A reason without its numbers and names, so that equal ones can be counted."""
     reason = re.sub(r"[^\x20-\x7e]", "?", reason)
     reason = re.sub(r'"[^"]*"|\'[^\']*\'', '"…"', reason)
     reason = re.sub(r"/\S+", "PATH", re.sub(r"\(?\b0x[0-9a-f]+\)?", "", reason))
@@ -233,10 +233,10 @@ def main():
     options = argparse.ArgumentParser(description="Compares the command's readers with independent ones.")
     options.add_argument("--write", action="store_true", help="write the table of right values anew")
     options.add_argument("--neighbors", type=int, default=0, metavar="N", help="changed fixtures to read")
-    options.add_argument("--seed", type=int, default=1, help="of the changes")
-    options.add_argument("--from", type=int, default=0, dest="first", metavar="K", help="the first change")
-    options.add_argument("--keep", type=Path, metavar="DIR", help="where changed files that are not read alike are kept")
-    options.add_argument("--target-dir", default=str(HERE / "target"), metavar="DIR", help="of the build")
+    options.add_argument("--seed", type=int, default=1, help="seed of the changes")
+    options.add_argument("--from", type=int, default=0, dest="first", metavar="K", help="number of the first change")
+    options.add_argument("--keep", type=Path, metavar="DIR", help="folder in which changed files that are not read alike are kept")
+    options.add_argument("--target-dir", default=str(HERE / "target"), metavar="DIR", help="folder of the build")
     options = options.parse_args()
     with Bars({BAR: 100}, at_least=(BAR,)) as bars:
         missing = peers.load()

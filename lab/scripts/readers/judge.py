@@ -5,7 +5,7 @@
     python3 lab/scripts/readers/judge.py [--without CRATE] [HOSTILE]
 
 HOSTILE is a folder of hostile files; without it, mutations of the fixtures take its place. A reader passes a
-fixture when it gives back what the command's own reader does (tests/suite/volume_formats.rs compares that with the
+fixture when it returns the same as the command's own reader (tests/suite/volume_formats.rs compares that with the
 writers' voxels). Every read is a process of its own with LIMIT_BYTES of address space and LIMIT_SECONDS of
 CPU time. No file has more than 11 KB: a read that takes LARGE_BYTES or more trusts a header over the bytes
 that are there.
@@ -91,7 +91,7 @@ def ending(path):
 
 def main():
     options = argparse.ArgumentParser(description="Judges crates that read volumes.")
-    options.add_argument("--without", action="append", default=[], help="a crate that readers lacks")
+    options.add_argument("--without", action="append", default=[], help="a crate without which `readers` was built")
     options.add_argument("hostile", nargs="?", type=Path, help="a folder of files with hostile headers")
     options = options.parse_args()
     hostile = options.hostile

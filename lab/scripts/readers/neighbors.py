@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Mutated fixtures (*neighbors*): copies with a few changes of the header, or of bytes, the same for the same seed.
+"""Mutated fixtures (*neighbors*): copies with a few changed header fields or bytes, reproducible by seed.
 
-differential.py reads them. Each has a folder of its own, with links to the files beside the fixture, which headers name.
+differential.py reads them. Each lies in a folder of its own, with links to the files that its header names.
 """
 import gzip
 import os
@@ -164,7 +164,7 @@ def change_lines(source, text, kind):
         del lines[a]
     else:
         put = source.choice(LINES.get(kind, [""]))
-        # Mostly after the first line and before the last one.
+        # The line is put after the first line and mostly before the last one.
         lines.insert(source.randrange(1, max(2, len(lines) - 1)), put)
     return "\n".join(lines)
 

@@ -4,11 +4,11 @@
 
     python3 lab/scripts/robust/kills.py --entire target/release/entire --lab target/release/entire-lab
 
-Every round runs one of `entire collect`, `calibrate`, `calibrate --data`, `train`, `render` and `entire-lab record` over files of a
-run before. Afterwards, what was there is there, or the new whole file is; tables and traces that were cut off go on with
---resume and end with every frame. A full disk is a limit on the size of files (RLIMIT_FSIZE), which needs no privilege:
-writes beyond it fail as on a full disk. Prints `bar NAME VALUE LIMIT ok|short`; fails when one is short, as it is after
-fewer ends than are asked for.
+Every round runs one of `entire collect`, `calibrate`, `calibrate --data`, `train`, `render` and `entire-lab record` over the
+files of an earlier run. Afterwards the earlier file or the complete new one must be there; interrupted tables and traces
+must continue with --resume and end with every frame. A full disk is simulated by a limit on the size of files
+(RLIMIT_FSIZE), which needs no privilege: writes beyond it fail as on a full disk. Prints `bar NAME VALUE LIMIT ok|short`;
+fails when a bar is short, which it also is if fewer commands were ended than the bar asks for.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from bar_lines import Bars  # noqa: E402
 
-# Requested kinds of ends, and the bars of their files.
+# Number of commands to end in each way, and the names of the bars.
 ASKED = {"kill": 200, "full_disk": 20}
 NAMES = {kind: f"files_torn_or_lost_{kind}_{count}" for kind, count in ASKED.items()}
 VOLUMES = ["data/castro_blast/m01/t0008.nrrd", "data/nyx_cosmology/m01/t0005.nrrd"]
@@ -51,7 +51,7 @@ def model(path):
 
 
 def table(path):
-    """Frame numbers and repeats of a table; None if a row is cut off."""
+    """Pairs of frame number and repeat in a table; None if a row is cut off."""
     text = path.read_text()
     rows = list(csv.reader(text.splitlines()))
     if not text.endswith("\n") or any(len(r) != len(rows[0]) for r in rows):
@@ -169,7 +169,7 @@ def measure(options, bars):
                 left.unlink()
 
         def finish(kind, what, say):
-            """After an end, a file is whole, or a continued run makes it so."""
+            """Checks that the file is complete after the end of a command, or after a run that continues."""
             command, file, whole = commands.all[what]
             path = folder / file
             try:
@@ -191,7 +191,7 @@ def measure(options, bars):
             clear(file)
             if not commands.resumes(what):
                 shutil.copy(good / file, folder / file)
-            # Several times, if a run can be continued.
+            # A run that can be continued is ended several times.
             resume = []
             for _ in range(draw.randint(1, 4) if commands.resumes(what) else 1):
                 after = draw.choice([draw.uniform(0.001, 0.03), draw.uniform(0.01, 1.1 * took[what] + 0.02)])

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Errors of predictors per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
-and an analytic model are trained and judged on the volumes that they did not see. `entire calibrate` is then
-given a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing
-makes the bars short.
+and an analytic model are trained, and `entire calibrate` fits a model to a twentieth of the training frames. All are
+tested on the other volumes. Needs no renderer. bars.py calls this; bars of a missing table are short.
 
 ENTIRE_DATA  folder that the tables' volume names start from (default ../shared/data)
 """
@@ -19,8 +18,8 @@ import subprocess
 
 RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
 HOW = "--model-kind residual --batch 128 --learning-rate 0.003 --epochs 150".split()
-# Reading from distant memory and converting stored values cost these renderers more than the raycaster. A mean of
-# networks of eight seeds.
+# Inputs of the factor: distant memory and the conversion of stored values cost these renderers more than the raycaster.
+# The factor is the mean of eight networks with different seeds.
 MORE = """log_pixels log_samples_per_pixel log_shadow_per_pixel log_segments_per_ray log_ray_spacing footprint_share
 terminated_share log_divergence occupied_share log_visible_share log_mean_extinction log_mean_chord log_step log_voxels
 log_runs log_skips log_remapped_samples log_far_x log_far_y log_far_z""".split()

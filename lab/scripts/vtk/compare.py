@@ -3,14 +3,14 @@
 
 256^3 voxels, 512 x 512 pixels, 200 frames: an orbit with changing elevation and distance, a transparent and an opaque
 transfer function in turn, switched abruptly at frames 50, 100 and 150. Contenders draw each frame one after the other, so
-that what else happens on the machine hits all alike:
+that other work on the machine affects all alike:
 
   full        full quality: sample distance 1, nothing adjusted
   auto        AutoAdjustSampleDistances as shipped, asked for 1 / target
   between     AutoAdjustSampleDistances asked for a rate between that of `auto` and that of `scaled`
-  scaled      AutoAdjustSampleDistances asked for a lower rate, such that its mean frame takes the target: found by
-              bisection in short runs, then in runs of the whole path until it is within MEET, as far as the mapper goes
-              in interaction
+  scaled      AutoAdjustSampleDistances asked for the lower rate at which its mean frame time is the target: found by
+              bisection in short runs, then in runs of the whole path until it is within MEET, or as close as the mapper
+              gets in interaction
   cold        vtkEntireSteering without a model, learning from its first frame on
   calibrated  vtkEntireSteering with a model trained on random frames of this mapper (--model), of other volumes
 
@@ -67,7 +67,7 @@ class Contender:
                 self.steering.SetModelFileName(options.model)
             self.steering.Attach(self.view.renderer, self.view.volume)
 
-        # The window is made before the first frame; one-time work of the mapper belongs to that frame.
+        # The window is made before the first frame. One-time work of the mapper counts as part of that frame.
         self.view.volume.VisibilityOff()
         self.view.window.Render()
         self.view.volume.VisibilityOn()
@@ -143,10 +143,9 @@ def clock_of(name, options):
 
 
 def find_scale(options, image, n, target_cpu, target_wall):
-    """Factor, 1 to 16, on the wall target of AutoAdjust with which its mean frame time equals the target. From a second
-    on, the
-    mappers treat a frame as a still one, so the largest factor is below that; it is returned if even that gives shorter
-    frames."""
+    """Factor, 1 to 16, on the wall target of AutoAdjust with which its mean frame time equals the target. The mappers treat
+    a frame of a second or more as a still one, so the factor keeps the target below a second. The largest factor is
+    returned if frames are shorter than the target even then."""
     most = max(1.0, min(16.0, 0.95 / target_wall))
 
     def spent(scale, frames, repeats):
@@ -154,7 +153,7 @@ def find_scale(options, image, n, target_cpu, target_wall):
         contender.aim(target_cpu, target_wall, options.clock, scale)
         times = []
         for frame in frames:
-            # The last iteration gives the result.
+            # A pose is drawn several times so that the mapper adapts; the last time counts.
             for _ in range(repeats):
                 contender.pose(frame, options.frames, n)
                 wall, _ = timed(contender.view.window.Render)
@@ -207,7 +206,7 @@ def main():
         probe.draw(frame, options.frames, n, None)
     target_cpu = 0.5 * statistics.fmean(r["cpu"] for r in probe.rows)
     target_wall = 0.5 * statistics.fmean(r["wall"] for r in probe.rows)
-    print(f"{options.mapper}: target {1e3 * target_cpu:.1f} ms processor time, {1e3 * target_wall:.1f} ms on the wall")
+    print(f"{options.mapper}: target {1e3 * target_cpu:.1f} ms processor time, {1e3 * target_wall:.1f} ms wall time")
     probe = None
     scale = 1.0
     if "scaled" in names:
@@ -247,7 +246,7 @@ def main():
         for name in names:
             s = result[name][result[name]["clock"]]
             print(
-                f"  {name:10} {result[name]['clock']:4} mean {s['mean_ms']:7.1f} ms ({result[name]['wall']['mean_ms']:.1f} on the wall)"
+                f"  {name:10} {result[name]['clock']:4} mean {s['mean_ms']:7.1f} ms ({result[name]['wall']['mean_ms']:.1f} wall time)"
                 f"  |t-target|/target {s['off']:.3f} (hard frames {s['off_hard']:.3f})"
                 f"  >1.25x {100 * s['over']:4.1f} %  <0.75x {100 * s['under']:5.1f} %  worst {s['worst']:.2f}x"
                 f"  recovery {s['recovery']}  error {s['error']:.3f}"

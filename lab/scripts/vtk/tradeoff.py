@@ -4,14 +4,18 @@
     plugins/vtk/run.sh exec /usr/bin/python3 lab/scripts/vtk/tradeoff.py --mapper gpu --table tradeoff-gpu.csv
 
 Draws frames of volumes, cameras and transfer functions that compare.py does not use, each at every pair of sample
-distance and image sample distance, and writes a table (an existing one is read instead): processor time (the least of
-the
-repeats) and image error (root mean squared difference of 8-bit colors from full quality) of each picture. Fits the numbers
-that vtkEntireSteering takes as its FixedPointQuality or GPUQuality: error^n = a ((s - 1)^p + w (d - 1)^q) with any n, and
-time = (r + (1 - r) / s) / d^2, for a step of s finest ones and rays d pixels apart, by least squares in logarithms of the means
-over scenes, of pictures that take at most LONGEST of the full time (nearer to it colors differ by their rounding alone), then
-moved to where the choices by the law cost least. Prints w p q r, and the error of the best pair by that law at shares of the full time, over that of the best pair of all,
-of the step alone, of the image alone, and of the image alone at twice the step.
+distance and image sample distance, and writes a table (an existing one is read instead) with the processor time (the
+smallest of the repeats) and the image error (root mean squared difference of 8-bit colors from full quality) of each
+picture.
+
+Then it fits the numbers that vtkEntireSteering takes as its FixedPointQuality or GPUQuality: error^n =
+a ((s - 1)^p + w (d - 1)^q) with any n, and time = (r + (1 - r) / s) / d^2, for a step of s finest steps and rays d pixels
+apart. The fit is by least squares in logarithms of the means over scenes, of pictures that take at most LONGEST of the full
+time (with more time, colors differ by their rounding alone). The numbers are then moved to where the choices by the law
+have the smallest errors.
+
+Prints w p q r. At several shares of the full time, prints the error of the pair that the law chooses over that of the best
+pair, of the best step alone, of the best image size alone, and of the best image size at about twice the step.
 """
 import argparse
 import csv
@@ -83,7 +87,7 @@ def grids(path):
 
 
 def law(weight, p, q, rays):
-    """Logarithms of time and error at every pair by the law; the error of full quality is zero."""
+    """Logarithms of time and error of every pair by the law. The error of full quality is zero, its logarithm -inf."""
     s, d = np.array(STEPS)[None, :], np.array(IMAGES)[:, None]
     with np.errstate(divide="ignore"):
         return np.log((rays + (1 - rays) / s) / d**2), np.log((s - 1) ** p + weight * (d - 1) ** q)
@@ -112,7 +116,7 @@ def fit(times, errors):
 
     def off(v):
         model = law(math.exp(v[0]), v[1], v[2], rays)[1][counts]
-        # The exponent with which errors add up.
+        # The slope is 1 / n of the law.
         model = model - model.mean()
         wanted = error[counts] - error[counts].mean()
         slope = max((model * wanted).sum() / (model**2).sum(), 1e-3)
@@ -121,7 +125,7 @@ def fit(times, errors):
     def loss(v):
         return off(v) if 0.2 <= v[1] <= 6 and 0.2 <= v[2] <= 6 else math.inf
 
-    # Error of the choice by the law, at each of these shares of the time.
+    # Errors of every level of image size at these shares of the full time.
     shares = np.arange(0.2, LONGEST, 0.02)
     found = np.array([[at_share(t, e, share) for share in shares] for t, e in zip(time, error)])
     best = np.nanmin(found, 0)

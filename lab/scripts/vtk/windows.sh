@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Bars of windows that draw volumes in several passes (plugins/windows), for both adapters. An adapter that cannot run is
-# short.
+# Measures the bars of windows that draw volumes in several passes (plugins/windows), for both adapters. The bar of an
+# adapter that cannot run is short.
 set -uo pipefail
 cd "$(dirname "$0")/../../.."
 status=0

@@ -29,7 +29,7 @@ pub enum Neighbor {
 /// Record the slowdown of frames over time by another program on the machine.
 ///
 /// Times one frame repeatedly by wall time, first without the load, then with it, and writes for every frame
-/// of the second part its start and its time over the median of the first part.
+/// of the second part its start and its time divided by the median time of the first part.
 /// `entire-lab replay --disturbance` replays recorded paths with these slowdowns.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -41,7 +41,7 @@ pub struct Options {
     /// Other load on the machine.
     #[arg(long, value_enum)]
     pub neighbor: Neighbor,
-    /// Seconds of the recording.
+    /// Duration of the second part, seconds.
     #[arg(long, default_value_t = 20.0, value_name = "SECONDS")]
     pub seconds: f64,
     /// Image size, pixels; a frame should take a few milliseconds.
@@ -58,10 +58,10 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// Seconds without the load, which slowdowns are relative to.
+/// Duration of the part without the load, seconds; slowdowns are relative to its median frame time.
 const QUIET_SECONDS: f64 = 5.0;
 
-/// Keeps a core busy until `stop`.
+/// Puts the load on one core until `stop` is true.
 fn disturb(neighbor: Neighbor, seed: u64, stop: &AtomicBool) {
     let mut noise = Noise::new(seed);
     while !stop.load(Ordering::Relaxed) {

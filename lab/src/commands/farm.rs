@@ -27,8 +27,8 @@ pub struct Options {
     /// Timing tables that the predictor of --trace is fitted to, without --training.
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", requires = "trace")]
     pub calibration: Vec<PathBuf>,
-    /// Recorded frames of other volumes, with the same transfer function, as a farm has rendered them before:
-    /// the analytic model times a factor that depends on the view is fitted to them, and predicts --trace.
+    /// Recorded frames of other volumes with the same transfer function, such as frames that the farm rendered
+    /// before. The analytic model, times a factor that depends on the view, is fitted to them and predicts --trace.
     #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
     pub training: Vec<PathBuf>,
     /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is computed
@@ -38,10 +38,10 @@ pub struct Options {
     /// Write the tasks of --trace as a task list (CSV).
     #[arg(long, value_name = "TASKS.csv", requires = "trace")]
     pub save_tasks: Option<PathBuf>,
-    /// Node seconds per dispatch from a queue.
+    /// Time that a node needs for each dispatch from a queue, seconds.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub dispatch: f64,
-    /// Queue entries that a node searches for a task on its loaded volume.
+    /// Number of queue entries among which a node searches for a task on its loaded volume.
     #[arg(long, default_value_t = 64, value_name = "TASKS")]
     pub window: usize,
     /// Folder for the report.
@@ -55,7 +55,7 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options or tasks; with --bars when one is short.
+/// Bad options or tasks; with --bars, a bar that is short.
 pub fn run(options: &Options) -> Result<()> {
     let trace = options.trace.as_ref().map(|file| Trace::open(file)).transpose()?;
     let tasks = match (&options.tasks, &trace) {

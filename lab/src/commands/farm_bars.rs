@@ -27,7 +27,7 @@ pub struct BarsOptions {
     /// Folder for the job of a million tasks.
     #[arg(long, default_value = "out/farm-bars", value_name = "DIR")]
     pub out: PathBuf,
-    /// Simulated runs whose end is predicted.
+    /// Number of simulated runs whose end is predicted.
     #[arg(long, default_value_t = 40, value_name = "N")]
     pub runs: u64,
     /// Print the goals (bars), and fail when one is missed.
@@ -61,10 +61,10 @@ pub struct SimulateOptions {
     /// Factor on the list's seconds.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
     pub scale: f64,
-    /// Slot seconds per bundle.
+    /// Time that a slot needs for each bundle, seconds.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub latency: f64,
-    /// Engine seconds per bundle; bundles are dispatched one after the other.
+    /// Time that the engine needs to dispatch a bundle, seconds; bundles are dispatched one after the other.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub dispatch: f64,
     /// Overhead of a bundle that the planner assumes, seconds.
@@ -73,7 +73,7 @@ pub struct SimulateOptions {
     /// Send tasks in the order of the list.
     #[arg(long)]
     pub arrival: bool,
-    /// Take all tasks as equally long.
+    /// Plan as if all tasks took equally long.
     #[arg(long)]
     pub uniform: bool,
 }

@@ -13,16 +13,17 @@ use entire_io::volume::Reading;
 use serde::Deserialize;
 use std::path::PathBuf;
 
-/// Views; the model is fitted to the first quarter of them.
+/// Number of views; the model is fitted to the first quarter of them.
 const VIEWS: usize = 48;
-/// Seconds to load a megabyte of a part.
+/// Time to load one megabyte of a part, seconds.
 const LOAD: f64 = 0.005;
 
-/// Simulate a farm whose nodes are too small for a volume: groups of nodes render a part each and composite.
+/// Simulate a farm whose nodes are too small for a volume: each node of a group renders one part, and the group
+/// composites the images.
 ///
 /// Parts are rendered here, one after the other, and their times are predicted by the analytic model, which
-/// is fitted to the first views. Compositing and the farm are simulated: a frame takes its slowest part and
-/// compositing, and groups of nodes take frames longest first.
+/// is fitted to the first views. Compositing and the farm are simulated: the time of a frame is that of its
+/// slowest part plus compositing, and groups of nodes take frames longest first.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -32,10 +33,10 @@ pub struct Options {
     /// The volume.
     #[arg(value_name = "VOLUME")]
     pub volume: PathBuf,
-    /// Nodes of the farm.
+    /// Number of nodes of the farm.
     #[arg(long, default_value_t = 16, value_name = "N")]
     pub nodes: usize,
-    /// Parts to compare; each must divide the nodes.
+    /// Numbers of parts to compare; each must divide the number of nodes.
     #[arg(long, value_delimiter = ',', default_value = "2,4,8", value_name = "N")]
     pub parts: Vec<usize>,
     /// Pixels along each side.
@@ -50,7 +51,8 @@ pub struct Options {
     /// Seconds per byte between nodes, blending included.
     #[arg(long, default_value_t = 1e-9, value_name = "SECONDS")]
     pub per_byte: f64,
-    /// Measured compositing times instead of both: columns parts, pixels, seconds.
+    /// Table of measured compositing times, to which latency and seconds per byte are fitted, instead of --latency
+    /// and --per-byte: columns parts, pixels, seconds.
     #[arg(long, value_name = "CSV")]
     pub composited: Option<PathBuf>,
     /// The renderer of the parts.
@@ -97,7 +99,7 @@ pub fn run(options: &Options) -> Result<()> {
     let scene = Scene {
         volume: volume.view(),
         table: TransferFunction::Gaussian(lobes).to_table()?,
-        // Golden angles, near and far.
+        // Views at golden angles, from three distances.
         poses: (0..VIEWS)
             .map(|i| {
                 let high = (i as f32 + 0.5) / VIEWS as f32;

@@ -19,19 +19,19 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-/// Maximum number of volumes of a calibration, as `data/` has.
+/// Maximum number of volumes of a calibration: the number of volumes in `data/`.
 const VOLUMES: usize = 9;
 
-/// Draws for each number of frames.
+/// Number of random draws of frames for each number of frames.
 const DRAWS: u64 = 8;
 
-/// Limits of the geometric mean, over types of machine, of the median errors, by number of frames.
+/// Bars: number of frames, and limit of the geometric mean, over types of machine, of the median error.
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
 /// Measure calibration error by number of frames, on another type of machine.
 ///
-/// Each table and each prior is of one type of machine; a model is calibrated to frames of a table from the
-/// priors of the other makes. A draw takes one member of each ensemble, at most nine of their volumes, and
+/// Each table and each prior is of one type of machine. A model is calibrated to frames of one type, with the
+/// models of the other types as priors. A draw takes one member of each ensemble, at most nine of their volumes, and
 /// the given number of frames, spread over the volumes; the model is tested on a table of members that no
 /// prior was trained on. Prints the geometric mean and the largest error over the draws, and a goal (bar) for
 /// each number of frames; writes frames.csv and frames.svg into DIR.
@@ -50,10 +50,10 @@ pub struct Options {
     /// Prior models, in the order of the types of machine of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
     pub priors: Vec<PathBuf>,
-    /// Numbers of frames.
+    /// Numbers of calibration frames.
     #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "3,10,20,40,160,500")]
     pub frames: Vec<usize>,
-    /// Clock of the learned seconds.
+    /// Clock of the frame times.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
     pub clock: Clock,
     /// Folder for the results.
@@ -64,7 +64,8 @@ pub struct Options {
     pub threads: Option<usize>,
 }
 
-/// Draws frames by their index, given the volume and the ensemble member of each.
+/// Draws `count` calibration frames and returns their indices. `of_frames` has the volume and the ensemble
+/// member of every frame.
 fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ensemble = |member: &str| member.rsplit_once('/').map_or(String::new(), |(e, _)| e.to_owned());

@@ -56,7 +56,7 @@ pub struct Options {
     pub out: PathBuf,
 }
 
-/// A run: its folder, deadline and outcomes.
+/// Context of a run: options, deadline, outcomes.
 struct Study<'a> {
     options: &'a Options,
     entire: PathBuf,
@@ -124,7 +124,7 @@ fn json(path: &Path) -> Option<Value> {
     serde_json::from_str(&read_text(path, 1 << 24).ok()?).ok()
 }
 
-/// Results in a folder.
+/// Reads the results in a folder.
 fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     let mut tables = Vec::new();
     let mut evaluations = Vec::new();
@@ -151,7 +151,8 @@ fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     }
 }
 
-/// Half of the median time of frames of about the size of the steering step.
+/// Half of the median time of those frames whose images are about as large as those of the steering step; of
+/// all frames if there are none.
 fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
     let pixels = u64::from(extent.held_size).pow(2);

@@ -54,7 +54,7 @@ enum Step {
 /// Options of every step.
 #[derive(Debug, Clone, clap::Args)]
 pub struct StepOptions {
-    /// The description: data sets, splits, modes, sizes, numbers of frames, epochs, runs.
+    /// Description of the study: data sets, splits, modes, sizes, numbers of frames, epochs, runs.
     #[arg(long, value_name = "JSON", default_value = "data/timings/paper.json")]
     pub description: PathBuf,
     /// Folder that holds the data sets, or `ensembles` with them.
@@ -83,7 +83,7 @@ pub struct StepOptions {
     pub threads: Option<usize>,
 }
 
-/// `encode`
+/// Options of `encode`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python")]
@@ -104,7 +104,7 @@ struct WhichEncoders {
     features: Vec<usize>,
 }
 
-/// `train`
+/// Options of `train`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper train --data ../shared/data --only overall,ablation --runs 1")]
@@ -128,7 +128,7 @@ struct HowToTrain {
     epochs: Option<usize>,
 }
 
-/// `report`
+/// Options of `report`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper report --bars")]
@@ -155,7 +155,7 @@ struct HowToReport {
     bars: bool,
 }
 
-/// `all`
+/// Options of `all`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper all --data ../shared/data")]
@@ -173,7 +173,7 @@ pub struct AllOptions {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options or files, a step that fails, an interruption, and, with --bars, a short bar.
+/// Bad options or files, a step that fails, an interruption, and, with --bars, a bar that is short.
 pub fn run(options: &Options) -> Result<()> {
     let none = (WhichEncoders::default(), HowToTrain::default(), HowToReport::default());
     match &options.step {
@@ -301,7 +301,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let prefix = format!("{set}-{mode}-volumes-network-1-");
     let models = work.out.join("models");
     let network = std::fs::read_dir(&models).ok().and_then(|entries| {
-        // The most recent one: older ones are of other frames or encoders.
+        // The most recent file: older networks were trained on other frames or with other encoders.
         entries
             .flatten()
             .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))

@@ -54,10 +54,10 @@ pub struct Options {
     /// Frames of a generated path.
     #[arg(long, default_value_t = 96, value_name = "N", conflicts_with = "path")]
     pub frames: u32,
-    /// Frames per volume, if there are several.
+    /// Frames for which each volume is shown, if there are several volumes.
     #[arg(long, value_name = "N")]
     pub hold: Option<u32>,
-    /// Image scale from a frame on, as FRAME:SCALE, comma-separated.
+    /// Scale of the image sides from a frame on, as FRAME:SCALE, comma-separated.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
     /// Name in reports; default: the file name of the result.

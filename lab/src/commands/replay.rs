@@ -27,8 +27,8 @@ pub struct Paths {
     /// The recorded paths (`entire-lab record`).
     #[arg(value_name = "TRACE.json", required = true)]
     pub traces: Vec<PathBuf>,
-    /// Timing tables that predictors (and G) are fitted to: random scenes, each at several steps
-    /// (`entire-lab record --calibration`).
+    /// Timing tables of random scenes, each at several steps (`entire-lab record --calibration`). Predictors are
+    /// fitted to them, and so is the curve of frame time over step (the paper's G).
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", required = true)]
     pub calibration: Vec<PathBuf>,
     /// Target frame times.
@@ -84,7 +84,7 @@ impl Paths {
 ///
 /// Every trace (see `entire-lab record`) is replayed under every controller with every target that some
 /// allowed step meets in at least half of the frames, and with a series of these targets. A trace without
-/// such a target gets one of its own, halfway between the times of its middle frame at the finest and the
+/// such a target gets one of its own, halfway between its median frame times at the finest and at the
 /// coarsest step. The predictor is fitted to a timing table of other volumes. Rules that act on image
 /// resolution get the times of smaller images at the reference step; if a trace has none, they act on the ray
 /// step, and the report says so. DIR gets report.html, scores.json and frames.csv.
@@ -106,7 +106,7 @@ pub struct Options {
     /// Controllers to compare; default: all.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
     pub controllers: Vec<ControllerKind>,
-    /// Rounds over all paths and targets, each with another draw of the measured noise.
+    /// Number of rounds over all paths and targets, each with another draw of the measured noise.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub rounds: u64,
     /// Folder for the results.
@@ -120,7 +120,7 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad options or files; with --bars when one is short.
+/// Bad options or files; with --bars, a bar that is short.
 pub fn run(options: &Options) -> Result<()> {
     let limits = options.paths.limits()?;
     ensure!(options.rounds >= 1, "--rounds is 0; at least one round is needed");

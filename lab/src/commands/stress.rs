@@ -12,7 +12,7 @@ use entire_io::progress::progress_bar;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Frames of the long run.
+/// Number of frames of the long run.
 const LONG_RUN: u64 = 1_000_000;
 
 /// Play the stress scenes: scripts in which methods of holding a frame time are known to fail.
@@ -72,7 +72,7 @@ pub fn run(options: &Options) -> Result<()> {
     let verdicts = verdicts?;
     let mut name = "scripted clock; the CPU version of the raycaster counts the work".to_owned();
     let mut real = Vec::new();
-    // A controller that predicts and reacts, and one that reacts.
+    // A controller that only reacts, and one that predicts and reacts.
     let real_methods: Vec<ControllerKind> =
         [ControllerKind::Olp, ControllerKind::Hybrid].into_iter().filter(|m| methods.contains(m)).collect();
     if let Some(device) = options.device {

@@ -37,7 +37,7 @@ pub struct Options {
     pub clock: Option<Clock>,
     /// Print one line per goal, `bar NAME VALUE LIMIT ok|short`, and fail when one is missed (short).
     ///
-    /// The value is - if it could not be measured.
+    /// The value of a goal that could not be measured is -.
     #[arg(long)]
     pub bars: bool,
     /// Write the predictors that the study ships, each with its card, into this folder.
@@ -51,7 +51,7 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// When the study or its tables cannot be read, a file cannot be written, or, with `--bars`, one is short.
+/// When the study or its tables cannot be read, a file cannot be written, or, with `--bars`, a bar is short.
 pub fn run(options: &Options) -> Result<()> {
     let mut study = read(&options.study)?;
     if !options.only.is_empty() {

@@ -16,7 +16,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A path on every renderer, and the predictor that was fitted to other volumes.
+/// A path as recorded by each renderer of [`Law::ALL`], and a predictor fitted to other volumes.
 type Played = ([Replayable; 3], Calibrated);
 
 /// Search for better constants of the controller on recorded paths.
@@ -57,8 +57,8 @@ fn worth_table(worth: &[Removed]) -> Table {
     let mut table = Table::new(vec![
         Column::text("constant"),
         Column::number("value"),
-        Column::number("without"),
-        Column::number("cost more"),
+        Column::number("value without effect"),
+        Column::number("cost increase"),
         Column::number("standard error"),
     ]);
     for r in worth {
@@ -186,7 +186,7 @@ impl Options {
     }
 }
 
-/// Costs of every path before and after.
+/// Table of the costs of every path before and after the search.
 fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
     let mut columns = vec![Column::text("path"), Column::number("cost"), Column::number("… after")];
     for what in [

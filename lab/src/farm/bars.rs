@@ -21,7 +21,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::Path;
 use std::time::Instant;
 
-/// Tasks of the paper's database.
+/// Number of tasks of the paper's image database.
 const PAPER: usize = 384;
 
 fn predicted(tasks: &[Task]) -> Vec<f64> {
@@ -32,7 +32,7 @@ fn measured(tasks: &[Task]) -> Vec<f64> {
     tasks.iter().map(|t| t.measured_s.unwrap_or(1.0)).collect()
 }
 
-/// A plan of tasks whose seconds a model predicted.
+/// A planner of tasks whose seconds, `base`, a model predicted.
 pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
     let shape = Shape::of_volumes(base, volume).with_constant(CONSTANT_SD_WITH_MODEL);
     let mut planner = Planner::new(shape, loads, setting);
@@ -40,13 +40,13 @@ pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> P
     planner
 }
 
-/// Settings of a plan with equal, named slots without costs.
+/// Settings of a planner with equal slots that keep their volumes, and without overhead per bundle.
 pub fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
 }
 
-/// Longest first by predicted times over the same by measured times, no exchanges: the worst of 2 to 64
-/// nodes.
+/// Makespan of the longest-first assignment by predicted times over that of the assignment by measured times,
+/// without exchanges: the largest ratio over 2 to 64 nodes, and its number of nodes.
 ///
 /// # Errors
 /// When a time is not usable.
@@ -64,11 +64,11 @@ pub fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
     Ok(worst)
 }
 
-/// Loading costs 4 mean frames, 8 nodes: the plan's end over the best of a local search that knows the
-/// measured times.
+/// Makespan of the plan over that of the best schedule that a local search finds from `starts` random starts and
+/// the measured times. There are 8 nodes, and loading a volume takes as long as 4 mean frames.
 ///
 /// # Errors
-/// Never in practice.
+/// Never.
 pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
     let tasks = &tasks[..tasks.len().min(PAPER)];
     let (base, truth, volume) = (predicted(tasks), measured(tasks), volume_numbers(tasks));
@@ -95,8 +95,8 @@ pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
     Ok(out.makespan / best)
 }
 
-/// Predicted ends after a tenth of the work, over runs: median error of the median, and the share of ends
-/// within the 90 % interval.
+/// Predictions of the end after a tenth of the work, over simulated runs: median error of the predicted median,
+/// and the share of ends within the predicted 90 % interval.
 ///
 /// # Errors
 /// When there are no tasks.
@@ -141,7 +141,8 @@ pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> 
     Ok((median(&mut errors).context("no runs")?, f64::from(hits) / runs as f64))
 }
 
-/// Seconds and peak memory (GB) of planning a job of 10⁶ tasks, from the job file to the last bundle.
+/// Plans a job of 10⁶ tasks, starting with its file. Returns the seconds to the first bundle, the seconds to the
+/// last one, and the peak memory of the process in GB.
 ///
 /// # Errors
 /// When the folder cannot be written.
@@ -171,7 +172,7 @@ pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let eta = planner.eta(0.0);
     let first = clock.elapsed().as_secs_f64();
     let (mut tasks, mut bundles, mut slot) = (0, 0, 0);
-    // Tasks of unknown times are bundled by number; known times bundle them by time.
+    // Tasks are bundled by number until some times are known, and by time from then on.
     for task in 0..16 {
         planner.done_before(task * 62_001, 0, 0.3);
     }
@@ -192,14 +193,15 @@ pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     Ok((first, all, kib / 1e6 * 1.024))
 }
 
-/// A farm of 1,000 nodes and 10⁶ tasks, simulated: end over lower bound, with and without predictions.
+/// Simulates a farm of 1,000 nodes and 10⁶ tasks, with and without predictions, and prints the makespan over its
+/// lower bound.
 ///
 /// # Errors
 /// When a time is not usable.
 pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
     let n = 1_000_000;
     let (p, m) = (predicted(pool), measured(pool));
-    // Recorded frames repeated, with loads, unequal nodes and failures.
+    // The tasks repeat recorded frames. Volumes must be loaded, nodes are unequal and fail.
     let pick = |i: usize| i * 7919 % p.len();
     let base: Vec<f64> = (0..n).map(|i| 60.0 * p[pick(i)]).collect();
     let truth: Vec<f64> = (0..n).map(|i| 60.0 * m[pick(i)]).collect();
@@ -246,7 +248,7 @@ pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
 /// # Errors
 /// When data or models cannot be read.
 pub fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Result<Vec<Bar>> {
-    // First: the peak memory is that of the process.
+    // This runs first, since it measures the peak memory of the whole process so far.
     let (first, last, peak) = at_scale(folder)?;
     let mut pools = Vec::new();
     for (table, model) in HELD_OUT {

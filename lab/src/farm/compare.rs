@@ -19,9 +19,11 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Result of a second measurement instead of a prediction: longest first on the medians of all repeats but
-/// one, judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and most over
-/// the repeats.
+/// Limit that noise sets to any prediction: the result if a second measurement took its place.
+///
+/// For each repeat: the longest-first assignment by the medians of the other repeats, judged by this repeat, over
+/// the longest-first assignment by this repeat itself, the largest ratio over 2 to 64 nodes. Returns the least
+/// and the largest over the repeats; `None` with fewer than two repeats.
 ///
 /// # Errors
 /// When a time is not finite and positive.
@@ -49,7 +51,7 @@ pub fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
     Ok(range)
 }
 
-/// Methods of the comparison: title, method, times, color.
+/// Methods of the comparison: title, method, times that it plans by, color.
 const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static longest first, measured", Method::Longest, By::Measured, 2),
     ("static longest first, predicted", Method::Longest, By::Predicted, 0),
@@ -59,10 +61,10 @@ const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static with exchanges, predicted", Method::Static, By::Predicted, 4),
 ];
 
-/// Random orders for the mean of a queue in any order.
+/// Number of random orders over which the makespan of a queue in any order is averaged.
 const RANDOM_ORDERS: u64 = 200;
 
-/// End of a queue in any order: the mean over [`RANDOM_ORDERS`] orders, drawn by seeds.
+/// Makespan of a queue in any order: the mean over [`RANDOM_ORDERS`] orders, drawn by seeds.
 fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
     let mut sum = 0.0;
     for seed in 0..RANDOM_ORDERS {
@@ -78,11 +80,11 @@ fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
 pub struct Comparison<'a> {
     /// The tasks, with both times.
     pub tasks: &'a [Task],
-    /// Their origin, for the report.
+    /// Origin of the tasks, for the report.
     pub source: String,
-    /// Node seconds per dispatch from a queue.
+    /// Time that a node needs for each dispatch from a queue, seconds.
     pub dispatch: f64,
-    /// Queue entries that a node searches for a task on its loaded volume.
+    /// Number of queue entries among which a node searches for a task on its loaded volume.
     pub window: usize,
     /// Result of [`second_measurement`].
     pub noise: Option<(f64, f64)>,
@@ -97,7 +99,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     make_folder(folder)?;
     let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;
     let all: Vec<usize> = (2..=64).collect();
-    // makespan[method][nodes]
+    // Indices: method, number of nodes less 2.
     let mut makespans = vec![Vec::new(); COMPARED.len()];
     let mut loads: HashMap<(usize, usize), Vec<f64>> = HashMap::new();
     let (mut bounds, mut random) = (Vec::new(), Vec::new());
@@ -221,7 +223,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     ])
 }
 
-/// The cases beyond the plain one: nodes of different speeds, and volumes that take time to load.
+/// Adds a table of further cases to the page: nodes of different speeds, and volumes that take time to load.
 fn mixed(tasks: &[Task], measured: &[f64], window: usize, page: &mut Page) -> Result<()> {
     page.heading("Unequal nodes, and volumes that must be loaded");
     let mut table = Table::new(vec![

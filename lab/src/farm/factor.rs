@@ -13,15 +13,16 @@ use entire_core::scene::{Arcball, Camera};
 use entire_steer::features::{FrameFeatures, SceneQuantity, Setting};
 use entire_steer::numeric::solve;
 
-/// Number of a frame's terms, before their squares.
+/// Number of terms of a frame, without their squares.
 const TERMS: usize = 10;
-/// Weight of the ridge, in frames.
+/// Weight of the ridge penalty, as a number of frames.
 const RIDGE: f64 = 10.0;
-/// Largest factor: e to this.
+/// Limit of the absolute value of ln(factor).
 const LIMIT: f64 = 0.5;
 
-/// Shares of the view direction along the volume's axes, logarithms of ray spacing, samples per ray, image
-/// share and step, the divergence of neighboring rays.
+/// Terms of a frame: components of the view direction along the volume's axes and products of them, logarithms of
+/// ray spacing, samples per ray, share of the image that the volume covers and ray step, divergence of
+/// neighboring rays.
 fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option<[f64; TERMS]> {
     let work = features.work(setting);
     let of = |q: SceneQuantity| features.quantity(q, setting, &work);
@@ -48,18 +49,19 @@ fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option
 pub struct Factor {
     mean: [f64; TERMS],
     sd: [f64; TERMS],
-    /// Of the standardized terms, then of their squares less one.
+    /// Weights of the standardized terms, then of their squares less one.
     weights: [f64; 2 * TERMS],
     offset: f64,
 }
 
 impl Factor {
-    /// No change.
+    /// The factor 1 for every frame.
     pub fn none() -> Self {
         Self { mean: [0.0; TERMS], sd: [1.0; TERMS], weights: [0.0; 2 * TERMS], offset: 0.0 }
     }
 
-    /// From frames with their predicted seconds; 1 if fewer than three frames per unknown are usable.
+    /// Fits the factor to frames with their predicted seconds. It is 1 if there are fewer than three usable frames
+    /// per unknown.
     pub fn fit(frames: &[(&Sample, f64)]) -> Self {
         let rows: Vec<([f64; TERMS], f64)> = frames
             .iter()
@@ -76,7 +78,7 @@ impl Factor {
         for k in 0..TERMS {
             out.mean[k] = rows.iter().map(|r| r.0[k]).sum::<f64>() / n;
             let variance = rows.iter().map(|r| (r.0[k] - out.mean[k]).powi(2)).sum::<f64>() / n;
-            // A constant input carries no information.
+            // A constant term carries no information: its standardized value is 0.
             out.sd[k] = if variance > 1e-12 { variance.sqrt() } else { f64::INFINITY };
         }
         out.offset = rows.iter().map(|r| r.1).sum::<f64>() / n;

@@ -1,27 +1,27 @@
-//! Reference for schedulers: a local search from many random starts that knows the measured times, with
-//! loading costs.
+//! Reference for schedulers: a local search from many random starts that knows the measured times and the times
+//! to load volumes.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-/// Tasks with their volumes, and loading costs.
+/// A scheduling problem: tasks with their volumes, and the times to load volumes.
 #[derive(Clone, Debug)]
 pub(super) struct Problem<'a> {
     /// Seconds of each task.
     pub(super) seconds: &'a [f64],
-    /// Volume of each task.
+    /// Index of each task's volume.
     pub(super) volume: &'a [usize],
     /// Seconds to load each volume.
     pub(super) load: &'a [f64],
-    /// Equal nodes.
+    /// Number of nodes, all equally fast.
     pub(super) nodes: usize,
 }
 
 struct State<'a> {
     problem: &'a Problem<'a>,
     node_of: Vec<usize>,
-    /// Tasks by node and volume.
+    /// Number of tasks of each node and volume.
     count: Vec<u32>,
     ends: Vec<f64>,
 }
@@ -72,7 +72,7 @@ impl<'a> State<'a> {
         (0..self.ends.len()).fold(0, |m, n| if self.ends[n] > self.ends[m] { n } else { m })
     }
 
-    /// Moves and exchanges tasks of the node that ends last, until none helps.
+    /// Moves and exchanges tasks of the node that ends last, until no change shortens the schedule.
     fn improve(&mut self) {
         loop {
             let last = self.last();
@@ -89,8 +89,8 @@ impl<'a> State<'a> {
                 }
                 for other in (0..self.node_of.len()).filter(|t| self.node_of[*t] != last) {
                     let node = self.node_of[other];
-                    // With shared volumes this is an upper bound of the gain; a chosen change is computed
-                    // exactly.
+                    // If the tasks share volumes with others, this is an upper bound of the gain. The gain of a
+                    // chosen change is computed exactly below.
                     let there = self.ends[node] - self.frees(other) + self.adds(node, task);
                     let here = longest - freed + self.adds(last, other);
                     let end = here.max(there);
@@ -108,7 +108,7 @@ impl<'a> State<'a> {
             }
             self.put(node, task);
             if self.ends[last].max(self.ends[node]) >= longest - 1e-9 {
-                // Shared volumes made it worse than estimated.
+                // The change helps less than estimated, because of shared volumes: it is taken back.
                 self.take(task);
                 if let Some(other) = other {
                     self.take(other);
@@ -130,8 +130,9 @@ fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     out
 }
 
-/// The best end of several random starts. Even ones put volumes in random order around the nodes, odd ones
-/// assign tasks in random order, each to the node that ends first with it.
+/// Shortest makespan that the search finds from `starts` random starts. Even starts fill one node after the other,
+/// volume by volume in random order; odd starts assign tasks in random order, each to the node that ends first
+/// with it.
 pub(super) fn best_of(problem: &Problem<'_>, starts: u64) -> f64 {
     (0..starts)
         .into_par_iter()

@@ -14,17 +14,17 @@ use entire_steer::features::{
 use entire_steer::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use entire_vk_raycaster::Renderer;
 
-/// Bytes of a pixel that is sent: four floats.
+/// Bytes of a pixel that is sent: four 32-bit floats.
 const PIXEL_BYTES: f64 = 16.0;
 
 /// A measured compositing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Composited {
-    /// Partial images.
+    /// Number of partial images.
     pub parts: usize,
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     pub pixels: u64,
-    /// Seconds.
+    /// Measured seconds.
     pub seconds: f64,
 }
 
@@ -62,7 +62,7 @@ impl Compositing {
         messages * self.latency + bytes * self.per_byte
     }
 
-    /// Least squares of the relative errors.
+    /// Fits both costs to measured times by least squares of the relative errors.
     ///
     /// # Errors
     /// When the times do not determine latency and bytes: at least two different numbers of parts or of
@@ -89,7 +89,7 @@ impl Compositing {
             bail!("the measured compositings are alike; vary the number of parts or of pixels");
         }
         let (latency, per_byte) = ((a1 * bb - b1 * ab) / spread, (b1 * aa - a1 * ab) / spread);
-        // Neither can be negative.
+        // Neither cost can be negative.
         Ok(match (latency < 0.0, per_byte < 0.0) {
             (true, _) => Self { latency: 0.0, per_byte: b1 / bb },
             (_, true) => Self { latency: a1 / aa, per_byte: 0.0 },
@@ -126,7 +126,7 @@ pub fn cut(dims: [usize; 3], parts: usize) -> Result<Vec<Part>> {
     Ok(out)
 }
 
-/// The elements from an index on, and the bytes of one.
+/// The elements from an index on, and the number of bytes of one element.
 fn behind(scalars: Scalars<'_>, at: usize) -> Result<(Scalars<'_>, u64)> {
     Ok(match scalars {
         Scalars::U8(v) => (Scalars::U8(&v[at..]), 1),
@@ -137,7 +137,7 @@ fn behind(scalars: Scalars<'_>, at: usize) -> Result<(Scalars<'_>, u64)> {
 }
 
 impl Part {
-    /// The voxels of this part, and their bytes.
+    /// The voxels of this part, and their number of bytes.
     fn view<'a>(&self, whole: &VolumeView<'a>) -> Result<(VolumeView<'a>, u64)> {
         let dims = [0, 1, 2].map(|a| self.to[a] - self.from[a] + 1);
         let first = self.from.iter().zip(whole.strides()).map(|(from, stride)| from * stride).sum();
@@ -179,26 +179,26 @@ pub struct Scene<'a> {
     pub table: TransferTable,
     /// The views.
     pub poses: Vec<Arcball>,
-    /// Width and height.
+    /// Width and height of the images, pixels.
     pub size: [u32; 2],
 }
 
 /// Vertical field of view of all frames, degrees.
 const FOV: f32 = 45.0;
 
-/// Seconds of every view (outer) and part (inner): measured, and predicted by the analytic model, which was
-/// fitted to the first views.
+/// Measured and predicted seconds of every view and part; the analytic model that predicts was fitted to the
+/// first views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parts {
-    /// Measured.
+    /// Measured seconds, by view and part.
     pub measured: Vec<Vec<f64>>,
-    /// Predicted.
+    /// Predicted seconds, by view and part.
     pub predicted: Vec<Vec<f64>>,
     /// Bytes of the largest part.
     pub bytes: u64,
     /// Number of views that the model was fitted to; they come first.
     pub fitted: usize,
-    /// Samples of each view, all parts together, if the renderer counts.
+    /// Number of samples of each view, all parts together; 0 if the renderer does not count them.
     pub samples: Vec<u64>,
 }
 
@@ -267,8 +267,8 @@ pub fn measure(
 }
 
 impl Parts {
-    /// Seconds of the frames that the model was not fitted to: the slowest part plus compositing, predicted
-    /// and measured.
+    /// Predicted and measured seconds of the frames that the model was not fitted to: those of the slowest part
+    /// plus compositing.
     pub fn frames(&self, compositing: &Compositing, pixels: u64) -> (Vec<f64>, Vec<f64>) {
         let of = |times: &[Vec<f64>]| -> Vec<f64> {
             times[self.fitted..]
@@ -279,7 +279,7 @@ impl Parts {
         (of(&self.predicted), of(&self.measured))
     }
 
-    /// Slowest part over the mean of the parts, measured, on average.
+    /// Measured seconds of the slowest part over the mean of all parts, averaged over the views.
     pub fn imbalance(&self) -> f64 {
         let of = |t: &Vec<f64>| {
             t.iter().copied().fold(0.0, f64::max) * t.len() as f64 / t.iter().sum::<f64>().max(1e-12)
@@ -300,7 +300,7 @@ mod tests {
         let (messages, bytes) = Compositing::amounts(4, 1000);
         assert_eq!((messages, bytes), (5.0, 16_000.0 * (0.5 + 0.25 + 0.75)));
         assert_eq!(Compositing::amounts(1, 1000), (0.0, 0.0));
-        // Radix-3.
+        // Radix 3: two messages, then two to the first.
         assert_eq!(Compositing::amounts(3, 900).0, 4.0);
         let law = Compositing { latency: 3e-5, per_byte: 1.2e-9 };
         let measured: Vec<Composited> = [(2, 65_536), (4, 65_536), (4, 1_000_000), (2, 1_000_000)]

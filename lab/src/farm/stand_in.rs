@@ -1,5 +1,5 @@
-//! A renderer that draws nothing and sleeps for listed times, in place of recorded frames on engines. It uses
-//! the session protocol of `entire farm`.
+//! A renderer that draws nothing and sleeps for listed times, so that engines can be tested with recorded times. It
+//! uses the session protocol of `entire farm`.
 
 use anyhow::{Context, Result};
 use entire_farm::read_tasks;
@@ -19,8 +19,9 @@ struct Asked {
     out: PathBuf,
 }
 
-/// Serves tasks from standard input: each takes `measured_s` of its entry times `scale`, and additional
-/// `load_s` times `scale` if its volume differs from the one before.
+/// Serves tasks from standard input. A task takes `scale` times the `measured_s` of its entry in the list
+/// (`predicted_s` if that is missing), plus `scale` times `load_s` if its volume differs from that of the task
+/// before.
 ///
 /// # Errors
 /// When the list cannot be read or a task is not in it.

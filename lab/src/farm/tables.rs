@@ -8,7 +8,7 @@ use entire_io::options::thread_pool;
 use entire_train::fit::{FitContext, predict};
 use std::path::Path;
 
-/// Tables of held-out volumes, each with a model (`data/timings/study.json`).
+/// Tables of held-out volumes, each with the model that predicts it (as in `data/timings/study.json`).
 pub(super) const HELD_OUT: [(&str, &str); 9] = [
     ("none-members", "unshaded-selected"),
     ("none-scans", "unshaded-selected"),

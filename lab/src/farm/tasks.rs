@@ -74,7 +74,8 @@ impl Recorded {
         Ok((model, Factor::fit(&pairs)))
     }
 
-    /// Errors of the model alone and of the model with the factor on every volume, when fitted to the others.
+    /// Errors on every volume of a model fitted to the others: without the factor and with it. `None` with fewer
+    /// than two volumes.
     fn leave_one_out(&self) -> Result<Option<[Quality; 2]>> {
         let volumes: std::collections::BTreeSet<usize> = self.volumes.iter().copied().collect();
         if volumes.len() < 2 {
@@ -119,7 +120,7 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
             q.log_sd
         );
     };
-    // Only frames like the tasks count, if there are any: other transfer functions say little about this one.
+    // If there are frames like the tasks, only these count: frames with other transfer functions say little.
     if !fitting.training.is_empty() {
         let mut recorded = Recorded::default();
         for file in fitting.training {

@@ -1,6 +1,6 @@
-//! One run over a device within a given time: pictures against the CPU version, the device's rates, tables in
-//! all shading modes, the machine's models, a path with switches, and a report. Every step is stored when it
-//! is finished, so that an interrupted run can be continued.
+//! Study of a device within a given time: pictures compared with those of the CPU version, the device's rates, timing
+//! tables in all shading modes, models of the machine, a path with switches, and a report. Every step is stored
+//! when it is finished, so that an interrupted run can be continued.
 
 pub mod pictures;
 pub mod report;
@@ -15,7 +15,7 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum State {
-    /// Whole.
+    /// Completed.
     Done,
     /// Ended at its time limit; its partial result is used.
     CutShort,
@@ -28,7 +28,7 @@ pub enum State {
 }
 
 impl State {
-    /// In words.
+    /// The state in words.
     pub fn name(self) -> &'static str {
         match self {
             Self::Done => "done",
@@ -65,10 +65,10 @@ pub struct Outcomes(pub Vec<Outcome>);
 impl Outcomes {
     const FILE: &str = "steps.json";
 
-    /// Those of an earlier run in this folder; none where there was no run.
+    /// Reads the outcomes of an earlier run in this folder; none if there was no run.
     ///
     /// # Errors
-    /// When the file exists but is not of this kind.
+    /// When the file exists but holds no outcomes.
     pub fn of(folder: &Path) -> Result<Self> {
         let path = folder.join(Self::FILE);
         if !path.exists() {

@@ -10,7 +10,7 @@ use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Cameras of the pictures; the last is inside the volume.
+/// Cameras of the pictures: rotations rx and ry in degrees, distance in radii. The last is inside the volume.
 const CAMERAS: [(f32, f32, f32); 4] =
     [(0.0, 0.0, 2.5), (25.0, 40.0, 1.6), (-60.0, 130.0, 3.0), (10.0, -75.0, 0.4)];
 
@@ -19,13 +19,13 @@ const CAMERAS: [(f32, f32, f32); 4] =
 pub struct Difference {
     /// The volume file's name.
     pub volume: String,
-    /// Shading of each sample.
+    /// Shading mode.
     pub shading: String,
     /// The camera's number.
     pub camera: usize,
-    /// The largest difference of a channel, of 255.
+    /// Largest difference of a channel, on a scale of 0 to 255.
     pub largest: u8,
-    /// The mean difference of the channels, of 255.
+    /// Mean difference of the channels, on a scale of 0 to 255.
     pub mean: f64,
     /// True if device and CPU version count the same samples; `None` where one of them does not count.
     pub same_samples: Option<bool>,

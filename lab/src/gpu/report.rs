@@ -1,4 +1,4 @@
-//! The page of a device's study.
+//! The report of a device's study.
 
 use super::Outcomes;
 use super::pictures::Difference;
@@ -12,7 +12,7 @@ use serde_json::Value;
 /// The shading modes, in the order of their cost.
 pub const MODES: [&str; 3] = ["none", "local", "scatter"];
 
-/// Results of a run; missing ones were not made.
+/// Results of a run. A missing one is of a step that did not run or failed.
 pub struct Found {
     /// Outcomes of the steps.
     pub outcomes: Outcomes,
@@ -34,7 +34,7 @@ fn number(value: &Value, path: &[&str]) -> Option<f64> {
     path.iter().try_fold(value, |v, key| v.get(key))?.as_f64()
 }
 
-/// The median error of perfect predictions in an evaluation.
+/// Noise floor of an evaluation: the median error that perfect predictions would have.
 fn floor(evaluation: &Value) -> Option<f64> {
     Some(NoiseFloor::deserialize(evaluation.get("noise_floor")?).ok()?.mdape())
 }
@@ -50,7 +50,7 @@ impl Found {
             Column::text("step"),
             Column::text("state"),
             Column::number("s"),
-            Column::text("said"),
+            Column::text("last line of output"),
         ]);
         for o in &self.outcomes.0 {
             let said: String = o.said.chars().take(160).collect();
@@ -140,15 +140,15 @@ impl Found {
         self.outcomes.0.iter().filter(|o| !o.state.is_over()).count()
     }
 
-    /// The largest difference of a picture from the CPU version's, of 255; `None` if none was drawn.
+    /// Largest difference of any picture from the CPU version's, on a scale of 0 to 255; `None` if none was drawn.
     pub fn worst_picture(&self) -> Option<u8> {
         self.pictures.iter().map(|d| d.largest).max()
     }
 
-    /// The page.
+    /// The report as a page.
     pub fn page(&self, device: String) -> Page {
         let mut page = Page::new(
-            "What this device does",
+            "Study of a device",
             "Pictures against the CPU version, the cost of each part of a frame, frame times in three \
              shading modes, models that the device calibrated, and frames held across switches.",
         );

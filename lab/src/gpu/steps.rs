@@ -1,4 +1,4 @@
-//! The steps of a device's study: their commands, time limits and ends.
+//! The steps of a device's study: their commands, their time limits, and the way they end.
 
 use super::{Outcome, State};
 use crate::child;
@@ -24,21 +24,21 @@ pub struct Extent {
     pub max_size: u32,
     /// Enlargement of volumes along each axis.
     pub enlarge: u32,
-    /// … in the tables of large volumes; 0 for no such tables.
+    /// Enlargement along each axis in the tables of large volumes; 0 for no such tables.
     pub enlarge_large: u32,
-    /// Seconds of a calibration, each mode.
+    /// Duration of each mode's calibration, seconds.
     pub calibration: f64,
-    /// Maximum number of its frames.
+    /// Maximum number of frames of a calibration.
     pub calibration_frames: u32,
-    /// Maximum number of its volumes; 0 for all.
+    /// Maximum number of volumes of a calibration; 0 for all.
     pub calibration_volumes: usize,
-    /// Seconds of a table.
+    /// Time limit of collecting a table, seconds.
     pub table: f64,
     /// Sides of the image in the steering step, pixels.
     pub held_size: u32,
     /// Number of frames in the steering step.
     pub held_frames: u32,
-    /// Maximum number of volumes.
+    /// Maximum number of volumes of the tables.
     pub volumes: usize,
     /// Sides of the pictures that are compared, pixels.
     pub picture: u32,
@@ -80,7 +80,7 @@ impl Extent {
 /// A command that runs as a separate process.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
-    /// Its name, and that of its log.
+    /// Name of the step and of its log.
     pub name: String,
     /// Arguments of the command.
     pub arguments: Vec<String>,
@@ -90,7 +90,7 @@ pub struct Step {
     pub partial: bool,
     /// The file of its standard output, beside the logs.
     pub output: Option<String>,
-    /// Files of an earlier attempt, which are removed first.
+    /// Files of an earlier attempt, which are removed before the command runs.
     pub anew: Vec<PathBuf>,
 }
 
@@ -133,8 +133,8 @@ pub fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>> {
     Ok(all.into_iter().step_by(every).collect())
 }
 
-/// The commands up to the tables of a mode: its model, from the given volumes or else those that
-/// `entire calibrate` finds, frames of held-out volumes, and the model's errors on them.
+/// The steps of a shading mode: calibrate a model (on the given volumes, or on those that `entire calibrate` finds),
+/// collect frames of held-out volumes, and evaluate the model on them.
 pub fn of_mode(
     mode: &str,
     out: &Path,
@@ -182,13 +182,13 @@ pub fn of_mode(
     steps
 }
 
-/// Measures the device's rates.
+/// The step that measures the device's rates.
 pub fn probe(device: &str) -> Step {
     let arguments = words(&["probe", "--json", "--device", device]);
     Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }
 }
 
-/// A path with three switches and a target, under five controllers.
+/// The steering step: a path with three switches, with a target, under five controllers.
 pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, extent: Extent) -> Step {
     let (device, clock) = device;
     let mut steer = words(&["steer", &volume.to_string_lossy(), "--generate", "switches"]);
@@ -202,8 +202,8 @@ pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, ex
     step("switches".into(), 90.0, false, steer)
 }
 
-/// Runs a step's command, at most until its time limit or the deadline: then it is asked to end, as by
-/// Ctrl-C, and killed if it does not. Its output goes to `OUT/logs/NAME.txt`.
+/// Runs a step's command, at most until its time limit or the deadline. Then the command is asked to end, as by
+/// Ctrl-C, and killed if it does not end. Its output goes to `OUT/logs/NAME.txt`.
 ///
 /// # Errors
 /// When the command cannot be started, or the user asked to stop.
@@ -251,7 +251,7 @@ mod tests {
         shell_until(60.0, script, seconds, partial)
     }
 
-    /// As a step of a run with this many seconds left.
+    /// As [`shell`], in a run with `left` seconds until its deadline.
     fn shell_until(left: f64, script: &str, seconds: f64, partial: bool) -> Outcome {
         let dir = tempfile::tempdir().unwrap();
         std::fs::create_dir(dir.path().join("logs")).unwrap();

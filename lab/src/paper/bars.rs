@@ -9,7 +9,7 @@ use super::trials::AS_IT_IS;
 use super::{cases, control, interval};
 use crate::bars::Bar;
 
-/// A label in the report.
+/// A table or figure of the paper in our report.
 #[derive(Clone, Debug)]
 pub struct Shown {
     /// The paper's label.
@@ -22,15 +22,15 @@ pub struct Shown {
     pub summary: String,
 }
 
-/// Result of our predictor on a split.
+/// Errors of our predictor on a split.
 pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> {
     results.row(split, OURS)
 }
 
-/// A ratio, and its interval over test volumes.
+/// A ratio of errors, and its interval over test volumes.
 type Ratio = (Option<f64>, Option<(f64, f64)>);
 
-/// A bar with its interval over volumes beside it.
+/// A bar on a ratio, with its interval as the note.
 fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     let bar = Bar::at_most(format!("paper/{name}"), value, limit);
     match (value, interval) {
@@ -40,8 +40,8 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     }
 }
 
-/// The bars: whatever is missing is short. A data set counts in the paper's base mode and by the paper's rule for
-/// its test volumes.
+/// The bars; one without a value is short. Bars on a data set are about the paper's base mode and the split that the
+/// paper uses for it.
 pub fn bars(
     paper: &Paper,
     all: &[Results],
@@ -52,7 +52,7 @@ pub fn bars(
     let limits = &paper.limits;
     let missing = shown.iter().filter(|s| !s.there || s.command.is_empty()).count();
     let mut out = vec![Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0)];
-    // As the paper: with at least its number of frames of every training volume.
+    // Only results with at least as many frames as the description asks for.
     let full = |r: &&Results| r.panel == Panel::Overall && complete(r);
     let overall: Vec<&Results> = all.iter().filter(full).collect();
     let network = |r: &Results| r.row(paper.rule(&r.set).split(), NETWORK).cloned();
@@ -80,7 +80,7 @@ pub fn bars(
         let found = find(&overall, set, BASE_MODE).and_then(|r| Some((r, network(r)?)));
         let voxels = found.as_ref().and_then(|(r, _)| voxels_over_proxy(paper, r));
         out.push(match found.zip(voxels) {
-            // A proxy of more voxels is a stronger baseline than the paper's.
+            // A proxy with a larger share of the voxels is a stronger baseline than the paper's.
             Some(((_, row), voxels)) if voxels < limits.lvrp_voxels => {
                 let over = row.over_lvrp.map_or("-".into(), |v| format!("{v:.4}"));
                 let (here, papers) = (voxels.round(), limits.lvrp_voxels);
@@ -103,7 +103,7 @@ pub fn bars(
     if overall.is_empty() {
         out.push(at_most("ours-over-network".into(), (None, None), limits.ours_over_network));
     }
-    // No data set holds variants of its volumes by sparsity threshold.
+    // Not measured: no data set has its volumes at several sparsity thresholds.
     let (ablation, alone) = limits.feature_vector;
     out.push(Bar::at_least("paper/without-over-with-feature-vector", None, ablation));
     out.push(Bar::at_least("paper/without-over-with-feature-vector-volume-alone", None, alone));
@@ -135,13 +135,13 @@ pub fn bars(
     }
     let slowest = cases::slowest_node(all, NETWORK);
     out.push(Bar::at_most("paper/slowest-node-by-network", slowest, limits.slowest_node));
-    // A person checks the sentences; no program does.
+    // A person compares the paper's sentences with the results; no program does.
     out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
     out.push(Bar::at_most("paper/report-seconds", Some(seconds), limits.report_seconds));
     out
 }
 
-/// Error on the held-out members of a data set of one network that was trained on all data sets, in words.
+/// Error of the one network that was trained on all data sets, on the held-out members of a data set, in words.
 fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     let of = |r: &&Results| r.panel == Panel::Procedure && r.mode == BASE_MODE;
     let title = &paper.data_set(set).filter(|d| d.rule == Rule::Members)?.title;
@@ -156,20 +156,20 @@ fn find<'a>(all: &[&'a Results], set: &str, mode: &str) -> Option<&'a Results> {
     all.iter().find(|r| r.set == set && r.mode == mode).copied()
 }
 
-/// The n-th best of some numbers, the highest best: what holds for at least n of them.
+/// The n-th largest of some numbers: at least n of them reach it.
 fn nth_best(values: &mut [f64], n: usize) -> Option<f64> {
     values.sort_by(|a, b| b.total_cmp(a));
     values.get(n.checked_sub(1)?).copied()
 }
 
-/// Voxels as rendered over those behind the low-resolution proxy.
+/// Number of voxels of the rendered volumes over that of the low-resolution proxy.
 fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
     let times = results.facts.iter().find(|f| f.name == "times")?;
     let side = |k: &str| times.values.get(k).copied();
     Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
 }
 
-/// True if the training volumes have as many frames as the description asks for.
+/// True if there are as many frames as the description asks for.
 fn complete(results: &Results) -> bool {
     let times = results.facts.iter().find(|f| f.name == "times");
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();
@@ -235,7 +235,7 @@ mod tests {
         };
         let (nyx, maestroex) = ("nyx_cosmology", "maestroex_bubbles");
         let name = "nyx_cosmology/network-over-constant";
-        // Another mode, or another split than the paper's, is no measurement.
+        // Results of another mode, or of another split than the paper's, do not count.
         let easier =
             [overall(nyx, "none", "members", Some(0.1)), overall(nyx, "local", "volumes", Some(0.1))];
         assert_eq!(of(&paper, &easier, name), "- 0.2000 short");
@@ -244,7 +244,7 @@ mod tests {
             overall(maestroex, "local", "volumes", Some(0.3)),
             overall(nyx, YT, "members", Some(0.21)),
         ];
-        // Both volumes are the first, or the second: 1/4 of the draws each.
+        // A draw of two volumes consists of the first one alone in 1/4 of the cases, and of the second one in 1/4.
         assert_eq!(of(&paper, &all, name), "0.1600 0.2000 ok (interval: 0.1000 to 0.2000)");
         let name = "maestroex_bubbles/network-over-constant";
         assert_eq!(of(&paper, &all, name), "0.3000 0.2600 short (interval: 0.1000 to 0.2000)");
@@ -258,7 +258,7 @@ mod tests {
         );
         paper.proxy = 24;
         assert_eq!(of(&paper, &all, name), "0.3200 0.6000 ok (interval: 0.1000 to 0.2000)");
-        // Kept without errors by volume.
+        // Results that were kept without errors by volume have no interval.
         let mut kept = all[0].clone();
         kept.rows.iter_mut().for_each(|r| r.by_volume.clear());
         let name = "nyx_cosmology/network-over-constant";

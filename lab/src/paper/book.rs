@@ -50,7 +50,7 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
         for (file, caption) in &section.pictures {
             let name =
                 Path::new(file).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-            // A picture that the book already has.
+            // A picture that the book already has is not written again.
             let place = if pages.join("images").join(&name).is_file() {
                 format!("images/{name}")
             } else {
@@ -68,7 +68,7 @@ pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
         } else if !section.pictures.is_empty() {
             out += "\nThe pictures above.\n";
         }
-        // Notes are not repeated.
+        // A note is written once, under the first label that has it.
         for note in section.notes.iter().chain((!label.note.is_empty()).then_some(&label.note)) {
             if told.insert(note.clone()) {
                 let _ = write!(out, "\n{note}\n");

@@ -12,24 +12,25 @@ use std::path::{Path, PathBuf};
 
 /// Numbers of nodes.
 pub const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
-/// Tasks of unknown times are assigned with equal times.
+/// Name of the assignment by equal times, as without any prediction.
 const UNIFORM: &str = "uniform";
-/// Tasks are assigned by their measured times.
+/// Name of the assignment by measured times.
 const GROUND_TRUTH: &str = "GT";
 
-/// The slowest node by a predictor's times over that by measured ones, the worst of all numbers of nodes.
+/// Load of the slowest node when tasks are assigned by a predictor's times, over that when they are assigned by
+/// measured times; the largest ratio over all numbers of nodes.
 pub(super) fn slowest_node(all: &[Results], predictor: &str) -> Option<f64> {
     let facts = all.iter().filter(|r| r.panel == Panel::Balancing).flat_map(|r| &r.facts);
     facts.filter(|f| f.name == predictor).filter_map(|f| f.values.get("slowest")).copied().reduce(f64::max)
 }
 
-/// Where the tasks of the orbit are written down for `entire-lab farm`.
+/// Path of the list of the orbit's tasks, which `entire-lab farm` reads.
 pub fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
     out.join("cases").join(format!("tasks-{set}-{mode}.csv"))
 }
 
-/// Static assignments of the orbit's tasks, longest first, by measured, predicted and equal times: the nodes'
-/// loads over that of the slowest node by measured times. Also writes the task list.
+/// Assigns the orbit's tasks to nodes, longest first, by measured, predicted and equal times. Stores the loads of the
+/// nodes over that of the slowest node of the assignment by measured times, and writes the task list.
 ///
 /// # Errors
 /// When results cannot be read or written.

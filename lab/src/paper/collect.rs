@@ -34,7 +34,7 @@ pub fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> P
     out.join("tables").join(format!("{set}-{mode}{kind}{low}.csv"))
 }
 
-/// Protocol of a mode's frames.
+/// Settings by which a mode's frames are collected.
 ///
 /// # Errors
 /// For an unknown mode.
@@ -62,14 +62,15 @@ pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
 
 /// Experiments with one varied parameter, by the thousands digit of their frame numbers.
 pub const EXPERIMENTS: [&str; 4] = ["volume", "image resolution", "transfer function", "camera pose"];
-/// First frame number of the orbit for load balancing.
+/// First frame number of the orbit for load balancing: poses around several volumes.
 pub const ORBIT: u64 = 10_000;
 /// First frame number of the same orbit with a random transfer function for every pose.
 pub const DRAWN_ORBIT: u64 = 20_000;
-/// Frame numbers of one experiment.
+/// Number of frame numbers that are reserved for each experiment.
 pub const PER_EXPERIMENT: u64 = 1_000;
 
-/// A frame to render: its number, its volume's index among the jobs, its scene without mode and voxels.
+/// A frame to render: its number, the index of its volume among the jobs, its scene without shading mode and
+/// voxels.
 #[derive(Clone, Debug)]
 struct Wanted {
     number: u64,
@@ -77,8 +78,8 @@ struct Wanted {
     scene: Scene,
 }
 
-/// The frames of the experiments: a parameter is varied around one test volume of the split by volumes and
-/// one random frame. The varied volumes are the held-out ones.
+/// The frames of the experiments and of both orbits. An experiment varies one parameter of a base frame: a random
+/// frame of a test volume of the split by volumes. Varied volumes are the held-out ones of that split.
 fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let Some(parts) = place.split(super::description::BY_VOLUMES) else { return Ok(Vec::new()) };
     let protocol = protocol(paper, mode, false)?;
@@ -104,7 +105,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
         add(1, i, middle, Scene { width: side, height: side, ..base.clone() });
         let lobes = drawn(middle, 1 + u64::from(i)).lobes;
         add(2, i, middle, Scene { lobes, ..base.clone() });
-        // Three turns while rising, at the distance of the middle frame.
+        // The camera makes three turns while it rises, at the distance of the base frame.
         let angle = 3.0 * 360.0 * share;
         let camera = Arcball {
             rx: (80.0 * share) as f32,
@@ -129,7 +130,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     Ok(out)
 }
 
-/// A log file in the making.
+/// A timing table that is being written, with the frames that it lacks.
 struct Open {
     writer: Writer,
     manifest: Manifest,
@@ -182,7 +183,7 @@ impl Open {
     }
 }
 
-/// Missing tables of a data set, each with the frames that it lacks.
+/// Opens the tables of a data set, each with the frames that it lacks.
 fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Vec<Open>> {
     let paper = work.paper;
     let mut tables = Vec::new();
@@ -223,8 +224,8 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
     Ok(tables)
 }
 
-/// Collects missing frames. Of every volume, first the frames that each needs, then the others of training
-/// volumes, so that part of the time gives part of every split.
+/// Collects missing frames: first as many of every volume as a held-out volume needs, then the remaining frames of
+/// training volumes. So a collection that is stopped early holds frames for every split.
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, a table of other settings, and being stopped.

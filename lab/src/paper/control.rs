@@ -21,7 +21,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Controllers that are drawn frame by frame: the paper's three, and ours.
+/// Controllers in the charts with a value per frame: the paper's three, and ours.
 const DRAWN: [(&str, &str); 4] = [
     (ControllerKind::Olp.name(), "OLP"),
     (ControllerKind::Pid.name(), "PID"),
@@ -32,14 +32,15 @@ const DRAWN: [(&str, &str); 4] = [
 /// The hybrid controller with the predictor that was fitted to the calibration frames.
 const OURS: &str = "ours";
 
-/// A chart of every frame.
+/// A chart with a value per frame.
 struct Drawing {
     title: &'static str,
     axis: &'static str,
     /// The controller's value.
     value: fn(&Row) -> f64,
-    /// Reference of the value: the target, or the best possible controller.
+    /// Name of the reference: the target, or the oracle.
     beside: &'static str,
+    /// Value of the reference.
     best: fn(&Row) -> f64,
 }
 
@@ -67,8 +68,8 @@ const CHARTS: [Drawing; 3] = [
     },
 ];
 
-/// Frames whose pictures are compared, as shares of the path: the first after an abrupt change, one shortly
-/// after another, and a calm one.
+/// Frames whose pictures are compared, as shares of the path: the first frame after an abrupt change, a frame
+/// shortly after another change, and a calm frame.
 const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
 
 /// Side of a compared picture, pixels.
@@ -82,7 +83,7 @@ pub struct Played<'a> {
     pub network: &'a Path,
     /// Output for the hybrid controller with its own predictor.
     pub ours: &'a Path,
-    /// The calibration table, whose curves G is made from.
+    /// The calibration table, from which G, the curve of frame time over ray step, is made.
     pub calibration: &'a Path,
 }
 
@@ -129,8 +130,8 @@ pub fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     Ok(out)
 }
 
-/// Stores the replay: scores, the first path frame by frame with pictures of three of its frames, and the
-/// curves of G.
+/// Stores the results of the replay: scores, values per frame of one path with pictures of three of its frames, and
+/// the curves behind G.
 ///
 /// # Errors
 /// When a file cannot be read or written, and when the renderer fails.
@@ -221,7 +222,7 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
         for (controller, title) in DRAWN {
             add(title, controller, chart.value);
         }
-        // The same value of every controller.
+        // The reference is the same for every controller.
         add(chart.beside, &drawn[0].controller, chart.best);
     }
     out
@@ -281,7 +282,7 @@ fn side_by_side(images: &[Image]) -> Image {
     Image { width, height, rgba }
 }
 
-/// The time of every calibration scene over that at the reference step, and G.
+/// For every calibration scene, its time over that at the reference step, by ray step; and G.
 fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     let samples = samples_of(&[calibration.to_owned()], PROBE_SIDE)?;
     let g = response(&samples).context(
@@ -315,10 +316,11 @@ fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
 
 /// Mean distance from the target over all frames.
 pub(super) const ALL_FRAMES: &str = "all deviation";
-/// The same over the first frames after a change.
+/// Mean distance from the target over the first frames after a change.
 pub(super) const FIRST_FRAMES: &str = "first_frame_deviation";
 
-/// A distance of Algorithm 1 with the paper's network over that of OLP; `None` where they were not played.
+/// A distance from the target of Algorithm 1 with the paper's network over that of OLP; `None` if one of them was
+/// not played.
 pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64> {
     let played = all.iter().find(|r| r.panel == Panel::Steering)?;
     let of = |kind: ControllerKind| {
@@ -327,7 +329,7 @@ pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64
     Some(of(ControllerKind::Algorithm1)? / of(ControllerKind::Olp)?)
 }
 
-/// Columns of the table of controllers: a figure of the scores, its title, and true if it is a share.
+/// Columns of the table of controllers: key of a score, its title, and true if it is a share.
 const COLUMNS: [(&str, &str, bool); 7] = [
     (ALL_FRAMES, "mean distance from the target", true),
     ("all missed", "frames over 1.1 × target", true),
@@ -338,11 +340,11 @@ const COLUMNS: [(&str, &str, bool); 7] = [
     ("worst", "slowest frame over target", false),
 ];
 
-/// A controller's score that is 1 if it acted on image resolution, else on the step.
+/// Key of the score that is 1 if the controller acted on image resolution, and 0 if it acted on the step.
 const ON_IMAGE: &str = "on_image";
 const IMAGE: ActsOn = ActsOn::ImageResolution { coarsest: 1.0 };
 
-/// Use case 1 in the report.
+/// Use case 1 in the report: tables and charts of the controllers.
 pub(super) fn section(of: &[&Results], s: &mut Section) {
     for r in of.iter().filter(|r| !r.facts.is_empty()) {
         let mut columns = vec![Column::text("controller"), Column::text("acts on")];

@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Random volumes, a tenth each for validation and test: the paper's rule for MAESTROeX.
+/// Split by random volumes, a tenth each for validation and test: the paper's rule for MAESTROeX.
 pub(super) const BY_VOLUMES: &str = "volumes";
-/// Whole ensemble members: the paper's rule for Nyx and Castro.
+/// Split by whole ensemble members: the paper's rule for Nyx and Castro.
 pub(super) const BY_MEMBERS: &str = "members";
-/// Volumes of another kind.
+/// Test on volumes of another kind.
 pub(super) const BY_MODALITY: &str = "modality";
 
 /// Contents of a description file. Paths are relative to the file's folder.
@@ -37,28 +37,28 @@ pub struct Paper {
     pub proxy: usize,
     /// Distribution of the scenes.
     pub scenes: SceneDistribution,
-    /// Differences of a mode whose frames take far longer.
+    /// Other settings for modes whose frames take far longer.
     #[serde(default)]
     pub in_mode: BTreeMap<String, InMode>,
     /// Data sets.
     pub data_sets: Vec<DataSet>,
-    /// Collection of yt's frames.
+    /// Collection of frames that yt draws.
     pub yt: YtFrames,
-    /// VolumeNets.
+    /// VolumeNets to train, and their training.
     pub encoders: Encoders,
-    /// Training runs of one network with different seeds, for deviations.
+    /// Number of training runs of each network, with different seeds.
     pub runs: usize,
-    /// The paper's network.
+    /// Recipe of the paper's network.
     pub network: Recipe,
-    /// Our predictor, by mode.
+    /// Recipe of our predictor, by mode.
     pub ours: BTreeMap<String, Recipe>,
-    /// Shares of the training frames, in the study of their number.
+    /// Shares of the training frames to train on, in the study of their number.
     pub shares: Vec<f64>,
-    /// Layers of PredNet to compare.
+    /// Names of PredNet's layers to compare.
     pub depths: Vec<String>,
-    /// Layers of PredNet on which encoders are compared.
+    /// Name of the PredNet with which encoders are compared.
     pub encoder_depth: String,
-    /// The two architectures of the final selection: encoder's input side, features, layers.
+    /// The two architectures of the final selection: the encoder's input side and features, PredNet's layers.
     pub finalists: Vec<(usize, usize, String)>,
     /// Fine-tuning.
     pub tuning: Tuning,
@@ -74,7 +74,7 @@ pub struct Paper {
     pub limits: Limits,
 }
 
-/// Differences of a mode.
+/// Settings of one mode; `None` for the settings of all modes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InMode {
@@ -105,12 +105,12 @@ pub struct DataSet {
     pub name: String,
     /// The name in reports.
     pub title: String,
-    /// Name of the data set in the paper, if it is there.
+    /// Name of the data set in the paper, if the paper has it.
     #[serde(default)]
     pub paper: Option<String>,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
     pub modes: Vec<String>,
-    /// True if it only tests models of the others: volumes of another kind.
+    /// True if it holds volumes of another kind, on which models of the other data sets are only tested.
     #[serde(default)]
     pub only_tests: bool,
     /// The paper's split of this data set.
@@ -121,14 +121,14 @@ pub struct DataSet {
     pub members: Option<MemberSplit>,
 }
 
-/// The split by which the paper tests on a data set. Its headline numbers are of that split.
+/// The split by which the paper tests on a data set; the paper's main numbers are those of this split.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
-    /// Random volumes, as of MAESTROeX.
+    /// Random volumes, as for MAESTROeX.
     #[default]
     Volumes,
-    /// A whole ensemble member, as of Nyx and Castro.
+    /// A whole ensemble member, as for Nyx and Castro.
     Members,
 }
 
@@ -141,7 +141,7 @@ impl Rule {
         }
     }
 
-    /// The split that the paper does not judge on.
+    /// The rule of the split on which the paper does not test.
     pub const fn other(self) -> Self {
         match self {
             Self::Volumes => Self::Members,
@@ -154,18 +154,18 @@ impl Rule {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MemberSplit {
-    /// Decides when training stops; a tenth of the other volumes if empty.
+    /// Members that decide when training stops; if empty, a tenth of the other members' volumes does.
     #[serde(default)]
     pub validation: BTreeSet<String>,
-    /// Tested on.
+    /// Members for testing.
     pub test: BTreeSet<String>,
 }
 
-/// Collection of yt's frames.
+/// Collection of frames that yt draws.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct YtFrames {
-    /// The collector.
+    /// The Python program that collects them.
     pub script: PathBuf,
     /// Renderings of each frame.
     pub repeats: u32,
@@ -181,33 +181,33 @@ pub struct YtFrames {
 pub struct Encoders {
     /// The training script.
     pub script: PathBuf,
-    /// Input sides.
+    /// Sides of the input, voxels.
     pub sizes: Vec<usize>,
     /// Lengths of the feature vector.
     pub features: Vec<usize>,
-    /// Epochs.
+    /// Maximum number of epochs.
     pub epochs: usize,
     /// Epochs without a better validation loss after which training stops.
     pub patience: usize,
-    /// Input side and features of the encoder in all parts that compare none.
+    /// Input side and features of the main encoder: the one in all parts that compare no encoders.
     pub main: (usize, usize),
-    /// Shipped encoders, for splits without encoders of their own: first of the main one's size, then others.
+    /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main encoder.
     pub shipped: Vec<PathBuf>,
-    /// Widths of the blocks in the capacity sweep, and its data set and input side.
+    /// The capacity sweep.
     pub capacity: Capacity,
 }
 
-/// The capacity sweep: reconstruction by the widths of the encoder's blocks.
+/// The capacity sweep: quality of the reconstruction by the number of channels of the encoder's blocks.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Capacity {
     /// Data sets.
     pub data_sets: Vec<String>,
-    /// Input side.
+    /// Side of the input, voxels.
     pub size: usize,
-    /// Features.
+    /// Length of the feature vector.
     pub features: usize,
-    /// Output channels of the blocks, one entry per VolumeNet.
+    /// Output channels of the blocks of each VolumeNet to train.
     pub channels: Vec<Vec<usize>>,
 }
 
@@ -215,16 +215,16 @@ pub struct Capacity {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tuning {
-    /// Mode of the data sets for pre-training, which is on all of them together.
+    /// Mode of the frames for pre-training, which uses all data sets together.
     pub mode: String,
     /// Numbers of frames for fine-tuning.
     pub frames: Vec<usize>,
     /// Epochs of fine-tuning.
     pub epochs: usize,
-    /// Tables of other renderers: name, training table, test table. If both are the same: random halves of
-    /// its frames.
+    /// Tables of other renderers: name, training table, test table. If both tables are the same, random halves of
+    /// its frames serve for training and for testing.
     pub renderers: Vec<(String, PathBuf, PathBuf)>,
-    /// Tables of the same renderer on other machines, likewise.
+    /// Tables of the same renderer on other machines, in the same form.
     #[serde(default)]
     pub machines: Vec<(String, PathBuf, PathBuf)>,
 }
@@ -233,9 +233,9 @@ pub struct Tuning {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Orbit {
-    /// Time steps.
+    /// Number of time steps.
     pub volumes: usize,
-    /// Poses of each.
+    /// Number of poses for each time step.
     pub poses: usize,
     /// Sides of the images, pixels.
     pub size: u32,
@@ -245,35 +245,35 @@ pub struct Orbit {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trials {
-    /// Measured frames, by mode; the changes are tried in the first.
+    /// Tables of measured frames, one entry per mode; the changes are tried in the first mode.
     pub tables: Vec<TrialTables>,
-    /// A teacher's labels of frames of the first mode's training volumes.
+    /// Table of frames of the first mode's training volumes, whose times (labels) a teacher model predicted.
     pub labels: PathBuf,
-    /// Frames of each volume that are learned from by labels, and passes over them.
+    /// Trainings on labels: number of labels of each volume, and number of epochs.
     pub frames: Vec<(usize, usize)>,
-    /// Trainings on labels, of each number of frames.
+    /// Number of runs of each training on labels.
     pub label_runs: usize,
-    /// Trainings of each change.
+    /// Number of training runs of each change.
     pub runs: usize,
-    /// Passes over the measured frames.
+    /// Number of epochs on the measured frames.
     pub epochs: usize,
     /// Changes of the recipe, tried one at a time.
     pub changes: Vec<Change>,
 }
 
-/// Measured frames of one mode.
+/// Tables of measured frames of one mode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrialTables {
     /// The mode.
     pub mode: String,
-    /// Learned from, and validated on.
+    /// Training and validation frames.
     pub training: PathBuf,
-    /// The same on few voxels.
+    /// The same frames as rendered by the low-resolution proxy.
     pub training_low: PathBuf,
-    /// Tested on: ensemble members that nothing was learned from.
+    /// Test frames, of ensemble members that are not in the training table.
     pub test: PathBuf,
-    /// The same on few voxels.
+    /// The same frames as rendered by the low-resolution proxy.
     pub test_low: PathBuf,
 }
 
@@ -281,21 +281,21 @@ pub struct TrialTables {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Change {
-    /// In tables.
+    /// Name in tables.
     pub name: String,
-    /// Gaussian lobes by ascending center.
+    /// True to sort the Gaussian lobes by ascending center.
     pub sorted_lobes: bool,
-    /// Every frame with its Gaussian lobes in each order, and as many steps in all.
+    /// True to train on every frame with its Gaussian lobes in each order, with the same number of optimizer steps.
     pub every_order: bool,
-    /// Logarithms of image sides, and of widths and heights of lobes.
+    /// True to take logarithms of image sides, and of widths and heights of lobes.
     pub log_inputs: bool,
-    /// One number for the image's size, the geometric mean of its sides.
+    /// True to state the image's size as one number, the geometric mean of its sides.
     pub one_resolution: bool,
-    /// Output of the network.
+    /// Output of the network; `None` for that of the recipe.
     pub target: Option<TargetChoice>,
-    /// Frames per step.
+    /// Frames per optimizer step; `None` for those of the recipe.
     pub batch: Option<usize>,
-    /// Gradients as they are.
+    /// True to leave gradients unclipped.
     pub no_clipping: bool,
     /// Frames by whose error the epoch of the weights is chosen.
     pub validation: Validation,
@@ -305,23 +305,23 @@ pub struct Change {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Validation {
-    /// As many frames of each validation volume as the description says.
+    /// The description's number of frames of each validation volume.
     #[default]
     Few,
     /// All frames of the validation volumes.
     All,
-    /// The training loss, which is lowest at the end.
+    /// No frames: the training loss decides, which is lowest at the end.
     Training,
 }
 
-/// A part of the study; each is made and kept by itself.
+/// A part of the study, with results in a file of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Panel {
-    /// Every data set and mode: the network, ours, the mean of 15 %, LVRP; by volumes, members, modality.
+    /// The network, our predictor and both baselines on every data set and mode; by volumes, members and modality.
     Overall,
-    /// The network, each time without one input.
+    /// The network without one of its inputs, each input in turn.
     Ablation,
     /// One parameter varied at a time.
     Varied,
@@ -339,16 +339,16 @@ pub enum Panel {
     Steering,
     /// Use case 2: load balancing.
     Balancing,
-    /// Renderings.
+    /// Renderings of the data sets.
     Pictures,
-    /// The paper's recipe on the repository's frames, one change at a time; only where it is named.
+    /// The paper's recipe on the repository's frames, one change at a time; runs only if it is named.
     Procedure,
-    /// The paper's recipe on a teacher's labels, by their number; only where it is named.
+    /// The paper's recipe on a teacher's labels, by their number; runs only if it is named.
     Frames,
 }
 
 impl Panel {
-    /// The name in files and commands.
+    /// Name of the part in files and commands.
     pub fn name(self) -> String {
         serde_json::to_value(self).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
     }
@@ -362,17 +362,17 @@ pub struct Label {
     pub label: String,
     /// Title of the table or figure.
     pub title: String,
-    /// The part with its counterpart.
+    /// The part of the study with our counterpart.
     pub panel: Panel,
-    /// The command that makes it.
+    /// The command that makes our counterpart.
     pub command: String,
     /// The paper's numbers.
     #[serde(default)]
     pub paper: Option<Numbers>,
-    /// A picture of ours from elsewhere.
+    /// Our picture, if it is in the repository.
     #[serde(default)]
     pub picture: Option<PathBuf>,
-    /// Inherent difference from the paper.
+    /// Note on a difference from the paper that cannot be avoided.
     #[serde(default)]
     pub note: String,
 }
@@ -381,9 +381,9 @@ pub struct Label {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Numbers {
-    /// Headings; the first is that of the rows' names.
+    /// Headings of the columns; the first column holds the names of the rows.
     pub columns: Vec<String>,
-    /// Rows: a name, then numbers; `null` for missing ones.
+    /// Rows: a name, then numbers; `None` for missing ones.
     pub rows: Vec<(String, Vec<Option<f64>>)>,
 }
 
@@ -391,9 +391,10 @@ pub struct Numbers {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
-    /// RMSE of the network over that of the mean of 15 %, by data set: in the paper's base mode, by its rule.
+    /// RMSE of the network over that of the mean of 15 % of the frames, by data set: in the base mode, on the
+    /// paper's split.
     pub over_constant: BTreeMap<String, f64>,
-    /// The same of frames that yt drew, of each of them.
+    /// The same ratio on frames that yt drew, for each of these data sets.
     pub yt_over_constant: f64,
     /// RMSE of the network over LVRP's, at the paper's ratio of voxels.
     pub over_lvrp: f64,
@@ -404,14 +405,14 @@ pub struct Limits {
     /// Error without the feature vector over that with it, where volumes differ in sparsity: in the ablation, and
     /// where the volume alone varies.
     pub feature_vector: (f64, f64),
-    /// Reconstruction of held-out volumes, dB.
+    /// Peak signal-to-noise ratio of reconstructed held-out volumes, dB.
     pub psnr: f64,
-    /// Data sets for which that must hold.
+    /// Number of data sets that must reach this ratio.
     pub data_sets: usize,
     /// Mean distance from the target of Algorithm 1 with the network over that of OLP: in the first frame after a
     /// change, and over all frames.
     pub algorithm1_over_olp: (f64, f64),
-    /// The slowest node by the network's times over that by measured times.
+    /// Load of the slowest node when tasks are assigned by the network's times, over that by measured times.
     pub slowest_node: f64,
     /// Seconds that the report may take.
     pub report_seconds: f64,
@@ -419,7 +420,7 @@ pub struct Limits {
 
 /// Modes of our raycaster.
 pub const RAYCASTER_MODES: [&str; 3] = ["none", "local", "scatter"];
-/// The paper's raycaster shades by local lighting; single scattering comes on top.
+/// The base mode: the paper's raycaster shades by local lighting.
 pub const BASE_MODE: &str = "local";
 /// The mode of frames that yt drew.
 pub const YT: &str = "yt";
@@ -435,7 +436,7 @@ impl Paper {
         self.data_set(set).map_or_else(Rule::default, |d| d.rule)
     }
 
-    /// Ours for a mode.
+    /// Recipe of our predictor for a mode.
     ///
     /// # Errors
     /// If the description has none.
@@ -474,18 +475,18 @@ pub fn read(path: &Path) -> Result<Paper> {
 fn check(paper: &Paper) -> Result<()> {
     ensure!(
         paper.frames.held_out > 0 && paper.frames.held_out <= paper.frames.training,
-        "frames: {} of held-out volumes and {} of training ones; at least 1 and no more than those of training",
+        "frames: held_out is {}, training is {}; held_out must be at least 1 and no more than training",
         paper.frames.held_out,
         paper.frames.training
     );
-    ensure!(paper.in_mode.values().all(|m| m.repeats != Some(0)), "in_mode: repeats is 0; it is at least 1");
+    ensure!(paper.in_mode.values().all(|m| m.repeats != Some(0)), "in_mode: repeats must be at least 1");
     ensure!(paper.repeats > 0 && paper.yt.repeats > 0 && paper.runs > 0, "repeats and runs are at least 1");
     let trials = &paper.trials;
     ensure!(
         !trials.tables.is_empty() && trials.runs.min(trials.label_runs) > 0,
-        "trials need tables and runs"
+        "trials: tables is empty or a number of runs is 0"
     );
-    ensure!(!paper.encoders.shipped.is_empty(), "encoders: shipped names none");
+    ensure!(!paper.encoders.shipped.is_empty(), "encoders: shipped is empty; name at least one file");
     paper.scenes.check()?;
     let mut names = BTreeSet::new();
     for d in &paper.data_sets {

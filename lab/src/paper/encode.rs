@@ -1,5 +1,5 @@
-//! VolumeNets of all required sizes, trained by the script: for each data set, for all together, and with
-//! other widths for the capacity sweep.
+//! VolumeNets of all required sizes, trained by the Python script: for each data set, for all together, and with
+//! other numbers of channels for the capacity sweep.
 
 use super::Work;
 use super::description::BY_VOLUMES;
@@ -16,12 +16,12 @@ use std::process::Command;
 use std::time::Duration;
 
 /// Time for a training to end by itself after it was asked to: it ends its batch, evaluates every volume with
-/// its best weights and writes them. A killed one continues from its last epoch.
+/// the best weights and writes them. A training that is killed continues from its last epoch.
 const GRACE: Duration = Duration::from_secs(600);
 
-/// The name of the encoder of all data sets.
+/// Name of the encoder that is trained on all data sets.
 pub const ALL: &str = "all";
-/// The name of those that ship: of all data sets, whole members held out.
+/// Name of the shipped encoders, which were trained on all data sets, with whole members held out.
 pub const SHIPPED: &str = "shipped";
 
 /// An encoder to train.
@@ -33,7 +33,7 @@ pub struct Encoder {
     pub size: usize,
     /// Length of the feature vector.
     pub features: usize,
-    /// Widths of the blocks; the script's default if empty.
+    /// Output channels of the blocks; those of the script if empty.
     pub channels: Vec<usize>,
 }
 
@@ -46,7 +46,7 @@ impl Encoder {
         out.join("volumenet").join(format!("{set}-{size}f{features}{widths}.safetensors"))
     }
 
-    /// The script's record, if the encoder is trained.
+    /// Reads the script's record; `None` if the encoder is not trained.
     ///
     /// # Errors
     /// When the record cannot be read.
@@ -63,26 +63,26 @@ impl Encoder {
 /// Record that the training script writes beside a model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
-    /// Inputs of the training.
+    /// Inputs and results of the training.
     pub provenance: Provenance,
     /// Seconds of the training.
     pub seconds: f64,
 }
 
-/// See [`Record`].
+/// Inputs and results of a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Provenance {
-    /// Mean over volumes, dB, by part and data set.
+    /// Mean peak signal-to-noise ratio over volumes, dB, by part and data set.
     pub psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
     /// Epochs that ran.
     pub epochs_run: usize,
     /// The epoch of the stored weights.
     pub best_epoch: usize,
-    /// Reason for its end.
+    /// Reason for the end of the training.
     pub stopped: String,
     /// Machine and library.
     pub machine: String,
-    /// Volumes by part.
+    /// Number of volumes by part.
     pub volumes: BTreeMap<String, usize>,
 }
 
@@ -92,7 +92,7 @@ impl Record {
         !self.provenance.stopped.starts_with("interrupted")
     }
 
-    /// Peak signal-to-noise ratio of a part of a data set, dB.
+    /// Mean peak signal-to-noise ratio over the volumes of a part (`train`, `validation`, `test`) of a data set, dB.
     pub fn psnr(&self, part: &str, set: &str) -> Option<f64> {
         self.provenance.psnr_db.get(part)?.get(set).copied()
     }
@@ -121,7 +121,7 @@ pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[
             }
         }
     }
-    // The main one comes first.
+    // The main encoder comes first.
     let main = asked.main;
     out.sort_by_key(|e| {
         (!e.channels.is_empty(), e.set == ALL, (e.size, e.features) != main, e.size, e.features)

@@ -1,4 +1,4 @@
-//! The frames of a data set and mode: its tables with their features, and the same frames at low resolution.
+//! The frames of a data set and mode: timing tables with their features, and the same frames at low resolution.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -17,31 +17,31 @@ use entire_train::split::TimedFrames;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Counts up whenever the same frames give other results.
+/// Version of the results: raised whenever the same frames give other results.
 const MADE_AS: u32 = 2;
 
-/// Seconds of frames on few voxels, by table and frame number.
+/// Seconds of the frames as rendered by the low-resolution proxy, by table and frame number.
 pub(super) type Low = BTreeMap<(usize, u64), f64>;
 
 /// The tables of a data set and mode.
 pub(super) struct Loaded {
-    /// All of them; frames refer to theirs by its index here.
+    /// All tables; a frame names its table by the index in this list.
     pub(super) tables: Vec<Table>,
     /// Index of the table of the experiments, if it was collected.
     pub(super) varied: Option<usize>,
-    /// Volumes of another kind: title and index of the table.
+    /// Tables of volumes of another kind: title and index.
     pub(super) modalities: Vec<(String, usize)>,
-    /// Seconds on few voxels, by table and frame number.
+    /// Seconds at low resolution.
     pub(super) low: Low,
 }
 
 /// Frames of a split.
 pub(super) struct SplitFrames<'a> {
-    /// Learned from.
+    /// Training frames.
     pub(super) training: TimedFrames<'a>,
-    /// Decides when training stops.
+    /// Frames that decide when training stops.
     pub(super) validation: TimedFrames<'a>,
-    /// Tested on.
+    /// Test frames.
     pub(super) test: TimedFrames<'a>,
 }
 
@@ -80,7 +80,7 @@ impl Loaded {
         Ok(index)
     }
 
-    /// The frames of a split: of validation volumes only so many as the description says, of test volumes all
+    /// The frames of a split: of each validation volume only as many as the description says, of each test volume all
     /// that were measured.
     pub(super) fn split(&self, work: &Work<'_>, parts: &Parts, clock: Clock) -> SplitFrames<'_> {
         let of = |names: &BTreeSet<String>, most: u32| {
@@ -136,9 +136,9 @@ pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>
     Ok(out)
 }
 
-/// The encoder of the parts that compare none, with its description. For the split by volumes, that of the
-/// data set if it is trained: of the described size, else of another size with as many features. Otherwise
-/// the shipped one, which was trained without the test members.
+/// The encoder of the parts that compare no encoders, with its description in words. For the split by volumes it is
+/// an encoder trained on the data set: of the main size, else of another size with as many features. Otherwise
+/// it is the shipped one, which was trained without the test members.
 pub(super) fn main_encoder(work: &Work<'_>, set: &str, split: &str) -> Result<(PathBuf, String)> {
     let (size, features) = work.paper.encoders.main;
     if split == BY_VOLUMES {
@@ -164,7 +164,7 @@ fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
     sides.retain(|s| *s != PROBE_SIDE);
     sides.sort_unstable();
     sides.dedup();
-    // Features of a table that has grown since are refused and computed again.
+    // Features of a table that has grown since they were computed are refused, and computed again.
     let there = FeatureTable::beside(path, &table.frames, table.hash).ok().flatten();
     let mut wanted: Vec<String> =
         sides.iter().map(|&s| quantity_column(SceneQuantity::SamplesPerPixel, s)).collect();
@@ -201,7 +201,7 @@ pub(super) fn of_panel(work: &Work<'_>, panel: Panel) -> Result<Vec<(Place, Stri
     Ok(out)
 }
 
-/// Hash of a part's inputs.
+/// Hash of the inputs of a part of the study.
 pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table]) -> Result<String> {
     let p: &Paper = work.paper;
     let bare = |r: &Recipe| Recipe { volumenet: None, ..r.clone() };

@@ -8,9 +8,9 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Draws behind an interval.
+/// Number of bootstrap draws behind an interval.
 pub(super) const DRAWS: usize = 10_000;
-/// Their seed.
+/// Seed of the draws.
 const SEED: u64 = 1;
 
 /// Squared errors on the frames of one volume.
@@ -18,7 +18,7 @@ const SEED: u64 = 1;
 pub struct Errors {
     /// Number of frames.
     pub frames: usize,
-    /// Sum over them, seconds squared, by run.
+    /// Sum of squared errors over the frames, seconds squared, by training run.
     pub squared: Vec<f64>,
 }
 
@@ -43,7 +43,7 @@ pub(super) fn by_volume<'a>(
     out
 }
 
-/// RMSE, the mean over the runs; `None` without frames.
+/// RMSE, seconds, as the mean over the training runs; `None` without frames.
 pub(super) fn rmse(errors: &ByVolume) -> Option<f64> {
     let all: Vec<&Errors> = errors.values().collect();
     (!all.is_empty()).then(|| rmse_of(all.iter().copied()))
@@ -56,8 +56,8 @@ fn rmse_of<'a>(drawn: impl Iterator<Item = &'a Errors> + Clone) -> f64 {
     (0..runs).map(|run| (total(run) / frames as f64).sqrt()).sum::<f64>() / runs as f64
 }
 
-/// The interval of the RMSE of one predictor over that of another on the same frames: [`LEVEL`] of the
-/// [`DRAWS`] lie within. `None` where the frames are not the same, or of fewer than two volumes.
+/// Interval of the RMSE of one predictor over that of another on the same frames: it holds [`LEVEL`] of the
+/// [`DRAWS`] ratios. `None` if the frames are not the same, or are of fewer than two volumes.
 pub(super) fn of_ratio(over: &ByVolume, under: &ByVolume) -> Option<(f64, f64)> {
     let same = over.len() == under.len()
         && over.iter().zip(under).all(|((a, x), (b, y))| a == b && x.frames == y.frames);
@@ -78,7 +78,7 @@ pub(super) fn of_ratio(over: &ByVolume, under: &ByVolume) -> Option<(f64, f64)> 
     Some((percentile(&ratios, outside), percentile(&ratios, 1.0 - outside)))
 }
 
-/// An interval in brackets, beside its ratio.
+/// An interval in brackets, as it is printed beside its ratio.
 pub(super) fn in_brackets(interval: Option<(f64, f64)>) -> String {
     interval.map_or_else(|| "(not kept)".into(), |(low, high)| format!("({low:.2}–{high:.2})"))
 }
@@ -96,7 +96,7 @@ pub(super) fn sentence() -> String {
 mod tests {
     use super::*;
 
-    /// One frame of each volume, one run.
+    /// Errors of one run on one frame of each volume.
     fn errors(squared: &[f64]) -> ByVolume {
         let one = |(i, s): (usize, &f64)| (format!("v{i:03}"), Errors { frames: 1, squared: vec![*s] });
         squared.iter().enumerate().map(one).collect()

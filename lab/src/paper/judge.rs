@@ -20,9 +20,9 @@ use entire_train::split::TimedFrames;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// The paper's network in tables.
+/// Name of the paper's network in tables.
 pub(super) const NETWORK: &str = "the paper's network";
-/// Our predictor in tables.
+/// Name of our predictor in tables.
 pub(super) const OURS: &str = "ours: analytic × factor";
 
 /// Context of a data set and mode.
@@ -33,7 +33,7 @@ pub(super) struct At<'a> {
     pub(super) place: &'a Place,
     /// The mode.
     pub(super) mode: &'a str,
-    /// Its frames.
+    /// The frames of data set and mode.
     pub(super) loaded: &'a Loaded,
     /// Clock of the frame times.
     pub(super) clock: Clock,
@@ -45,16 +45,17 @@ pub(super) struct At<'a> {
 
 /// A method by which a predictor is made.
 pub(super) struct Method<'a> {
-    /// Its name in tables and in the names of model files.
+    /// Name in error messages.
     pub(super) name: &'a str,
-    /// Key that distinguishes model files of the same name.
+    /// Key in the names of model files; different methods have different keys.
     pub(super) key: &'a str,
-    /// How.
+    /// Recipe of its training; each run adds to the seed.
     pub(super) recipe: Recipe,
 }
 
 impl At<'_> {
-    /// Trains a predictor once with every seed, or reads the stored ones.
+    /// Trains a predictor `runs` times with different seeds, or reads the stored models. `parts` gives the training
+    /// and validation frames of a run.
     pub(super) fn runs<'f>(
         &self,
         method: &Method<'_>,
@@ -80,7 +81,7 @@ impl At<'_> {
         Ok(out)
     }
 
-    /// As [`At::runs`], on a split's frames.
+    /// As [`At::runs`], on the frames of a split.
     pub(super) fn on_split(
         &self,
         method: &Method<'_>,
@@ -96,7 +97,7 @@ impl At<'_> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
 
-    /// The proxy's line, fitted to the training frames; `None` if too few were rendered at low resolution.
+    /// As [`line_of`], on the frames of this data set and mode.
     pub(super) fn proxy(&self, training: &TimedFrames<'_>) -> Option<Line> {
         line_of(&self.loaded.low, training)
     }
@@ -111,7 +112,7 @@ impl At<'_> {
         Judge::new(&self.loaded.low, self.work.paper.runs, split, frames, line)
     }
 
-    /// Bench for latencies, on a volume in its rendered form.
+    /// Measurement of latencies on a volume of the data set, enlarged as for rendering.
     pub(super) fn bench(&self) -> Result<Bench> {
         let job = self.place.jobs.first().context("no volume")?;
         let volume = Volume::open(self.place.root.join(&job.path))?;
@@ -122,7 +123,8 @@ impl At<'_> {
     }
 }
 
-/// The proxy's line, fitted to the training frames; `None` where too few were rendered on few voxels.
+/// The line by which the low-resolution proxy predicts: seconds by seconds at low resolution, fitted to the training
+/// frames. `None` if too few of them were rendered at low resolution.
 pub(super) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
     let pairs: Vec<(f64, f64)> = training
         .frames
@@ -133,25 +135,25 @@ pub(super) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
     (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
 }
 
-/// Predictions of the proxy; `None` for a frame without a rendering at low resolution.
+/// Predictions of the low-resolution proxy; `None` for a frame that was not rendered at low resolution.
 pub(super) fn by_proxy(low: &Low, line: Option<Line>, frames: &[&TimedFrame]) -> Vec<Option<f64>> {
     frames.iter().map(|f| Some(line?.at(*low.get(&(f.table, f.number))?))).collect()
 }
 
-/// Predictors on one set of frames, beside the baselines.
+/// Errors of predictors on one set of frames, beside the baselines.
 pub(super) struct Judge<'a> {
     split: String,
     frames: &'a TimedFrames<'a>,
-    /// Predictions of the proxy for the frames that it has.
+    /// Predictions of the low-resolution proxy, for frames that were rendered at low resolution.
     proxy: Vec<Option<f64>>,
     constant: Option<Row>,
     lvrp: Option<Row>,
-    /// Results.
+    /// Errors of the baselines and of every predictor that was added.
     pub(super) rows: Vec<Row>,
 }
 
 impl<'a> Judge<'a> {
-    /// Starts with the baselines.
+    /// Evaluates the baselines.
     pub(super) fn new(
         low: &Low,
         runs: usize,
@@ -186,7 +188,7 @@ impl<'a> Judge<'a> {
         out
     }
 
-    /// Evaluates the runs of a predictor; does nothing without frames.
+    /// Evaluates a predictor, given the predictions of each of its runs; does nothing without frames.
     pub(super) fn add(&mut self, name: &str, runs: &[Vec<f64>]) {
         if let Some(mut row) = self.judged(name, runs, self.frames) {
             self.compare(&mut row);
@@ -194,14 +196,14 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// The frames that the proxy has.
+    /// The frames that were rendered at low resolution, too.
     fn twins(&self) -> TimedFrames<'a> {
         let all = self.frames.frames.iter().zip(&self.frames.seconds).zip(&self.proxy);
         let (frames, seconds) = all.filter(|(_, p)| p.is_some()).map(|((f, t), _)| (*f, *t)).unzip();
         TimedFrames { frames, seconds }
     }
 
-    /// Errors on some frames: all, or those that the proxy has.
+    /// Errors on some frames: all, or those of [`Judge::twins`].
     fn judged(&self, name: &str, runs: &[Vec<f64>], frames: &TimedFrames<'_>) -> Option<Row> {
         let measured = &frames.seconds;
         let metrics: Vec<Metrics> = runs.iter().filter_map(|p| Metrics::new(p, measured)).collect();
@@ -244,7 +246,7 @@ impl<'a> Judge<'a> {
         })
     }
 
-    /// A row's errors over those of the baselines, on the frames that both have.
+    /// Sets a row's errors relative to those of the baselines, on the frames that both have.
     fn compare(&self, row: &mut Row) {
         let all = row.frames == self.frames.frames.len();
         let errors = |r: &Row| interval::rmse(if all { &r.by_volume } else { &r.of_twins });

@@ -1,4 +1,4 @@
-//! Inputs of the report, and the one file that keeps all of them.
+//! Inputs of the report, and the file that holds all of them.
 
 use super::description::Paper;
 use super::encode::{ALL, Encoder, Provenance, Record, SHIPPED};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Errors of an encoder's reconstruction of held-out volumes.
+/// An encoder, with its quality of reconstruction.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reconstruction {
     /// The encoder.
@@ -20,7 +20,7 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
-    /// Peak signal-to-noise ratio of test volumes of the data set, dB.
+    /// Mean peak signal-to-noise ratio over the test volumes of the encoder's data set, dB.
     pub fn psnr(&self) -> Option<f64> {
         self.record.psnr("test", &self.encoder.set)
     }
@@ -31,14 +31,14 @@ impl Reconstruction {
 pub struct Material {
     /// Results of all parts.
     pub all: Vec<Results>,
-    /// Reconstruction errors of encoders.
+    /// Encoders with their quality of reconstruction.
     pub reconstructions: Vec<Reconstruction>,
     /// PNG files by name.
     #[serde(with = "base64_files")]
     pub pictures: BTreeMap<String, Vec<u8>>,
 }
 
-/// Reads the results of every step, and those that the folder lacks from a kept file.
+/// Reads the results of every step from a folder, and those that it lacks from a file written by [`keep`].
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -79,7 +79,7 @@ pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Materi
     Ok(Material { all, reconstructions, pictures })
 }
 
-/// Training record in the file of a shipped encoder.
+/// Reads the training record in the file of a shipped encoder; `None` if there is none.
 fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
     let (file, model) = read_model_file(path)?;
     let net = model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
@@ -107,7 +107,7 @@ pub fn keep(material: &Material, path: &Path) -> Result<()> {
     write_whole(path, &gzip(&serde_json::to_vec(material)?)?)
 }
 
-/// Files' bytes as base64.
+/// Bytes of files as base64 text.
 mod base64_files {
     use base64::Engine as _;
     use base64::engine::general_purpose::STANDARD;

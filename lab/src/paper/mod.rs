@@ -38,15 +38,15 @@ use std::time::Instant;
 pub struct Work<'a> {
     /// Description of the study.
     pub paper: &'a Paper,
-    /// Selected parts.
+    /// Selected data sets and modes.
     pub selection: &'a Selection,
     /// The folder of the volumes.
     pub data: &'a std::path::Path,
     /// The folder of all results.
     pub out: &'a std::path::Path,
-    /// The Python for VolumeNet and yt.
+    /// The Python interpreter for VolumeNet and yt.
     pub python: &'a std::path::Path,
-    /// Threads.
+    /// Threads for training and prediction.
     pub pool: &'a rayon::ThreadPool,
     /// Deadline, if there is one.
     pub deadline: Option<Instant>,
@@ -63,9 +63,9 @@ impl Work<'_> {
     /// Reason for the stop, and the way to continue.
     pub fn stopped(&self) -> &'static str {
         if (self.interrupted)() {
-            "interrupted; what is done is kept, the same command goes on"
+            "interrupted; finished results are kept, the same command goes on from there"
         } else {
-            "the time of --budget is over; what is done is kept, the same command goes on"
+            "the time of --budget is over; finished results are kept, the same command goes on from there"
         }
     }
 }

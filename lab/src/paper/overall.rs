@@ -9,10 +9,10 @@ use super::section::{Section, errors_table, seconds, title, title_of, with_inter
 use super::volumes::in_words;
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 
-/// The paper's rule in captions.
+/// The paper's rule for test volumes, for captions.
 const RULE: &str = "MAESTROeX by random volumes, Nyx and Castro by ensemble member";
 
-/// Prediction by data set and renderer.
+/// Adds the tables and the chart of prediction errors by data set and renderer.
 pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     let mut parts = Vec::new();
     let headline = table(paper, of, |rule| rule, &mut parts);
@@ -76,7 +76,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((chart, "Lower left is better.".into()));
 }
 
-/// A row for every data set and mode that has the split; `parts` receives their ratios in words.
+/// Table with a row for every data set and mode that has the split; `parts` receives their ratios in words.
 fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
     let mut table = Table::new(vec![
         Column::text("data set, renderer"),
@@ -138,7 +138,7 @@ fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Ve
     table
 }
 
-/// Distributions of times and squared errors.
+/// Adds the charts of the distributions of times and squared errors.
 pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
     let split = |r: &Results| paper.rule(&r.set).split();
     let shown: Vec<&&Results> = of.iter().filter(|r| r.row(split(r), NETWORK).is_some()).collect();

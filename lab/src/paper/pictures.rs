@@ -1,4 +1,4 @@
-//! Renderings of the data sets: examples, their change over time, and the poses of G.
+//! Renderings of the data sets: examples, their change over time, and the poses of the figure of G.
 
 use super::Work;
 use super::collect::protocol;
@@ -17,9 +17,10 @@ use std::process::Command;
 
 /// Side of a picture, pixels.
 const SIDE: u32 = 192;
-/// The transfer function: a veil and two shells.
+/// The transfer function: a faint veil and two shells.
 const LOBES: &str = "0.3 0.003 0.012;0.6 0.003 0.04;0.88 0.006 0.6";
-/// The poses of G: the paper's figure has three, too.
+/// Poses (rotations rx and ry, degrees) for the figure of G, the curve of frame time over ray step. The paper's
+/// figure has three as well.
 const POSES: [(f32, f32); 3] = [(15.0, 20.0), (35.0, 140.0), (60.0, -100.0)];
 
 /// Draws missing pictures.

@@ -14,7 +14,8 @@ use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Writes report.html, rows.md, and rows.json; returns the bars. `started` is the start of the work.
+/// Writes report.html, rows.md, and rows.json; returns the bars. `started` is the time at which the report was
+/// begun.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -24,9 +25,9 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
         paper.title.as_str(),
         "Every table and figure of the paper beside ours, by the paper's protocol: its rule for test volumes, its frames \
          per volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
-         are others than the paper's, so the ratios are what compares: over the standard deviation of the times, \
-         over the mean of 15 % of the frames, over the low-resolution proxy. What was not measured says so and \
-         names its command.",
+         differ from the paper's: compare ratios, not seconds (errors over the standard deviation of the times, \
+         over those of the mean of 15 % of the frames, over those of the low-resolution proxy). Where nothing was \
+         measured, the command to do so is named.",
     );
     let sections: Vec<(&Label, Section)> =
         paper.labels.iter().map(|l| (l, section(paper, l, material))).collect();
@@ -110,7 +111,7 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
     Ok(found)
 }
 
-/// A picture's bytes: drawn by a step, or named by the description.
+/// Bytes of a picture that a step drew or the description names.
 pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     match material.pictures.get(file) {
         Some(drawn) => Ok(drawn.clone()),
@@ -118,11 +119,11 @@ pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     }
 }
 
-/// One row per label. `quote` is put around commands, for Markdown.
+/// Table with a row per label. `quote` is put around commands, for Markdown.
 fn rows_table(paper: &Paper, shown: &[Shown], quote: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("label"),
-        Column::text("what"),
+        Column::text("title"),
         Column::text("ours"),
         Column::text("command"),
     ]);

@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The mean of 15 % of the frames.
+/// Name of the constant baseline: the mean of 15 % of the frames.
 pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
-/// The low-resolution proxy.
+/// Name of the low-resolution proxy.
 pub(super) const LVRP: &str = "LVRP";
 
 /// Errors of a predictor on some frames.
@@ -24,11 +24,11 @@ pub struct Row {
     pub frames: usize,
     /// Number of training runs.
     pub runs: usize,
-    /// Mean over the runs, seconds.
+    /// Mean RMSE over the runs, seconds.
     pub rmse: f64,
-    /// Standard deviation over the runs, seconds.
+    /// Standard deviation of the RMSE over the runs, seconds.
     pub rmse_sd: f64,
-    /// Median over the runs, seconds.
+    /// Median RMSE over the runs, seconds.
     pub rmse_median: f64,
     /// Standard deviation of the measured seconds.
     pub sd: f64,
@@ -36,21 +36,21 @@ pub struct Row {
     pub mean: f64,
     /// RMSE over that of the mean of 15 % of the frames.
     pub over_constant: Option<f64>,
-    /// RMSE over that of the low-resolution proxy, on the frames that it has.
+    /// RMSE over that of the low-resolution proxy, on the frames that were rendered at low resolution.
     pub over_lvrp: Option<f64>,
     /// Median of |predicted − measured| / measured, mean over the runs.
     pub mdape: f64,
     /// Seconds of one prediction, if it was measured.
     pub latency: Option<f64>,
-    /// Squared errors of all runs: 5th, 25th, 50th, 75th, 95th percentile.
+    /// Percentiles of the squared errors of all runs: 5th, 25th, 50th, 75th, 95th.
     pub squared_errors: [f64; 5],
-    /// Squared errors by volume, behind intervals.
+    /// Squared errors by volume, from which intervals are computed.
     #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
     pub by_volume: ByVolume,
-    /// The same on those frames alone that were rendered on few voxels, too.
+    /// The same, only on frames that were rendered at low resolution, too.
     #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
     pub of_twins: ByVolume,
-    /// Other numbers.
+    /// Other numbers, by name.
     #[serde(default)]
     pub more: BTreeMap<String, f64>,
 }
@@ -64,17 +64,17 @@ pub struct Curve {
     pub name: String,
     /// Quantity along x.
     pub x: String,
-    /// (x, y).
+    /// Points (x, y).
     pub points: Vec<(f64, f64)>,
 }
 
-/// The chart of the orbit's times; its curve of measured times is [`MEASURED`].
+/// Name of the chart of the orbit's times; its curve of measured times is [`MEASURED`].
 pub(super) const ORBIT_CHART: &str = "orbit";
-/// The chart of the orbit with drawn transfer functions: a curve per volume.
+/// Name of the chart of the orbit with random transfer functions, with a curve per volume.
 pub(super) const DRAWN_CHART: &str = "orbit, drawn transfer functions";
-/// The curve of measured times.
+/// Name of the curve of measured times.
 pub(super) const MEASURED: &str = "measured";
-/// Quantity along x where a curve has a point per frame.
+/// Quantity along x of curves with a point per frame.
 pub(super) const SORTED: &str = "frames, by their measured time";
 
 /// Named numbers.
@@ -82,14 +82,14 @@ pub(super) const SORTED: &str = "frames, by their measured time";
 pub struct Fact {
     /// Name of the group of numbers.
     pub name: String,
-    /// By name.
+    /// The numbers by name.
     pub values: BTreeMap<String, f64>,
 }
 
 /// Results of one part of the study for one data set and mode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Results {
-    /// Hash of the inputs.
+    /// Hash of the inputs of the computation.
     pub identity: String,
     /// The part of the study.
     pub panel: Panel,
@@ -99,22 +99,22 @@ pub struct Results {
     pub mode: String,
     /// Training, validation and test frames, by split.
     pub frames: BTreeMap<String, [usize; 3]>,
-    /// The network's encoder.
+    /// The network's encoder, in words.
     pub encoder: String,
     /// Device that the frames were measured on.
     pub device: String,
-    /// Its machine.
+    /// Machine of that device.
     pub machine: String,
-    /// Errors.
+    /// Errors of predictors.
     pub rows: Vec<Row>,
-    /// Lines.
+    /// Lines of charts.
     pub curves: Vec<Curve>,
     /// Other numbers.
     pub facts: Vec<Fact>,
-    /// Pictures' files beside this one, with captions.
+    /// Names of the pictures' files, with captions.
     #[serde(default)]
     pub pictures: Vec<(String, String)>,
-    /// Date.
+    /// Date of the computation.
     pub made: String,
     /// Version of the program.
     pub program: String,
@@ -123,7 +123,7 @@ pub struct Results {
 }
 
 impl Results {
-    /// Nothing yet.
+    /// Empty results with the present date.
     pub fn new(panel: Panel, set: &str, mode: &str, identity: String) -> Self {
         Self {
             identity,
@@ -147,7 +147,7 @@ impl Results {
     /// The interval of a row's RMSE over that of the mean of 15 % of the frames.
     pub fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
         let constant = self.row(&row.split, CONSTANT)?;
-        // The proxy may have fewer frames.
+        // A row on fewer frames is that of the low-resolution proxy.
         let under = if row.frames == constant.frames { &constant.by_volume } else { &constant.of_twins };
         interval::of_ratio(&row.by_volume, under)
     }
@@ -157,7 +157,7 @@ impl Results {
         interval::of_ratio(&row.of_twins, &self.row(&row.split, LVRP)?.of_twins)
     }
 
-    /// A row.
+    /// The errors of a predictor on a split.
     pub fn row(&self, split: &str, name: &str) -> Option<&Row> {
         self.rows.iter().find(|r| r.split == split && r.name == name)
     }
@@ -177,7 +177,7 @@ pub(super) fn write(out: &Path, results: &Results) -> Result<()> {
     write_json(&path(out, results.panel, &results.set, &results.mode), results)
 }
 
-/// The stored results with this identity.
+/// Reads the stored results of a part; `None` if they are missing or have another identity.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -200,7 +200,7 @@ fn one(text: &str, path: &Path) -> Result<Results> {
     serde_json::from_str(text).with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
-/// All results of a folder, and kept ones of parts that the folder lacks.
+/// Reads all results of a folder, and adds the `kept` ones of parts that the folder lacks.
 ///
 /// # Errors
 /// When a file cannot be read.

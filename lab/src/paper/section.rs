@@ -6,7 +6,7 @@ use super::results::{CONSTANT, LVRP, Results};
 use super::volumes::in_words;
 use entire_report::{Chart, Column, Table};
 
-/// Section of the report under a label.
+/// Contents of the report under a label.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Section {
     /// Tables with captions.
@@ -47,7 +47,7 @@ pub(super) fn mode_in_words(mode: &str) -> &str {
     }
 }
 
-/// Seconds with four digits that count.
+/// Seconds with four significant digits.
 pub(super) fn seconds(v: f64) -> String {
     if v == 0.0 || !v.is_finite() {
         return "0".into();
@@ -65,12 +65,12 @@ pub(super) fn with_interval(v: Option<f64>, interval: Option<(f64, f64)>) -> Str
     v.map_or("-".into(), |v| format!("{v:.3} {}", interval::in_brackets(interval)))
 }
 
-/// A row's errors over those of a baseline; nothing stands beside the baseline's own 1.
+/// A ratio to a baseline with its interval; the ratio of the baseline to itself (`own`) has no interval.
 pub(super) fn over(v: Option<f64>, interval: Option<(f64, f64)>, own: bool) -> String {
     if own { ratio(v) } else { with_interval(v, interval) }
 }
 
-/// Errors of every predictor of a part.
+/// Table of the errors of every predictor in a part of the study.
 pub(super) fn errors_table(r: &Results) -> Table {
     let mut table = Table::new(vec![
         Column::text("on"),

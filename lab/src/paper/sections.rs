@@ -1,4 +1,4 @@
-//! Our counterpart of each table and figure.
+//! Our counterpart of each table and figure of the paper.
 
 use super::cases::NODES;
 use super::control;
@@ -113,7 +113,7 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
 }
 
-/// One chart for every chart name among curves.
+/// Charts of curves: one for each name of a chart among them.
 fn charts(title: &str, curves: &[&Curve], y: &str) -> Vec<Chart> {
     let names: BTreeSet<&str> = curves.iter().map(|c| c.chart.as_str()).collect();
     names
@@ -141,7 +141,7 @@ fn varied_curves(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
 }
 
-/// Times of each volume along an orbit.
+/// Adds charts of the times of each volume along an orbit.
 fn orbits(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of {
         let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == DRAWN_CHART).collect();
@@ -269,7 +269,7 @@ fn of_all(set: &str) -> &'static str {
 }
 
 fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
-    // Only architectures that every renderer has.
+    // Results that compare architectures, whose names hold an arrow.
     let shown: Vec<&&Results> = of.iter().filter(|r| r.rows.iter().any(|x| x.name.contains('→'))).collect();
     let Some(first) = shown.first() else { return };
     let names: Vec<&str> =
@@ -392,7 +392,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
     s.summary = of.iter().flat_map(|r| &r.facts).map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ");
 }
 
-/// Times of single frames of the data that a pre-trained model was adapted to.
+/// Adds charts of the times of single frames of each target of fine-tuning.
 fn tuned_frames(of: &[&Results], s: &mut Section) {
     let mut all: Vec<&str> = Vec::new();
     for r in of {
@@ -473,7 +473,7 @@ pub(super) struct Trial {
     pub(super) title: &'static str,
     /// The command that makes it.
     pub(super) command: &'static str,
-    /// Beginning of its files' names.
+    /// Beginning of the names of its files.
     pub(super) stem: &'static str,
     /// Its tables and charts.
     pub(super) section: Section,
@@ -524,7 +524,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         .collect()
 }
 
-/// Trials of one part and mode, each over the first of them.
+/// Table of the errors of all trials of one part and mode, also relative to the first trial.
 fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     let mut table = Table::new(vec![
         Column::text(name),
@@ -568,7 +568,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     (table, caption)
 }
 
-/// The recipe as it is, by mode and data set, each beside baselines of that data set alone.
+/// Table of the errors of the unchanged recipe by mode and data set, relative to baselines of that data set alone.
 fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
     let mut table = Table::new(vec![
         Column::text("data set, renderer"),

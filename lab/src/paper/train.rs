@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The parts that use the frames of one data set and mode each.
+/// The parts whose results are each of one data set and mode.
 const BY_SET: [Panel; 7] = [
     Panel::Overall,
     Panel::Ablation,
@@ -76,7 +76,7 @@ pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
                 let started = Instant::now();
                 let mut results = Results::new(panel, &place.set.name, mode, mark);
                 let made = at.make(panel, &mut results);
-                // A stopped part says so, whatever error it ended with.
+                // If the part was stopped, the error says so, whatever it ended with.
                 if work.stop() {
                     bail!("{}", work.stopped());
                 }
@@ -124,7 +124,7 @@ impl At<'_> {
         Ok(self.loaded.split(self.work, self.parts(split)?, self.clock))
     }
 
-    /// The paper's network with an encoder.
+    /// Recipe of the paper's network with the main encoder, and the encoder's description.
     fn network(&self, split: &str) -> Result<(Recipe, String)> {
         let (path, what) = main_encoder(self.work, &self.place.set.name, split)?;
         Ok((Recipe { volumenet: Some(path), ..self.paper().network.clone() }, what))
@@ -142,7 +142,7 @@ impl At<'_> {
         self.on_split(&Method { name: OURS, key: &key, recipe }, self.paper().runs, frames)
     }
 
-    /// The network, each time without one input.
+    /// The paper's network without one of its inputs.
     fn without(&self, input: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
         let (mut recipe, _) = self.network(BY_VOLUMES)?;
         recipe.inputs.retain(|i| i != input);
@@ -226,7 +226,8 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Feature vectors of every volume by the main encoder and the shipped one, a line per ensemble member.
+    /// Stores the feature vectors of all volumes by the main encoder and by the shipped one: a curve per ensemble
+    /// member.
     fn code_curves(&self, results: &mut Results) -> Result<()> {
         let features = self.loaded.tables[0].features.as_ref().context("no features")?;
         let encoders = [
@@ -331,7 +332,7 @@ impl At<'_> {
                 curve(super::results::LVRP, &p);
             }
         }
-        // The orbit, for load balancing.
+        // Times along the orbit, for load balancing.
         let orbit = all.parted(|f| (ORBIT..DRAWN_ORBIT).contains(&f.number)).0;
         let by_network = self.predictions(&networks[..1], &orbit.frames)?;
         let by_ours = self.predictions(&ours[..1], &orbit.frames)?;
@@ -403,7 +404,7 @@ impl At<'_> {
         Ok(())
     }
 
-    /// The network with other layers; with the study's layers and encoder it is the study's network.
+    /// The network with other layers and another encoder. With those of the study, its stored networks are used.
     fn with_layers(
         &self,
         preset: &str,
@@ -492,7 +493,7 @@ impl At<'_> {
     }
 }
 
-/// An input group in words.
+/// Name of an input group in words.
 fn plain(input: &str) -> String {
     match input {
         "volume_features" => "feature vector".into(),

@@ -1,6 +1,6 @@
-//! Causes of the network's error: the paper's recipe on frames of the repository with one change at a time, and on
-//! different numbers of a teacher's labels. Trainings run in parallel, one thread each; each is stored as soon as it
-//! ends.
+//! Experiments on the causes of the network's error: the paper's recipe on frames of the repository with one change
+//! at a time, and on different numbers of a teacher's labels. Trainings run in parallel, one thread each; each is
+//! stored as soon as it ends.
 
 use super::Work;
 use super::description::{BY_MEMBERS, Change, Panel, TrialTables, Validation};
@@ -27,17 +27,17 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// The recipe without a change.
+/// Name of the trial without a change.
 pub(super) const AS_IT_IS: &str = "as it is";
-/// The split of all test frames together; those of one data set are under its title.
+/// Name of the split of all test frames together. The split of one data set has its title as name.
 pub(super) const TOGETHER: &str = "left-out members";
-/// The set's name in results.
+/// Name of the data set in results: all data sets together.
 const SETS: &str = "all";
 
-/// Version of the results: raised whenever the same frames give other ones.
+/// Version of the results: raised whenever the same frames give other results.
 const MADE_AS: u32 = 1;
 
-/// Numbers of a Gaussian lobe: center, width, height.
+/// Number of inputs per Gaussian lobe: center, width, height.
 const PER_LOBE: usize = 3;
 
 /// A network to be trained.
@@ -68,15 +68,15 @@ impl Rows {
 /// Result of a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Done {
-    /// Seconds of the test frames.
+    /// Predicted seconds of the test frames.
     predicted: Vec<f64>,
-    /// Epoch of the weights.
+    /// Epoch of the chosen weights.
     best_epoch: usize,
     /// Duration of the training, seconds.
     seconds: f64,
 }
 
-/// The measured tables, read.
+/// Measured tables in memory: training, then test.
 struct Measured {
     tables: Vec<Table>,
     low: Low,
@@ -84,7 +84,7 @@ struct Measured {
 }
 
 impl Measured {
-    /// `None`, with a note, where they are not there.
+    /// Reads the tables; `None`, with a note, if one is missing.
     fn read(of: &TrialTables, clock: Clock) -> Result<Option<Self>> {
         if let Some(path) = [&of.training, &of.test].into_iter().find(|p| !p.exists()) {
             entire_io::files::note(&format!("{} is not there; its trials are left out", path.display()));
@@ -105,7 +105,7 @@ impl Measured {
     }
 }
 
-/// Runs the missing ones of the requested trials.
+/// Runs those of the requested trials whose results are missing.
 ///
 /// # Errors
 /// When tables cannot be read, a training fails, and when it is stopped.
@@ -129,7 +129,7 @@ pub fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     Ok(())
 }
 
-/// The paper's recipe, and every change of it if `changed`.
+/// Trials of the paper's recipe, and of every change of it if `changed`.
 fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
     let asked = &work.paper.trials;
     let all = measured.frames(0);
@@ -151,7 +151,8 @@ fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Resul
         .collect()
 }
 
-/// The paper's recipe on more and more labels of each volume; the same validation volumes, all of their labels.
+/// Trials of the paper's recipe on growing numbers of labels of each volume. The validation volumes are always the
+/// same, and all chosen labels of them count.
 fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
     let path = &work.paper.trials.labels;
     if !path.exists() {
@@ -238,13 +239,13 @@ impl Parts<'_> {
     }
 }
 
-/// Range of a group in a row.
+/// Range of an input group in a row of inputs.
 fn place(groups: &[(GroupKind, usize)], wanted: GroupKind) -> std::ops::Range<usize> {
     let before: usize = groups.iter().take_while(|g| g.0 != wanted).map(|g| g.1).sum();
     before..before + groups.iter().find(|g| g.0 == wanted).map_or(0, |g| g.1)
 }
 
-/// Rows with a change applied, and the length of one.
+/// Rows of inputs with a change applied, and the length of a row.
 fn changed(rows: &[f32], groups: &[(GroupKind, usize)], change: &Change) -> (Vec<f32>, usize) {
     let width: usize = groups.iter().map(|g| g.1).sum();
     let sides = place(groups, GroupKind::Resolution);
@@ -267,7 +268,7 @@ fn changed(rows: &[f32], groups: &[(GroupKind, usize)], change: &Change) -> (Vec
     (out, if change.one_resolution { width - sides.len() + 1 } else { width })
 }
 
-/// Every frame with its Gaussian lobes in each order.
+/// Rows in which every frame occurs once for each order of its Gaussian lobes.
 fn every_order(rows: &Rows, width: usize, groups: &[(GroupKind, usize)]) -> Result<Rows> {
     let lobes = place(groups, GroupKind::TransferFunction);
     let count = lobes.len() / PER_LOBE;
@@ -324,7 +325,7 @@ impl Trial {
         ensure!(!stop.load(Ordering::Relaxed), "stopped");
         let mut predicted = trained.predict(pool, &self.test)?;
         ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.name);
-        // Seconds are not negative.
+        // A network may predict negative seconds.
         predicted.iter_mut().for_each(|t| *t = t.max(0.0));
         Ok(Done { predicted, best_epoch: trained.best_epoch, seconds: started.elapsed().as_secs_f64() })
     }
@@ -349,7 +350,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     let folder = work.out.join("trials");
     make_folder(&folder)?;
     let file = |identity: &str| folder.join(format!("{identity}.json"));
-    // The first run of all comes before the second of any.
+    // The first runs of all trials come before any second run.
     let all: Vec<(&Trial, usize)> = (1..=runs).flat_map(|run| trials.iter().map(move |t| (t, run))).collect();
     let identities: Vec<String> = all.iter().map(|(t, run)| t.identity(work, *run)).collect::<Result<_>>()?;
     let todo: Vec<usize> = (0..all.len()).filter(|i| !file(&identities[*i]).exists()).collect();
@@ -408,7 +409,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
         }
     }
     results.rows.append(&mut judge.rows);
-    // The first of them by data set, beside baselines of that data set alone.
+    // The first trial by data set, beside baselines of that data set alone.
     for set in work.paper.data_sets.iter().filter(|d| !d.only_tests) {
         let of = |volume: &str| volume.split('/').any(|part| part == set.name);
         let chosen: Vec<usize> =
@@ -429,7 +430,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     write(work.out, &results)
 }
 
-/// Runs workers in parallel until all are done or one fails; sets `stop` once `asked` returns true.
+/// Runs workers in parallel until all of them have ended; sets `stop` once `asked` returns true.
 fn side_by_side(
     count: usize,
     worker: &(dyn Fn() -> Result<()> + Sync),

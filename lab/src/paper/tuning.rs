@@ -1,6 +1,6 @@
-//! Fine-tuning: the network pre-trained on all data sets together and adapted to other renderers, machines
-//! and kinds of volumes with few frames; beside networks trained from scratch, and our predictor in closed
-//! form.
+//! Fine-tuning: the network is pre-trained on all data sets together and adapted to other renderers, machines and kinds
+//! of volumes with few frames. It is compared with networks trained from scratch and with our predictor, which is
+//! calibrated to the same frames.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -24,21 +24,21 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The set's name in results: other renderers and kinds of volumes.
+/// Name of the data set in results on other renderers and kinds of volumes.
 const TOGETHER: &str = "all";
-/// The set's name in results: other machines.
+/// Name of the data set in results on other machines.
 pub(super) const MACHINES: &str = "machines";
 
-/// Target of an adaptation: training frames, test frames.
+/// Target of an adaptation, with its training and test frames.
 struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
     judged: TimedFrames<'a>,
-    /// The set of results that it belongs to.
+    /// Name of the data set of its results: [`TOGETHER`] or [`MACHINES`].
     set: &'static str,
 }
 
-/// Tables of another renderer or machine: the first is for training, the last for testing.
+/// Indices of the tables of another renderer or machine: the first is for training, the last for testing.
 struct Found {
     name: String,
     first: usize,
@@ -46,7 +46,7 @@ struct Found {
     set: &'static str,
 }
 
-/// The network and ours, pre-trained.
+/// The network and our predictor, pre-trained.
 struct Pretrained<'a> {
     work: &'a Work<'a>,
     runner: &'a Runner<'a>,
@@ -58,9 +58,9 @@ struct Pretrained<'a> {
     ours: ModelFile,
 }
 
-/// Maximum number of frames of a chart with a point per frame.
+/// Maximum number of frames in a chart with a point per frame.
 const MOST_DRAWN: usize = 100;
-/// The smallest time in such a chart, seconds.
+/// Smallest time in a chart with a point per frame, seconds.
 const LEAST_DRAWN: f64 = 1e-4;
 
 /// Computes the curves unless they exist.
@@ -70,7 +70,7 @@ const LEAST_DRAWN: f64 = 1e-4;
 pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result<()> {
     let paper = work.paper;
     let mode = &paper.tuning.mode;
-    // Independent of the selection, it is pre-trained on all available data.
+    // The network is pre-trained on all available data, whatever is selected.
     let everything = Selection::default();
     let all = places(paper, &everything, work.data)?;
     let mut tables: Vec<Table> = Vec::new();
@@ -79,7 +79,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         if !table_path(work.out, &place.set.name, mode, Kind::Random, false).exists() {
             continue;
         }
-        // Reading it computes the features that are missing.
+        // This computes missing features of the table.
         if Loaded::read(work, place, mode, clock)?.is_none() {
             continue;
         }
@@ -117,7 +117,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             ));
             continue;
         }
-        // Volumes are needed if the table's stored features lack the network's.
+        // Volumes are needed for tables whose stored features lack the network's.
         let bare = found.iter().filter(|t| t.features.as_ref().is_none_or(|f| f.column(&code).is_none()));
         let lost = bare.flat_map(|t| t.frames.iter().map(move |f| (t, f)));
         let lost = lost.map(|(t, f)| (t, &f.scene.volume)).find(|(t, v)| t.resolve_volume(v).is_none());
@@ -169,7 +169,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
     }
     for Found { name, first, last, set } in &others {
-        // Another machine differs in nothing else: its frames are of the data sets of the pre-training.
+        // Of another machine's frames only those of the pre-training data sets count: nothing but the machine
+        // differs.
         let known = |f: &TimedFrame| {
             Path::new(&f.scene.volume).iter().any(|part| pretrained_on.iter().any(|s| part == *s))
         };
@@ -209,7 +210,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
 }
 
 impl Pretrained<'_> {
-    /// Adapts both to a target with increasing numbers of frames, and measures their errors there.
+    /// Adapts both predictors to a target with increasing numbers of frames, and measures their errors there.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
         let Self { work, runner, context, recipe, network, ours } = self;
         let none = TimedFrames::default();
@@ -290,12 +291,12 @@ impl Pretrained<'_> {
     }
 }
 
-/// Device that rendered a table's frames.
+/// Machine on which a table's frames were measured.
 fn machine(table: &Table) -> Option<&str> {
     table.manifest.as_ref().map(|m| m.machine.as_str())
 }
 
-/// Measured and predicted times of frames in the order of the measured ones, at most [`MOST_DRAWN`].
+/// Curves of measured and predicted times of at most [`MOST_DRAWN`] frames, sorted by measured time.
 fn frame_by_frame(target: &Target<'_>, predicted: &[(&str, Vec<f64>)]) -> Vec<Curve> {
     let measured = &target.judged.seconds;
     let mut order: Vec<usize> = (0..measured.len()).collect();
@@ -313,7 +314,7 @@ fn frame_by_frame(target: &Target<'_>, predicted: &[(&str, Vec<f64>)]) -> Vec<Cu
     std::iter::once(curve(MEASURED, measured)).chain(drawn).collect()
 }
 
-/// Random training and test frames.
+/// Random halves of some frames, for training and for testing.
 fn halves<'a>(all: &TimedFrames<'a>) -> (TimedFrames<'a>, TimedFrames<'a>) {
     all.sample(all.frames.len() / 2, 11)
 }

@@ -1,4 +1,4 @@
-//! The volumes of a data set, and their roles in splits.
+//! The volumes of a data set, and the part of each split that they belong to.
 
 use super::description::{BY_MEMBERS, BY_VOLUMES, DataSet, Paper};
 use anyhow::{Context, Result, ensure};
@@ -31,17 +31,17 @@ impl Selection {
 /// Training, validation and test volumes, by name; no volume is in two parts.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Parts {
-    /// `volumes` or `members`.
+    /// Name of the split: `volumes` or `members`.
     pub name: &'static str,
-    /// Learned from.
+    /// Training volumes.
     pub training: BTreeSet<String>,
-    /// Decides when training stops.
+    /// Volumes that decide when training stops.
     pub validation: BTreeSet<String>,
-    /// Tested on.
+    /// Test volumes.
     pub test: BTreeSet<String>,
 }
 
-/// A split in words.
+/// Name of a split in words.
 pub(super) fn in_words(split: &str) -> &str {
     match split {
         BY_VOLUMES => "random volumes",
@@ -50,14 +50,14 @@ pub(super) fn in_words(split: &str) -> &str {
     }
 }
 
-/// A data set where it lies.
+/// A data set with its folder, volumes and splits.
 #[derive(Clone, Debug)]
 pub struct Place {
     /// The data set.
     pub set: DataSet,
-    /// The root folder of its volumes' names.
+    /// The folder that the names of its volumes start from.
     pub root: PathBuf,
-    /// Its volumes in order: a volume's index numbers its frames. Paths start from `root`.
+    /// Its volumes in order; frame numbers follow from the index of the volume. Paths start from `root`.
     pub jobs: Vec<Job>,
     /// Splits of the volumes; empty where the set is only for tests.
     pub splits: Vec<Parts>,
@@ -81,20 +81,20 @@ impl Place {
         Ok(Some(Self { set: set.clone(), root, jobs, splits }))
     }
 
-    /// Number of frames of a volume: many if it is a training volume of some split.
+    /// Number of frames of a volume: that of training volumes if it is one in some split.
     pub fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
         let name = name_of(job);
         let learned = self.splits.iter().any(|s| s.training.contains(&name));
         if learned { paper.frames.training } else { paper.frames.held_out }
     }
 
-    /// The split of a name.
+    /// The split with a name.
     pub fn split(&self, name: &str) -> Option<&Parts> {
         self.splits.iter().find(|s| s.name == name)
     }
 }
 
-/// The root folders of volumes' names.
+/// The folders that names of volumes may start from.
 pub(super) fn roots(data: &Path) -> [PathBuf; 2] {
     [data.join("ensembles"), data.to_owned()]
 }
@@ -119,8 +119,8 @@ fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()
     Ok(())
 }
 
-/// A tenth of some volumes, at least one, and the next tenth: in the order of a hash of their names, which is
-/// pseudo-random but independent of the folder.
+/// Two tenths of some volumes, each at least one volume. The choice is pseudo-random but depends on the volumes' names
+/// alone: it follows the order of a hash of each name.
 fn tenths<'a>(names: impl Iterator<Item = &'a String>) -> (BTreeSet<String>, BTreeSet<String>) {
     let mut names: Vec<&String> = names.collect();
     let tenth = ((names.len() as f64 / 10.0).round() as usize).max(1);
@@ -147,7 +147,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
             validation = tenths(training.iter()).0;
             training.retain(|n| !validation.contains(n));
         }
-        // If the available data lack these members there is no such split.
+        // There is no split by members if the available data lack these members.
         if !test.is_empty() && !training.is_empty() && !validation.is_empty() {
             out.push(Parts { name: BY_MEMBERS, training, validation, test });
         }
@@ -155,7 +155,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
     Ok(out)
 }
 
-/// The selected data sets that exist. A note names the others.
+/// Finds the selected data sets. A note names those that do not exist.
 ///
 /// # Errors
 /// When one cannot be read, or none exists.

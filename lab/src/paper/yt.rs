@@ -1,5 +1,5 @@
-//! Frames drawn by yt, by the collector in `examples`: one call for every volume, so that a stopped
-//! collection can be continued.
+//! Frames drawn by yt. The collector in `examples` is called once for every volume, so that a stopped collection can be
+//! continued.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Path of the frames of one volume.
+/// Path of the table of one volume's frames.
 fn part(work: &Work<'_>, job: &Job, low: bool) -> PathBuf {
     let name = name_of(job).replace(['/', '.'], "-");
     work.out.join("tables").join("yt").join(format!("{name}{}.csv", if low { "-low" } else { "" }))
@@ -60,7 +60,7 @@ fn of_volume(work: &Work<'_>, place: &Place, job: &Job, low: bool, to: &std::pat
             std::fs::remove_file(&old).with_context(|| format!("cannot remove {}", old.display()))?;
         }
     }
-    // The volume's name seeds its scenes, as for the raycaster.
+    // The volume's name is part of the seed of its scenes, as for the raycaster.
     let frames = if low { work.paper.frames.held_out } else { place.frames_of(job, work.paper) };
     let mut command = Command::new(work.python);
     command
@@ -108,7 +108,7 @@ fn put_together(work: &Work<'_>, place: &Place) -> Result<()> {
             for frame in table.frames {
                 let number = j as u64 * each + frame.number;
                 let scene = match scenes.get(&number) {
-                    // The reference step in samples is rounded for every grid.
+                    // The step is rounded for each grid of voxels, so that of the low resolution may differ.
                     Some(full) => {
                         let here = Scene { dims: full.dims, step: full.step, ..frame.scene.clone() };
                         ensure!(here == *full, "{}: frame {} is another one", path.display(), frame.number);

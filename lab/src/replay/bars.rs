@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
 
-/// Rules that use past times only.
+/// Controllers that use past frame times only.
 const REACTIVE: [ControllerKind; 9] = [
     ControllerKind::Olp,
     ControllerKind::Last,
@@ -19,10 +19,10 @@ const REACTIVE: [ControllerKind; 9] = [
     ControllerKind::Filament,
 ];
 
-/// The steering bars: the hybrid against fixed limits and against all others.
+/// The steering bars: scores of the hybrid, against fixed limits and against the other controllers.
 ///
 /// # Errors
-/// When a controller that they compare did not play.
+/// When a controller that the bars compare did not play.
 pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     let of = |kind: ControllerKind| {
         players.iter().position(|p| p.kind == kind).map(|i| &scores[i]).with_context(|| {
@@ -34,7 +34,7 @@ pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     for kind in ControllerKind::value_variants().iter().filter(|k| **k != ControllerKind::Hybrid) {
         others.push(of(*kind)?);
     }
-    // In calm phases the best reactive rule, which may differ from figure to figure.
+    // In calm phases the hybrid is compared with the best reactive rule, which may differ from score to score.
     let reactive = REACTIVE.into_iter().map(&of).collect::<Result<Vec<_>>>()?;
     let calm_least =
         |figure: fn(&Three) -> f64| reactive.iter().map(|s| figure(&s.calm)).fold(f64::INFINITY, f64::min);
@@ -57,7 +57,7 @@ pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     ])
 }
 
-/// The bars of the played paths: number of paths without the named ones.
+/// Bars on the number of played paths: one for all `paths`, and one that is short for each path that was not played.
 pub fn played(paths: usize, unplayed: &[String]) -> Vec<Bar> {
     let mut out =
         vec![Bar::at_least("steer-paths-played", Some((paths - unplayed.len()) as f64), paths as f64)];

@@ -1,4 +1,4 @@
-//! Sessions without a model that start anywhere on a path: the case of a program that has only its own times.
+//! Sessions without a model that start anywhere on a path, as in a program that knows only its own frame times.
 
 use super::{Replayable, Trial, replay};
 use crate::bars::Bar;
@@ -9,18 +9,18 @@ use entire_steer::control::{Hybrid, HybridOptions, Prior, Session, StepLimits};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use std::ops::Range;
 
-/// Frames between the starts of two sessions.
+/// Number of frames between the starts of two sessions.
 const EVERY: usize = 8;
 
-/// Promise for the second frame: the share that stays below the upper bound of its plan.
+/// Promised share of second frames that take no more than the upper bound of their plan.
 const PROMISED: f64 = 0.95;
 
-/// The frames of sessions of `frames` frames each that start along a path of `n`.
+/// Frame ranges of sessions with `frames` frames each that start at regular intervals on a path of `n` frames.
 pub fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usize>> {
     (0..(n + 1).saturating_sub(frames)).step_by(EVERY).map(move |start| start..start + frames)
 }
 
-/// The hybrid with a predictor.
+/// The hybrid controller with a predictor.
 pub fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {
     Contender {
         name: "hybrid".into(),
@@ -30,7 +30,7 @@ pub fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> C
     }
 }
 
-/// The hybrid without a model.
+/// The hybrid controller without a model.
 pub fn without_model(options: HybridOptions) -> Contender {
     hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
 }

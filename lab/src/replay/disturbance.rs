@@ -4,7 +4,7 @@ use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// One frame of a recording: its start and its slowdown.
+/// Start and slowdown of a recorded frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Slowdown {
     /// Seconds since the recording began.
@@ -16,10 +16,10 @@ pub struct Slowdown {
 /// A recording of slowdowns, which repeats from the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Disturbance {
-    /// Its name in tables.
+    /// Name in tables.
     pub name: String,
     frames: Vec<Slowdown>,
-    /// Seconds from its start to its end.
+    /// Length of the recording, seconds.
     length: f64,
 }
 
@@ -37,7 +37,7 @@ impl Disturbance {
         Self::new(name, frames).with_context(place)
     }
 
-    /// From the frames of a recording.
+    /// A recording of these frames.
     ///
     /// # Errors
     /// As [`Disturbance::open`].
@@ -57,7 +57,7 @@ impl Disturbance {
         Ok(Self { name, frames, length })
     }
 
-    /// Seconds from the beginning to the end.
+    /// Length of the recording, seconds.
     pub fn length(&self) -> f64 {
         self.length
     }
@@ -103,10 +103,10 @@ mod tests {
         };
         near(0.2, 0.5, 0.5);
         near(1.0, 0.5, 1.0);
-        // Half before the slow part, half within it; and from within it to after it.
+        // One frame that is half before the slow part and half within it, and one that ends after it.
         near(0.5, 1.0, 1.5);
         near(2.5, 1.0, 0.5 + 0.75);
-        // Across the end, more than once.
+        // A frame that lasts longer than the recording, which repeats.
         near(4.0, 4.0 * 3.0 + 1.0, 5.0 * 3.0 + 1.0);
     }
 

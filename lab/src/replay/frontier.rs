@@ -1,4 +1,4 @@
-//! Step and image size chosen together by the quality law.
+//! Choice of step and image size together by the quality law, tested on recorded traces.
 
 use super::Replayable;
 use crate::trace::{TRACE_SCALES, TracePoint};
@@ -16,7 +16,7 @@ pub struct Frontier {
 }
 
 impl Frontier {
-    /// In a sentence.
+    /// The result in a sentence.
     pub fn sentence(&self) -> String {
         format!(
             "Quality model (step and image size) on {} choices of traces that it was not fitted to: mean \
@@ -26,9 +26,10 @@ impl Frontier {
     }
 }
 
-/// Fits the quality law to every other trace and tests it on the rest; `None` if there is nothing to choose.
+/// Fits the quality law to every other trace and tests it on the remaining ones; `None` if the law cannot be fitted
+/// or no frame has a choice.
 pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
-    // Frames that were drawn with both coarsened, with the points of that grid.
+    // Frames that were also drawn with step and image size coarsened together, with the points of that grid.
     let points = |odd: bool| {
         traces
             .iter()
@@ -58,8 +59,8 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
         for (target, _) in targets {
             let seconds = |p: &TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
             let fitting: Vec<_> = frame.iter().copied().filter(|p| seconds(p) <= *target).collect();
-            // Only frames with a choice: the reference setting misses the target, some full-size one meets
-            // it.
+            // Only frames with a choice count: full quality misses the target, and a coarser step at full size
+            // meets it.
             let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));
             let (Some(full), false) = (full, fitting.iter().any(|p| p.scale == 1.0 && p.step <= 1.0)) else {
                 continue;

@@ -1,4 +1,4 @@
-//! Replay of traces: controllers on recorded time curves, scored beside an oracle that knows them.
+//! Replay of traces: controllers act on recorded time curves and are scored beside an oracle that knows the curves.
 
 mod bars;
 pub mod cold;
@@ -29,7 +29,7 @@ use serde::Serialize;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Frames after a change of anything but the camera that are not calm, and frames at the start of a path.
+/// Number of frames that are not calm: from a change of anything but the camera on, and from the start of a path on.
 pub const SETTLING: usize = 3;
 
 /// A trace that is ready to be replayed.
@@ -39,12 +39,12 @@ pub struct Replayable {
     pub trace: Trace,
     /// Its path, frame by frame.
     pub path: FlightPath,
-    /// Per frame, over the ray step.
+    /// Time and quality of each frame over the ray step.
     pub curves: Vec<Curve>,
-    /// Per frame, over image resolution at the reference step; `None` where some frame was drawn without
-    /// smaller images.
+    /// Time and quality of each frame over image resolution, at the reference step; `None` if some frame was drawn
+    /// without smaller images.
     pub images: Option<Vec<Curve>>,
-    /// Per volume.
+    /// Summary of each volume.
     pub summaries: Vec<VolumeSummary>,
     /// Frames with an abrupt change: a switch of the path, another volume, another image size.
     pub switches: Vec<bool>,
@@ -81,7 +81,8 @@ impl Replayable {
         self
     }
 
-    /// Curves that answer a controller's decisions, and its limits: its own range, as far as it was recorded.
+    /// Curves from which a controller gets its frame times, and the limits of its decisions: its own range, as far as
+    /// it was recorded.
     ///
     /// # Errors
     /// When the controller acts on smaller images and the trace holds none.
@@ -106,14 +107,14 @@ pub struct Replayed {
     pub target: f64,
     /// Measured seconds.
     pub seconds: f64,
-    /// Expected seconds of the controller; NaN without a prediction.
+    /// Seconds that the controller expects; NaN without a prediction.
     pub predicted: f64,
-    /// Its upper bound; NaN without one.
+    /// Upper bound of the controller, seconds; NaN without one.
     pub upper: f64,
-    /// Decision: the ray step, or s of [`ActsOn::ImageResolution`].
+    /// Decision of the controller: the ray step, or s of [`ActsOn::ImageResolution`].
     pub step: f64,
-    /// The finest possible decision without noise: as the oracle's step, but of the controller's own
-    /// quantity.
+    /// Finest decision that meets the target without noise: as the oracle's step, but of the quantity that the
+    /// controller sets.
     pub finest_step: f64,
     /// The oracle's step.
     pub oracle_step: f64,
@@ -121,28 +122,28 @@ pub struct Replayed {
     pub oracle_seconds: f64,
     /// PSNR against the reference picture, decibels.
     pub psnr: f64,
-    /// The oracle's.
+    /// PSNR at the oracle's step, decibels.
     pub oracle_psnr: f64,
     /// Structural similarity to the reference picture.
     pub ssim: f64,
-    /// The oracle's.
+    /// Structural similarity at the oracle's step.
     pub oracle_ssim: f64,
     /// True if the coarsest step meets the target.
     pub feasible: bool,
     /// True if some allowed step takes exactly the target.
     pub reachable: bool,
-    /// True if something, or the target, changed abruptly here.
+    /// True if the scene or the target changed abruptly in this frame.
     pub switched: bool,
-    /// True if only the camera changed in this frame and the [`SETTLING`] before, and the path did not start
-    /// there.
+    /// True if nothing but the camera changed in the last [`SETTLING`] frames, this one included, and the path did
+    /// not start among them.
     pub calm: bool,
-    /// Reason for the step.
+    /// Reason for the decision.
     #[serde(serialize_with = "reason_name")]
     pub reason: Reason,
 }
 
 impl Replayed {
-    /// The same frame as played by the oracle, which knows the curve, but not the noise.
+    /// The same frame as drawn by the oracle, which knows the curve but not the noise.
     pub fn by_oracle(&self) -> Self {
         Self {
             seconds: self.oracle_seconds,
@@ -169,9 +170,9 @@ fn mix(a: u64, b: u64) -> u64 {
     h ^ (h >> 32)
 }
 
-/// Plays some frames of a trace with `targets` (one per frame of the trace); the session starts at the first
-/// of them. The noise of a frame is the same for every controller; `seed` selects which of the measured ones.
-/// `limits` are those of the ray step.
+/// Plays a range of the frames of a trace with `targets` (one per frame of the trace); the session starts at the
+/// first frame of the range. The noise of a frame is the same for every controller: `seed` selects one of the
+/// repeats that measured it. `limits` are those of the ray step.
 ///
 /// # Errors
 /// When a prediction fails; names the frame. When the controller acts on image resolution and the trace holds
@@ -196,7 +197,7 @@ pub fn replay(
     let mut out: Vec<Replayed> = Vec::with_capacity(frames.len());
     let mut shown = usize::MAX;
     let mut since_switch = 0;
-    // Frames follow each other without a pause; every round starts elsewhere in the recorded slowdown.
+    // Frames follow each other without a pause. Every round starts at another time of the recorded slowdown.
     let disturbance = recorded.disturbance.as_deref();
     let mut now = disturbance.map_or(0.0, |d| d.length() * (mix(seed, n as u64) % 1000) as f64 / 1000.0);
     for (index, at) in recorded.path.frames.iter().enumerate().take(frames.end).skip(start) {

@@ -1,4 +1,4 @@
-//! Players of a replay, and the quantities that they set.
+//! Controllers in a replay, and the quantities that they set.
 
 use super::Replayable;
 use clap::ValueEnum;
@@ -9,17 +9,17 @@ use entire_io::files::note;
 /// A controller in a replay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Player {
-    /// Which.
+    /// The controller.
     pub kind: ControllerKind,
-    /// Curves that answer its decisions.
+    /// The quantity that it sets in this replay.
     pub acts_on: ActsOn,
 }
 
 impl Player {
-    /// The named controllers; default: all.
+    /// The named controllers; all of them if `kinds` is empty.
     ///
     /// If a trace holds no smaller images, rules that act on image resolution act on the ray step instead, on
-    /// all traces, so that each row of a table has one meaning; standard error and the tables say so.
+    /// all traces, so that each row of a table has one meaning. A note and the tables say so.
     pub fn all(kinds: &[ControllerKind], traces: &[Replayable]) -> Vec<Self> {
         let kinds = if kinds.is_empty() { ControllerKind::value_variants() } else { kinds };
         let without: Vec<&str> =
@@ -46,12 +46,12 @@ impl Player {
         players
     }
 
-    /// True if it changes the ray step instead of its own quantity.
+    /// True if it sets the ray step instead of its own quantity.
     pub fn stands_in(&self) -> bool {
         self.acts_on != self.kind.acts_on()
     }
 
-    /// Name of its quantity, for tables.
+    /// Name of the quantity that it sets, for tables.
     pub const fn acts_on_name(&self) -> &'static str {
         match (self.acts_on, self.kind.acts_on()) {
             (ActsOn::RayStep, ActsOn::ImageResolution { .. }) => "ray step instead",

@@ -19,11 +19,11 @@ use std::path::Path;
 
 /// Results of all replays, for reports.
 pub struct Results<'a> {
-    /// Who played.
+    /// Controllers.
     pub players: &'a [Player],
-    /// On what.
+    /// Recorded paths.
     pub traces: &'a [Replayable],
-    /// Against what.
+    /// Paths with their targets.
     pub trials: &'a [Trial],
     /// Outcome of each trial.
     pub outcomes: &'a [Outcome],
@@ -36,7 +36,7 @@ fn percent(v: f64) -> Option<String> {
 }
 
 impl Results<'_> {
-    /// Score of the oracle: its misses are the frames' noise alone.
+    /// Score of the oracle, which misses targets only because of the frames' noise.
     pub fn oracle(&self) -> Score {
         let mut total = Tally::default();
         for frames in self.outcomes.iter().filter_map(|o| o.frames.first()) {
@@ -266,8 +266,8 @@ impl Results<'_> {
                  Quality: mean of the oracle's step divided by the chosen step, at most 1; the oracle knows \
                  the time of every frame at every step, but not its noise. Rules that change the image \
                  resolution draw 1/s of the pixels at the reference step; their quality is the least s of \
-                 their range that meets the target, divided by the chosen s. Calm: in this frame and the \
-                 {SETTLING} before, only the camera has changed, and not abruptly. Jumps: calm frames whose \
+                 their range that meets the target, divided by the chosen s. Calm: in the last {SETTLING} \
+                 frames, this one included, only the camera has changed, and not abruptly. Jumps: calm frames whose \
                  step differs from that of the previous frame by over 20 %. In bound: abrupt changes whose \
                  first frame stayed below its upper bound. SSIM: mean structural similarity to the picture \
                  at the reference step, relative to the oracle's. The best value of each column is bold."
@@ -299,7 +299,7 @@ impl Results<'_> {
         page.chart(
             &chart,
             "A point per controller and target, over all traces on which the target was \
-             played. Up and left is better.",
+             played. Points further up and left are better.",
         );
         for (t, trace) in self.traces.iter().enumerate() {
             let of_trace: Vec<&Outcome> =
@@ -403,7 +403,7 @@ impl Results<'_> {
             .size(900.0, 280.0)
             .rule(Rule::Horizontal(1.0, "target".into()))
             .rule(Rule::Horizontal(1.1, String::new()));
-        page.chart(&draw(time, &|_| true, &|r| r.seconds / r.target, None), "Upright lines: abrupt changes.");
+        page.chart(&draw(time, &|_| true, &|r| r.seconds / r.target, None), "Vertical line: abrupt change.");
         let step = Chart::new("Ray step", Axis::linear("frame"), Axis::log("step / reference steps"))
             .size(900.0, 260.0);
         page.chart(

@@ -3,15 +3,15 @@
 use super::Replayed;
 use serde::Serialize;
 
-/// Three scores: misses, distance, quality.
+/// Three scores: misses, distance from the target, quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Three {
     /// Share of the feasible frames that took over 1.1 targets.
     pub missed: f64,
     /// Mean |t − target| / target over the reachable frames.
     pub deviation: f64,
-    /// Mean over all frames of the oracle's step divided by the chosen step, at most 1. For rules that change
-    /// the image resolution, of the best reduction in their range divided by the chosen one.
+    /// Mean over all frames of the oracle's step divided by the chosen step, at most 1. For rules that change the
+    /// image resolution: mean of the least reduction that meets the target, divided by the chosen reduction.
     pub quality: f64,
 }
 
@@ -79,19 +79,19 @@ impl Sums {
 /// A controller's scores. Shares are 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
-    /// Frames played.
+    /// Number of frames played.
     pub frames: usize,
-    /// Over all frames.
+    /// Scores over all frames.
     pub all: Three,
-    /// Over calm frames.
+    /// Scores over calm frames.
     pub calm: Three,
     /// Share of calm frames whose step differs from the frame before by over 20 %.
     pub jumps: f64,
-    /// Abrupt changes.
+    /// Number of abrupt changes.
     pub switches: usize,
-    /// Share of them whose first frame stayed below its upper bound; NaN from controllers without one.
+    /// Share of abrupt changes whose first frame took no more than its upper bound; NaN for controllers without one.
     pub inside_bound: f64,
-    /// Mean |t − target| / target of their first frames, if reachable.
+    /// Mean |t − target| / target of the reachable first frames after abrupt changes.
     pub first_frame_deviation: f64,
     /// Mean structural similarity to the reference pictures over the oracle's.
     pub ssim_ratio: f64,
@@ -104,7 +104,7 @@ pub struct Score {
 }
 
 impl Tally {
-    /// From one replay.
+    /// Sums over one replay.
     pub fn of(frames: &[Replayed]) -> Self {
         let mut t = Self::default();
         let mut run = 0;
@@ -143,7 +143,7 @@ impl Tally {
         t
     }
 
-    /// Adds another replay's.
+    /// Adds the sums of another replay.
     pub fn merge(&mut self, o: &Self) {
         self.all.merge(&o.all);
         self.calm.merge(&o.calm);

@@ -1,4 +1,4 @@
-//! Traces with targets, under every controller.
+//! Trials: traces with targets, played under every controller.
 
 use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
 use crate::fitted::Calibrated;
@@ -13,7 +13,7 @@ use entire_steer::control::StepLimits;
 pub struct Trial {
     /// Index of the trace.
     pub trace: usize,
-    /// The target in reports.
+    /// Name of the target in reports.
     pub label: String,
     /// Target of each frame, seconds.
     pub targets: Vec<f64>,
@@ -23,9 +23,9 @@ pub struct Trial {
 pub struct Outcome {
     /// Index of the trial.
     pub trial: usize,
-    /// Per controller, the frames of the first round.
+    /// Frames of the first round, by controller.
     pub frames: Vec<Vec<Replayed>>,
-    /// Per controller, over all rounds.
+    /// Sums over all rounds, by controller.
     pub tallies: Vec<Tally>,
 }
 
@@ -49,9 +49,9 @@ pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits
     out
 }
 
-/// As [`trials`], with one additional target for every trace that has no useful one: halfway, in ln(seconds),
-/// between the times of its middle frame at the finest and at the coarsest step. Also the names of those for
-/// which not even that is useful.
+/// As [`trials`], with a target for every trace that has no useful one: halfway, in ln(seconds), between its median
+/// frame times at the finest and at the coarsest step. Also returns the names of the traces for which that target
+/// is not useful either.
 pub fn trials_of_all(
     traces: &[Replayable],
     targets: &[(f64, &str)],
@@ -75,7 +75,7 @@ pub fn trials_of_all(
     (out, unplayed)
 }
 
-/// A target from a trace alone: halfway, in ln(seconds), between the times of its middle frame at the finest
+/// Target that follows from a trace alone: halfway, in ln(seconds), between its median frame times at the finest
 /// allowed step and at the coarsest.
 fn own_target(trace: &Replayable, limits: StepLimits) -> Option<f64> {
     let middle = |step: f32| {
@@ -102,7 +102,7 @@ pub fn play(
 ) -> Result<Outcome> {
     let chosen = &calibrated.chosen().fitted;
     let mean = trial.targets.iter().sum::<f64>() / trial.targets.len() as f64;
-    // The step that a user would set once: the one at which the middle frame meets the target.
+    // For the controller with a fixed step: the step at which the middle frame of the path meets the target.
     let middle = &trace.curves[trace.curves.len() / 2];
     let fixed = middle.oracle(mean, f64::from(limits.finest), f64::from(limits.coarsest)) as f32;
     let mut outcome =
@@ -131,7 +131,7 @@ mod tests {
 
     const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 16.0 };
 
-    /// A path of the project, its seconds changed frame by frame.
+    /// A recorded path of the repository with other seconds: those that `seconds` returns for frame and seconds.
     fn path(name: &str, seconds: impl Fn(usize, f64) -> f64) -> Replayable {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut trace = Trace::open(&root.join(format!("data/steer/traces/{name}.json.gz"))).unwrap();
@@ -145,8 +145,8 @@ mod tests {
     #[test]
     fn no_path_is_left_out_without_a_word() {
         let targets = [(1.0 / 30.0, "30fps"), (1.0 / 60.0, "60fps"), (1.0 / 90.0, "90fps")];
-        // One that is faster than every target; one that they suit; one whose times do not depend on the
-        // step.
+        // A path that is faster than every target, one that some targets suit, and one whose times do not depend on
+        // the step.
         let paths = [
             path("banana-resize", |_, s| s),
             path("castro-cuts", |_, s| s),

@@ -1,17 +1,17 @@
-//! Search of the controller's constants on recorded paths.
+//! Search for better constants of the controller on recorded paths.
 //!
-//! The cost of a path is the sum of the controller's errors on it, each in units of its promise: the mean
-//! distance from the target (8 %), the share of frames over 1.1 targets (3 %), the excess of its step over
-//! the oracle's (8 %), the share of frames that are coarser than full quality although that fits (8 %), and
-//! the share of calm frames at which the step jumps (8 %), summed over every useful target. All but the last
-//! are added for sessions without a model that start anywhere on the path, over the frames after their first:
-//! the case of a program that has only its own times. The renderer of such a program is not the recorded one,
-//! so those sessions are played on three: the recorded one, one whose time falls faster with the step, and
-//! one whose time falls more slowly ([`Law`]).
+//! The cost of a path is the sum of the controller's errors on it over every useful target, each divided by its
+//! promised limit: the mean distance from the target (8 %), the share of frames over 1.1 targets (3 %), the loss
+//! of quality (8 %), the share of frames that are coarser than full quality although full quality meets the target
+//! (8 %), and the share of calm frames at which the step jumps (8 %). All but the last are added once more for
+//! sessions without a model that start anywhere on the path, over the frames after their first, as in a program that
+//! knows only its own frame times. The renderer of such a program is not the recorded one, so those sessions are
+//! played on three renderers: the recorded one, one whose time falls faster with the step, and one whose time falls
+//! more slowly ([`Law`]).
 //!
-//! The search takes the constants one at a time and tries a few multiples of each. It takes the best one
-//! whose cost is lower by more than two standard errors of the difference among paths, since dozens are
-//! tried, and ends when a whole round takes none.
+//! The search goes through the constants and tries a few multiples of each. It takes the best multiple whose cost is
+//! lower by more than two standard errors of the difference among paths, since dozens are tried, and ends after a
+//! round in which it took none.
 
 use super::cold::{hybrid, starts, without_model};
 use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
@@ -22,30 +22,31 @@ use entire_steer::control::{CorrectionConstants, HybridConstants, HybridOptions,
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Standard errors by which a value must be better.
+/// Number of standard errors by which a value must lower the cost.
 const SURE: f64 = 2.0;
 
-/// Multiples of a constant that are tried.
+/// Factors on a constant that are tried.
 const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 
-/// Promises for distance, quality and jumps, and for misses: the limits of the steering bars.
+/// Promised limit of every error except misses; in the steering bars, that of distance and loss of quality.
 const PROMISED: f64 = 0.08;
+/// Promised limit of the share of frames over 1.1 targets: that of the steering bars.
 const PROMISED_MISSES: f64 = 0.03;
 
-/// Frames of a session that starts on the way.
+/// Number of frames of a session without a model.
 const COLD_FRAMES: usize = 6;
 
 /// All constants of the search.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Constants {
-    /// The controller's.
+    /// Constants of the controller.
     pub hybrid: HybridConstants,
-    /// Those of its online correction.
+    /// Constants of its online correction.
     pub correction: CorrectionConstants,
 }
 
 impl Constants {
-    /// Every name, in the order of [`Constants::values`].
+    /// Name of every constant, in the order of [`Constants::values`].
     pub fn names() -> impl Iterator<Item = &'static str> {
         HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES).copied()
     }
@@ -77,10 +78,10 @@ const WITHOUT: [(&str, f64); 10] = [
     ("clip_below", 3.0),
 ];
 
-/// Effect of a constant.
+/// Effect of a constant on the cost.
 #[derive(Clone, Debug, Serialize)]
 pub struct Removed {
-    /// Which.
+    /// Name of the constant.
     pub name: &'static str,
     /// Its value.
     pub value: f64,
@@ -88,7 +89,7 @@ pub struct Removed {
     pub without: f64,
     /// Increase of the paths' mean cost without it.
     pub more: f64,
-    /// Standard error of that, among paths.
+    /// Standard error of the increase, among paths.
     pub standard_error: f64,
 }
 
@@ -115,19 +116,20 @@ pub fn removed(courses: &[Course<'_>], mut constants: Constants, now: &[Cost]) -
 /// A renderer with another time curve than the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Law {
-    /// The recorded one.
+    /// The recorded time curve.
     Recorded,
-    /// Nine tenths of a frame's time at its coarsest step are removed: the rest falls nearly with 1 / step.
+    /// Nine tenths of a frame's time at its coarsest step are subtracted: the remaining time falls nearly with
+    /// 1 / step.
     Steeper,
     /// The time at the coarsest step is added twice: most of a frame does not depend on the step.
     Flatter,
 }
 
 impl Law {
-    /// All of them.
+    /// All laws.
     pub const ALL: [Self; 3] = [Self::Recorded, Self::Steeper, Self::Flatter];
 
-    /// A path as it would have been recorded on this renderer.
+    /// A path with the times that this renderer would have taken.
     pub fn of(self, recorded: &Replayable) -> Replayable {
         let mut out = recorded.clone();
         let share = match self {
@@ -136,7 +138,7 @@ impl Law {
             Self::Flatter => 2.0,
         };
         for frame in &mut out.trace.frames {
-            // Far smaller images take less than the removed time; no controller uses them.
+            // Images far smaller than these take less than the subtracted time; no controller uses them.
             frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
             let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
             for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
@@ -151,11 +153,11 @@ impl Law {
 
 /// A recorded path with its predictor and trials.
 pub struct Course<'a> {
-    /// By the renderers of [`Law::ALL`].
+    /// The path on each renderer of [`Law::ALL`].
     recorded: &'a [Replayable; 3],
-    /// Fitted to other volumes than those of the path.
+    /// Predictor fitted to other volumes than those of the path.
     calibrated: &'a Calibrated,
-    /// Of each renderer.
+    /// Trials on each renderer.
     trials: [Vec<Trial>; 3],
     limits: StepLimits,
 }
@@ -163,17 +165,17 @@ pub struct Course<'a> {
 /// Cost of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Cost {
-    /// With a fitted predictor.
+    /// Scores with a fitted predictor.
     pub fitted: Three,
-    /// Share of its frames that were coarser than full quality although full quality met the target.
+    /// Share of these frames that were coarser than full quality although full quality met the target.
     pub fitted_coarse: f64,
-    /// Share of the calm frames at which its step jumps.
+    /// Share of the calm frames of a fitted predictor at which the step jumps.
     pub jumps: f64,
-    /// Without a model, the frames after the first of sessions that start on the way.
+    /// Scores of sessions without a model, over the frames after the first.
     pub cold: Three,
-    /// As `fitted_coarse`, for those frames.
+    /// As `fitted_coarse`, for sessions without a model.
     pub cold_coarse: f64,
-    /// Share of the second frames of those sessions that stayed below their upper bound.
+    /// Share of the second frames of sessions without a model that took no more than their upper bound.
     pub second_in_bound: f64,
 }
 
@@ -186,7 +188,7 @@ impl Cost {
     }
 }
 
-/// Counts frames that are coarser than full quality although that fits.
+/// Counts frames that are coarser than full quality although full quality meets the target.
 #[derive(Default)]
 struct Coarse {
     frames: f64,
@@ -205,10 +207,10 @@ impl Coarse {
     }
 }
 
-/// A changed constant, and the effect of the change.
+/// A change of a constant that the search has taken.
 #[derive(Clone, Debug, Serialize)]
 pub struct Taken {
-    /// Which.
+    /// Name of the constant.
     pub name: &'static str,
     /// Value before.
     pub from: f64,

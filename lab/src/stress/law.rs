@@ -12,28 +12,28 @@ const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;
 const COARSEST: f32 = 32.0;
 
-/// Time that a method is given for a frame.
+/// Time of a frame that the controller is told.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Heard {
-    /// The truth.
+    /// The true time.
     True,
-    /// Something else.
+    /// Another time, seconds.
     Other(f64),
-    /// Nothing.
+    /// No time.
     Nothing,
-    /// The truth, this many frames later.
+    /// The true time, this many frames later.
     Late(usize),
 }
 
 /// A frame of a script.
 #[derive(Clone, Copy, Debug)]
 struct Shot {
-    /// Seconds that do not depend on the step, and additional seconds at step 1.
+    /// Seconds that do not depend on the step; and the seconds at step 1 that do (`work`).
     fixed: f64,
     work: f64,
-    /// Factor of the machine or of effects that no predictor models.
+    /// Factor on all seconds, from the machine or from effects that no predictor models.
     speed: f64,
-    /// The predictor's factor, and true if it knows `fixed`.
+    /// Factor on the predictor's seconds; and the fixed seconds that it assumes (`fixed_known`).
     wrong: f64,
     fixed_known: f64,
     changes: Changes,
@@ -60,13 +60,14 @@ impl Shot {
     };
 }
 
-/// Nothing changed.
+/// No change.
 const STEADY: Changes =
     Changes { first: false, transfer: false, volume: false, size: false, mode: false, camera: false };
 const TRANSFER: Changes = Changes { transfer: true, ..STEADY };
 const MODE: Changes = Changes { mode: true, ..STEADY };
 
-/// A script: a function of frame number and noise, the number of frames, the level of the machine's noise.
+/// A script: a function of frame number and noise, the number of frames, the standard deviation of the noise in
+/// ln(seconds), and the probability that a frame takes three times as long.
 struct Script<'a> {
     shot: &'a mut dyn FnMut(usize, &mut Noise) -> Shot,
     frames: usize,
@@ -91,7 +92,7 @@ struct Waiting {
     observed: Observed,
 }
 
-/// Plays a script. `last` gets the reason of every decision.
+/// Plays a script. `each` gets the number of every frame, the reason for the decision, and the frame.
 fn play_script(
     controller: &mut dyn Controller,
     script: &mut Script<'_>,
@@ -173,7 +174,7 @@ fn seen_of(method: ControllerKind, script: &mut Script<'_>, seed: u64) -> Vec<Se
     out
 }
 
-/// Autocorrelated errors of the prediction, along a path and from scene to scene.
+/// Errors of the prediction: one that is constant in a scene, and one that drifts along the path.
 struct Wrong {
     scene: f64,
     drift: f64,
@@ -189,7 +190,7 @@ impl Wrong {
     }
 }
 
-/// Plays a scene of this file; `None` for other scenes.
+/// Plays a scene of this file; `None` for other scenes. `soak` is the number of frames of the long run.
 pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let (frames, spikes) = (400, 0.005);
@@ -263,7 +264,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
                     9 => Heard::Other(f64::NAN),
                     12 => Heard::Other(1e9),
                     15 => Heard::Other(f64::INFINITY),
-                    // A counter overflow: far too long, yet possible.
+                    // The value of a counter overflow: far too long, but possible.
                     18 => Heard::Other(4.29),
                     20 => Heard::Nothing,
                     _ if i % 4 == 0 => Heard::Late(3),
@@ -274,7 +275,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
             strict(0.05, 3, 0.8),
         ),
         20 => {
-            // The observed clock ticks once per display interval.
+            // Observed times are whole display intervals.
             let mut seen = Vec::new();
             let mut noise = Noise::new(20);
             let mut c = new(method);
@@ -344,7 +345,8 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
         24 => Some(resonance(method)),
         25 => go(
             &mut |i, n| {
-                // Half cropped away, back, an occluder, back, all unannounced.
+                // Half of the volume is cropped away, then an occluder covers it, then frames cost more; between these
+                // it is as before. Nothing is announced.
                 let factor = match i / 60 {
                     1 => 0.5,
                     3 => 0.3,
@@ -364,7 +366,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
     }
 }
 
-/// Scene 22.
+/// Scene 22: an impossible target, then a possible one, then a slack one.
 fn clamps(method: ControllerKind) -> Verdict {
     let mut broken = Vec::new();
     let mut seen = Vec::new();
@@ -415,7 +417,7 @@ fn clamps(method: ControllerKind) -> Verdict {
     judge(22, method, &seen, Limits::missed(1.0), broken)
 }
 
-/// Scene 24.
+/// Scene 24: cost that oscillates with several periods.
 fn resonance(method: ControllerKind) -> Verdict {
     let mut broken = Vec::new();
     let mut all = Vec::new();
@@ -438,7 +440,7 @@ fn resonance(method: ControllerKind) -> Verdict {
     judge(24, method, &all, Limits::missed(1.0), broken)
 }
 
-/// Scene 26.
+/// Scene 26: memory pressure: bursts of slow frames.
 fn paging(method: ControllerKind) -> Verdict {
     let mut shot = |i: usize, n: &mut Noise| {
         let burst = (150..300).contains(&i);
@@ -475,7 +477,7 @@ fn paging(method: ControllerKind) -> Verdict {
     judge(26, method, &seen, Limits::missed(1.0), broken)
 }
 
-/// Scene 27.
+/// Scene 27: a long run with all disturbances.
 fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     let mut c = new(method);
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
@@ -529,9 +531,9 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     judge(27, method, &seen, Limits { missed: 0.05, run: 3, quality: 0.8, inside: 0.0 }, broken)
 }
 
-/// Scene 29.
+/// Scene 29: bursts of another program's load.
 fn bursts(method: ControllerKind) -> Verdict {
-    // Frames of each burst, and of the pause after it: four times as many.
+    // True for the frames of bursts. Each burst has 2 to 20 frames, and the pause after it four times as many.
     let mut noise = Noise::new(29);
     let mut slow = vec![false; 30];
     while slow.len() < 600 {
@@ -554,7 +556,7 @@ fn bursts(method: ControllerKind) -> Verdict {
     judge(29, method, &seen, Limits { quality: 0.85, ..Limits::missed(0.08) }, broken)
 }
 
-/// Scene 30.
+/// Scene 30: single slow frames.
 fn stalls(method: ControllerKind) -> Verdict {
     let mut shot = |_: usize, _: &mut Noise| Shot::PLAIN;
     let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.03, spikes: 0.01 };
@@ -570,7 +572,7 @@ fn stalls(method: ControllerKind) -> Verdict {
     judge(30, method, &seen, Limits { quality: 0.85, ..Limits::missed(1.0) }, broken)
 }
 
-/// Scene 31.
+/// Scene 31: a clock speed that is halved for good.
 fn halved(method: ControllerKind) -> Verdict {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let mut shot = |i: usize, n: &mut Noise| {

@@ -1,4 +1,4 @@
-//! The matrix of scenes and methods, with all failures.
+//! The report: a matrix of scenes and methods, charts, rules, and all failures.
 
 use super::{SCENES, Verdict};
 use entire_cli::steering::contenders::ControllerKind;
@@ -10,7 +10,7 @@ fn of(verdicts: &[Verdict], scene: usize, method: ControllerKind) -> Option<&Ver
     verdicts.iter().find(|v| v.scene == scene && v.method == method.name())
 }
 
-/// The matrix: a row per scene, a column per method.
+/// Table with a row per scene and a column per method: `ok`, or the first failure.
 pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
     let mut columns = vec![Column::number("#"), Column::text("scene")];
     columns.extend(methods.iter().map(|m| Column::text(m.name())));
@@ -36,7 +36,7 @@ pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
     table
 }
 
-/// The page.
+/// The report as a page.
 ///
 /// `real` are verdicts of scenes that were also played on a real renderer, under `real_methods`.
 pub fn page(
@@ -100,8 +100,8 @@ pub fn page(
         page.table(
             &matrix(real, real_methods),
             "The scenes that can be played on a real renderer, with images four times as wide and high and a \
-             real clock. For its noise a twentieth more frames may be over 1.1 T, two more in a row, and \
-             quality may be a tenth lower than the rules below say.",
+             real clock. Because of the clock's noise, 5 % more of the frames may be over 1.1 T, two more in a \
+             row, and quality may be lower by 0.1 than the rules below say.",
         );
     }
     page.heading("Rules");
@@ -111,7 +111,7 @@ pub fn page(
     }
     page.table(&rules, "");
     page.heading("All failures");
-    let mut failed = Table::new(vec![Column::number("#"), Column::text("method"), Column::text("how")]);
+    let mut failed = Table::new(vec![Column::number("#"), Column::text("method"), Column::text("failures")]);
     for v in verdicts.iter().filter(|v| !v.passed()) {
         failed.row(vec![v.scene.to_string().into(), v.method.into(), v.failures.join("; ").into()]);
     }

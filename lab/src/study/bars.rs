@@ -4,19 +4,19 @@ use super::description::SELECTED;
 use super::{CONSTANT, Findings, PROXY, SplitResult, Study, shipped};
 use crate::bars::Bar;
 
-/// The paper's network, as the paper trains it.
+/// Name of the paper's network, trained as in the paper.
 pub(super) const PAPER: &str = "paper";
 
-/// The paper's network, distilled from another predictor.
+/// Name of the paper's network, distilled from another predictor.
 pub(super) const DISTILLED: &str = "distilled";
 
-/// The networks with a bar on their error with eight-bit weights: the paper's, and those that ship by name.
+/// The networks with a bar on their error with eight-bit weights: the paper's, and those that the study ships by name.
 pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> {
     let by_name = |name: &&str| ![PAPER, SELECTED].contains(name);
     std::iter::once(PAPER).chain(study.ship.iter().map(|s| s.predictor.as_str()).filter(by_name))
 }
 
-/// The predictors with a model file, main panel.
+/// Results of the predictors in the main table.
 pub(super) fn models<'a>(
     found: &'a Findings,
     set: &'a str,
@@ -29,7 +29,7 @@ fn best<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a Spl
     models(found, set, split).min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
 }
 
-/// The predictor that the rule selects; the best on the test frames if it selects none.
+/// Result of the predictor that the rule selects; of the best on the test frames if it selects none.
 fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a SplitResult> {
     match shipped(study, found, set, SELECTED) {
         Some(name) => found.of(set, split, name),
@@ -70,8 +70,7 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
                 at_most(name(&format!("{network}-rmse-eight-bit-over-stored")), ratio, 1.02);
             }
         }
-        // The paper's network as the paper trains it and, if the study has it, distilled from another
-        // predictor.
+        // The paper's network, and the distilled one if the study has it.
         let distilled = study.predictors.iter().any(|p| p.name == DISTILLED).then_some(DISTILLED);
         for network in std::iter::once(PAPER).chain(distilled) {
             for (baseline, wanted, what) in
@@ -110,7 +109,7 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
             let tuned = ours.and_then(|r| {
                 found.calibrated.iter().find(|t| t.set == s && t.split == p && t.predictor == r.predictor)
             });
-            // Seven percent, or twice the noise if that is more.
+            // The limit is 7 %, or twice the noise if that is more.
             let limit = (2.0 * found.noise_mdape(s, p)).max(0.07);
             at_most(name("mdape-after-100-frames"), tuned.map(|t| t.metrics.mdape), limit);
             at_most(name("one-less-r2-log-after-100-frames"), tuned.map(|t| 1.0 - t.metrics.r2_log), 0.015);

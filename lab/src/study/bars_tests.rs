@@ -1,4 +1,4 @@
-//! Bars and the rule of selection on synthetic findings.
+//! Tests of the bars and of the rule of selection on synthetic findings.
 
 use super::report::fits_table;
 use super::rule::by_rule;
@@ -96,7 +96,7 @@ fn the_rule_takes_the_smallest_of_the_good_ones_and_looks_at_no_test_frame() {
     let rule = |good: f64| {
         let study = study_of(&all, "{}");
         let mut found = Findings::default();
-        // Measured 1, 2, 4; predictions wrong by a factor. The test frames suggest the opposite.
+        // Every prediction is wrong by a factor. On the test frames the order of the errors is reversed.
         for (name, off, numbers) in
             [("large", 1.10, 900), ("good", good, 19), ("small", 1.30, 2), ("t", 1.01, 1)]
         {

@@ -11,7 +11,7 @@ use entire_train::evaluation::probe_means;
 use entire_train::split::TimedFrames;
 use std::collections::BTreeMap;
 
-/// The mean time of a share of each volume's frames, as the prediction of all of them.
+/// Evaluates the constant baseline: the mean time of a share of each volume's frames predicts all of its frames.
 pub(super) fn constant(on: &OnSet<'_>, out: &mut Findings) {
     let set = on.set;
     for (split, part) in set.splits.iter().zip(&on.data.splits) {
@@ -20,7 +20,7 @@ pub(super) fn constant(on: &OnSet<'_>, out: &mut Findings) {
     }
 }
 
-/// A line, by least squares.
+/// A straight line fitted by least squares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Line {
     middle: (f64, f64),
@@ -28,7 +28,7 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Through some points (x, y).
+    /// The line through some points (x, y).
     pub(crate) fn through(points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
         let n = points.clone().count() as f64;
         let (mx, my) = points.clone().fold((0.0, 0.0), |(x, y), p| (x + p.0 / n, y + p.1 / n));
@@ -40,13 +40,13 @@ impl Line {
         Self { middle: (mx, my), slope: if xx > 0.0 { xy / xx } else { 0.0 } }
     }
 
-    /// Its value.
+    /// Value of the line at `x`.
     pub(crate) fn at(&self, x: f64) -> f64 {
         self.middle.1 + self.slope * (x - self.middle.0)
     }
 }
 
-/// The low-resolution proxy: seconds as a linear function of those of the same frame on 64³ voxels.
+/// Evaluates the low-resolution proxy: seconds are a linear function of those of the same frame on 64³ voxels.
 pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut Findings) -> Result<()> {
     let (set, training, splits) = (on.set, &on.data.one_step.all, &on.data.splits);
     if low.is_empty() {
@@ -81,7 +81,7 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut
     Ok(())
 }
 
-/// Seconds of the same frames on 64³ voxels, by table and frame number; empty if the set names none.
+/// Seconds of the same frames on 64³ voxels, by table and frame number; empty if the set names no such tables.
 ///
 /// # Errors
 /// When a table cannot be read, or the frames of one number have different scenes.
@@ -102,8 +102,8 @@ fn file_name(table: &Table) -> String {
     table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Seconds of a table's frames from another table, which holds them on fewer voxels, by the table's index and
-/// the frame's number.
+/// Adds to `low` the seconds of a table's frames at low resolution, which the table at `path` holds, by the table's
+/// index and the frame's number.
 ///
 /// # Errors
 /// When the other table cannot be read, or the frames of one number have different scenes.
@@ -118,7 +118,7 @@ pub(crate) fn twins(
     let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
     for f in &table.frames {
         let Some(twin) = by_number.get(&f.number) else { continue };
-        // Everything but the number of voxels must be equal.
+        // The scenes must be equal except for the number of voxels.
         let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
         ensure!(
             as_large == f.scene,

@@ -1,4 +1,4 @@
-//! Cache of a study's models: a model is used again if all its inputs are the same.
+//! Cache of a study's models: a stored model is used again if all inputs of its training are the same.
 
 use anyhow::{Context, Result};
 use entire_core::model::ModelFile;
@@ -11,7 +11,7 @@ use entire_train::fit::Recipe;
 use entire_train::split::TimedFrames;
 use std::path::{Path, PathBuf};
 
-/// The metadata key under which a stored model keeps the hash of its inputs.
+/// The metadata key under which a stored model holds the hash of the inputs of its training.
 pub(super) const STUDY_KEY: &str = "entire.study_key";
 
 /// Version of the fits: raised whenever the same recipe gives another model for the same frames.
@@ -60,7 +60,7 @@ pub(super) fn identity(
     Ok(format!("{:016x}", fnv1a(text.as_bytes())))
 }
 
-/// Path of a predictor with this key and identity.
+/// Path of the model file of a predictor with this key and identity.
 pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
     let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
     let name: String = key.chars().map(plain).collect();

@@ -1,4 +1,5 @@
-//! Error of a predictor that is calibrated to a hundred frames of other data, on other volumes of that data.
+//! Error of a predictor after calibration to a hundred frames of other data, on volumes of that data that were not
+//! used for the calibration.
 
 use super::data::OnSet;
 use super::findings::CalibratedResult;
@@ -21,7 +22,7 @@ const HALVES_SEED: u64 = 11;
 const FRAMES_SEED: u64 = 13;
 
 /// Calibrates a predictor to [`CALIBRATION_FRAMES`] of one half of the set's calibration split, tests it on
-/// the other half, and vice versa. Nothing for sets without such a split and for models that cannot be a
+/// the other half, and vice versa. Does nothing for sets without such a split and for models that cannot be a
 /// prior.
 ///
 /// # Errors
@@ -56,8 +57,8 @@ pub(super) fn calibrated(
     Ok(())
 }
 
-/// Frames of other data in two parts without a common ensemble member, or a common volume if there are no two
-/// members, so that no model is tested on data that it was adapted to. `None` with fewer than two volumes.
+/// Divides frames into two parts without a common ensemble member (without a common volume if there are fewer than two
+/// members), so that no model is tested on data that it was adapted to. `None` with fewer than two volumes.
 fn halves<'a>(all: &TimedFrames<'a>) -> Option<[TimedFrames<'a>; 2]> {
     let by = all.groups_at_least(2);
     let groups: BTreeSet<String> = all.frames.iter().map(|f| by.group(&f.scene)).collect();

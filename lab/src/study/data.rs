@@ -8,14 +8,14 @@ use entire_train::split::{GroupBy, TimedFrames};
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// Minimum number of members for holding out a tenth of them rather than a tenth of the volumes. With fewer,
-/// one member would be far more than a tenth of the training frames, and the loss of training data outweighs
-/// the better stopping criterion: the test frames are of other members in any case.
+/// Minimum number of ensemble members for validation by a tenth of them rather than by a tenth of the volumes. With
+/// fewer members, one would be far more than a tenth of the training frames, and the loss of training data would
+/// outweigh the better stopping criterion. The test frames are of other members in any case.
 pub(super) const MEMBERS: usize = 10;
 
 /// A set's tables in memory, with their roles.
 pub(super) struct SetTables {
-    /// All of them; frames refer to theirs by its index here.
+    /// All tables; a frame names its table by the index in this list.
     pub(super) tables: Vec<Table>,
     training: Range<usize>,
     bounds: Range<usize>,
@@ -24,7 +24,7 @@ pub(super) struct SetTables {
 }
 
 impl SetTables {
-    /// Reads them.
+    /// Reads the tables of a set.
     pub(super) fn read(set: &Set) -> Result<Self> {
         let mut paths = Vec::new();
         let mut add = |tables: &[std::path::PathBuf]| {
@@ -42,37 +42,37 @@ impl SetTables {
     }
 }
 
-/// Training frames, and among them those that decide when training stops.
+/// Frames to learn from: those of training proper, and those that decide when training stops.
 pub(super) struct Learned<'a> {
-    /// All of them.
+    /// All frames.
     pub(super) all: TimedFrames<'a>,
-    /// Those that decide when training stops.
+    /// Frames that decide when training stops.
     pub(super) validation: TimedFrames<'a>,
-    /// The others.
+    /// The other frames.
     pub(super) training: TimedFrames<'a>,
 }
 
-/// The parts of a cross-validation: ensemble members, or volumes, some of which are left out together.
+/// The folds of a cross-validation. Each consists of groups, which are ensemble members or volumes.
 pub(super) struct Folds {
-    /// Kind of the groups.
+    /// Kind of the groups: ensemble members or volumes.
     pub(super) by: GroupBy,
-    /// The groups of each part.
+    /// The groups of each fold.
     pub(super) groups: Vec<BTreeSet<String>>,
 }
 
 impl Folds {
-    /// Parts of some frames; none if there are too few groups.
+    /// Divides frames into folds; there are none if there are too few groups.
     pub(super) fn of(frames: &TimedFrames<'_>) -> Self {
         let (by, groups) = frames.folds();
         Self { by, groups }
     }
 
-    /// The frames of a part.
+    /// The frames of a fold.
     pub(super) fn part<'a>(&self, k: usize, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
         frames.parted(|f| self.groups[k].contains(&self.by.group(&f.scene))).0
     }
 
-    /// Frames to learn from without the held-out parts: training and validation frames.
+    /// Training and validation frames without the held-out folds.
     pub(super) fn without<'a>(
         &self,
         held: &[usize],
@@ -86,7 +86,7 @@ impl Folds {
         (training, validation)
     }
 
-    /// The key of a predictor that is trained without some parts.
+    /// The key of a predictor that is trained without some folds.
     pub(super) fn key(of_all: &str, held: &[usize]) -> String {
         held.iter().fold(format!("{of_all}-without"), |key, k| format!("{key}-{}", k + 1))
     }
@@ -98,7 +98,7 @@ pub(super) struct SetData<'a> {
     pub(super) one_step: Learned<'a>,
     /// Frames of the training tables and of those at other ray steps, for predictors that know the step.
     pub(super) every_step: Learned<'a>,
-    /// Frames that upper bounds follow from.
+    /// Frames that determine upper bounds.
     pub(super) bounds: TimedFrames<'a>,
     /// Test frames, by split.
     pub(super) splits: Vec<TimedFrames<'a>>,
@@ -106,7 +106,7 @@ pub(super) struct SetData<'a> {
 }
 
 impl<'a> SetData<'a> {
-    /// From the frames with a time by the clock.
+    /// The frames of a set's tables that have a time by the clock.
     ///
     /// # Errors
     /// When no training frame has one.
@@ -133,7 +133,7 @@ impl<'a> SetData<'a> {
         })
     }
 
-    /// The frames of the training tables.
+    /// Those of the frames that are of training tables.
     pub(super) fn of_training_tables(&self, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
         frames.parted(|f| f.table < self.training_tables).0
     }
@@ -146,7 +146,7 @@ pub(super) struct OnSet<'a> {
     pub(super) study: &'a Study,
     /// The set.
     pub(super) set: &'a Set,
-    /// Its frames.
+    /// The frames of the set.
     pub(super) data: &'a SetData<'a>,
     /// Context of fitting.
     pub(super) context: &'a FitContext<'a>,

@@ -17,7 +17,7 @@ pub struct Study {
     /// Clock of the frame times.
     #[serde(default = "cpu")]
     pub clock: String,
-    /// Data sets: a shading mode, or a renderer.
+    /// Data sets, each of one shading mode or renderer.
     pub sets: Vec<Set>,
     /// Predictors, each made for every set.
     pub predictors: Vec<Named>,
@@ -39,7 +39,7 @@ pub(crate) const SELECTED: &str = "selected";
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ship {
-    /// Its name, or `selected` for the one that the rule selects.
+    /// Name of the predictor, or `selected` for the one that the rule selects.
     pub predictor: String,
     /// Storage format of its weights.
     #[serde(default)]
@@ -50,10 +50,10 @@ pub struct Ship {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Set {
-    /// Its name.
+    /// Name of the set.
     pub name: String,
-    /// Training tables; a tenth of their ensemble members decides when training stops (of their volumes, if
-    /// there are fewer than ten members).
+    /// Training tables. A tenth of their ensemble members decides when training stops; a tenth of their volumes if
+    /// there are fewer than ten members.
     pub training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
@@ -67,7 +67,7 @@ pub struct Set {
     /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
     pub low_resolution: BTreeMap<String, PathBuf>,
-    /// Split, a hundred of whose frames serve to calibrate predictors.
+    /// Name of the split to a hundred frames of which predictors are calibrated.
     #[serde(default)]
     pub calibration_split: Option<String>,
     /// Group of sets of one shading mode on several machines: the shipped predictor must be the smallest good
@@ -83,11 +83,11 @@ pub struct Set {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplitTables {
-    /// Its name: `member`, `time step`, `modality`.
+    /// Name of the split: `member`, `time step`, `modality`.
     pub name: String,
-    /// Its tables.
+    /// Tables of the split.
     pub tables: Vec<PathBuf>,
-    /// True if the main bars are about it.
+    /// True if the main bars are about this split.
     #[serde(default)]
     pub main: bool,
 }
@@ -112,7 +112,7 @@ pub struct Limits {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Named {
-    /// Its name in every table; there are bars on `paper` in particular.
+    /// Name in every table. Some bars are on the predictor `paper`.
     pub name: String,
     /// Recipe of the predictor.
     #[serde(default)]
@@ -126,11 +126,11 @@ pub struct Named {
     /// Other recipes for some sets, by name: shading modes need different ones.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub in_set: BTreeMap<String, Recipe>,
-    /// Its table: `main`, `ablation`, `architecture`.
+    /// The table in which it is listed: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub panel: String,
-    /// True if it is trained again without one ensemble member after another and evaluated on that member:
-    /// the selection and the upper bounds follow from these errors. For the table `main` only.
+    /// True if it is cross-validated: trained again without each of its folds of ensemble members and evaluated on
+    /// the fold. The selection and the upper bounds follow from these errors. For the table `main` only.
     #[serde(default = "yes")]
     pub cross_validated: bool,
 }

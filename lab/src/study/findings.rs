@@ -18,18 +18,18 @@ const ROUNDS: usize = 200;
 /// Share of the rounds inside an interval.
 pub const LEVEL: f64 = 0.9;
 
-/// Bootstrap intervals over volumes at the level [`LEVEL`]: dependence of an error on the choice of test
+/// Bootstrap intervals over volumes at the level [`LEVEL`]. They state how much an error depends on the choice of test
 /// volumes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Intervals {
-    /// Of RMSE/SD.
+    /// Interval of RMSE/SD.
     pub rmse_over_sd: (f64, f64),
-    /// Of the median error.
+    /// Interval of the median error.
     pub mdape: (f64, f64),
 }
 
 impl Intervals {
-    /// From predictions of some frames; `None` if those are of one volume.
+    /// Intervals of the errors of some predictions; `None` if the frames are of one volume.
     pub(crate) fn of(predicted: &[f64], measured: &[f64], frames: &[&TimedFrame]) -> Option<Self> {
         let volumes: Vec<String> = frames.iter().map(|f| GroupBy::Volume.group(&f.scene)).collect();
         Self::by(predicted, measured, &volumes)
@@ -57,38 +57,37 @@ impl Intervals {
     }
 }
 
-/// Errors of a predictor on its training frames, and on frames of the training tables when trained without
-/// their ensemble member.
+/// Errors of a predictor on its training frames, and in cross-validation on the training tables.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fit {
-    /// Set and predictor.
+    /// Name of the set.
     pub set: String,
-    /// See `set`.
+    /// Name of the predictor.
     pub predictor: String,
-    /// On its training frames.
+    /// Errors on its training frames.
     pub seen: Metrics,
-    /// Intervals of these.
+    /// Intervals of the errors on its training frames.
     pub seen_intervals: Option<Intervals>,
-    /// On frames of members that it was trained without.
+    /// Errors in cross-validation: on frames of ensemble members that it was trained without.
     pub crossed: Option<Metrics>,
-    /// Intervals of these.
+    /// Intervals of the errors in cross-validation.
     pub crossed_intervals: Option<Intervals>,
     /// Number of folds.
     pub folds: usize,
-    /// Numbers that were fitted: weights, biases, and unit costs.
+    /// Number of fitted numbers: weights, biases, and unit costs.
     pub numbers: usize,
-    /// Rays along each side of its probe.
+    /// Number of rays along each side of its probe.
     pub probe_side: usize,
 }
 
 /// Errors of a predictor on a split.
 #[derive(Clone, Debug, Serialize)]
 pub struct SplitResult {
-    /// Set, split and predictor.
+    /// Name of the set.
     pub set: String,
-    /// See `set`.
+    /// Name of the split.
     pub split: String,
-    /// See `set`.
+    /// Name of the predictor.
     pub predictor: String,
     /// See [`super::Named::panel`]; `baseline` for those without a model file.
     pub panel: String,
@@ -96,43 +95,43 @@ pub struct SplitResult {
     pub metrics: Metrics,
     /// Intervals of RMSE/SD and of the median error.
     pub intervals: Option<Intervals>,
-    /// The upper bound, if there is one.
+    /// Figures of the upper bound, if the predictor has one.
     pub bound: Option<BoundMetrics>,
-    /// By kind of frame: image size, camera inside.
+    /// Errors by kind of frame: image size, camera inside.
     pub parts: Vec<(String, Metrics)>,
     /// ln(predicted / measured) at the 1st, 5th, 25th, 50th, 75th, 95th and 99th percentile.
     pub log_errors: [f64; 7],
 }
 
-/// Error of a predictor on other data after calibration to a hundred frames of it.
+/// Error of a predictor on other data after calibration to a hundred frames of that data.
 #[derive(Clone, Debug, Serialize)]
 pub struct CalibratedResult {
-    /// Set and split.
+    /// Name of the set.
     pub set: String,
-    /// See `set`.
+    /// Name of the split.
     pub split: String,
-    /// The predictor.
+    /// Name of the predictor.
     pub predictor: String,
     /// Errors on volumes that were not used for calibration.
     pub metrics: Metrics,
 }
 
-/// All that a study found.
+/// All results of a study.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Findings {
-    /// One per set, split and predictor.
+    /// Errors by set, split and predictor.
     pub results: Vec<SplitResult>,
     /// Errors on the training tables.
     pub fits: Vec<Fit>,
     /// Latencies by set and predictor.
     pub latencies: Vec<(String, String, Latency)>,
-    /// RMSE with eight-bit weights over that with the file's, on the main split, by set and predictor.
+    /// RMSE with eight-bit weights over that with the weights as stored, on the main split, by set and predictor.
     pub eight_bit: Vec<(String, String, f64)>,
-    /// Noise floor by set and split.
+    /// Noise floor and number of frames, by set and split.
     pub noise: Vec<(String, String, NoiseFloor, usize)>,
     /// The predictor that the rule selects, by set.
     pub selected: BTreeMap<String, String>,
-    /// Errors after a calibration.
+    /// Errors after calibration to other data.
     pub calibrated: Vec<CalibratedResult>,
     /// Predictors that could not be trained, with the reason.
     pub left_out: Vec<(String, String, String)>,
@@ -142,17 +141,17 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// A result.
+    /// The errors of a predictor on a split.
     pub fn of(&self, set: &str, split: &str, predictor: &str) -> Option<&SplitResult> {
         self.results.iter().find(|r| r.set == set && r.split == split && r.predictor == predictor)
     }
 
-    /// Errors on the training tables.
+    /// The errors of a predictor on the training tables.
     pub fn fit(&self, set: &str, predictor: &str) -> Option<&Fit> {
         self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
     }
 
-    /// A latency.
+    /// The latency of a predictor.
     pub fn latency(&self, set: &str, predictor: &str) -> Option<Latency> {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
     }
@@ -164,7 +163,7 @@ impl Findings {
     }
 }
 
-/// Number of frames of the calibrations in bars.
+/// Number of frames to which predictors are calibrated.
 pub const CALIBRATION_FRAMES: usize = 100;
 
 /// The name of the constant baseline.

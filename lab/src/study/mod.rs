@@ -1,6 +1,5 @@
-//! Studies: data sets, splits and predictors by name in one JSON file; every predictor is trained on every
-//! set's training tables and tested on every split. Results are stored, so that a stopped study can be
-//! continued.
+//! Studies: a JSON file names data sets, splits and predictors. Every predictor is trained on the training tables of
+//! every set and tested on every split. Trained models are stored, so that a stopped study can be continued.
 
 mod bars;
 #[cfg(test)]

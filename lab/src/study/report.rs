@@ -10,11 +10,12 @@ use entire_io::metrics::BoundMetrics;
 use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::Path;
 
-/// Definition of the intervals.
+/// Definition of the intervals, for captions.
 pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement: a few \
                                     frames carry most of the squared error.";
 
-/// Errors, bounds and latencies of every predictor on a split; of one panel only if it is named.
+/// Table of the errors, bounds and latencies of every predictor on a split. If `panel` is given, only of the predictors
+/// listed there and of the baselines.
 pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
@@ -70,8 +71,8 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
     table
 }
 
-/// Errors on training frames, on members that the predictor was trained without, and on the main split, each
-/// with its interval over volumes.
+/// Table of the errors on training frames, in cross-validation, and on the main split, each with its interval over
+/// volumes.
 pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
@@ -105,7 +106,7 @@ pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Ta
     table
 }
 
-/// Accuracy against latency with its frontier, and the gain of each predictor on it per microsecond.
+/// Chart of accuracy against latency, and a table of the predictors on the frontier with the gain per microsecond.
 fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
     let mut points: Vec<(f64, f64, f64, String)> = models(found, set, split)
         .filter_map(|r| {
@@ -124,7 +125,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             front.push(p);
         }
     }
-    // Other points are too close to be labeled.
+    // Other points are too close to each other to be labeled.
     let named = |p: &(f64, f64, f64, String)| {
         let name = front.iter().any(|f| f.3 == p.3) || [PAPER, DISTILLED].contains(&p.3.as_str());
         (p.0, p.2, if name { p.3.clone() } else { String::new() })

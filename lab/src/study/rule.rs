@@ -7,7 +7,7 @@ use entire_core::model::Model;
 use entire_core::scene::Shading;
 use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 
-/// Ratio of two errors of cross-validation above which the larger predictor is worth its size.
+/// A predictor beats another if its error of cross-validation is below this multiple of the other's.
 const WORTH: f64 = 0.95;
 
 /// The rule in a sentence.
@@ -20,18 +20,19 @@ pub(crate) const SENTENCE: &str = "Selected: the predictor with the fewest fitte
 struct Contender {
     /// Error of cross-validation on the tables of each machine.
     errors: Vec<f64>,
-    /// Fitted numbers, then rays along each side of the probe.
+    /// Number of fitted numbers, then number of rays along each side of the probe.
     size: (usize, usize),
 }
 
-/// The rule; the first of several equally small ones. `None` without any.
+/// Index of the smallest contender that no other one beats on every machine; the first of several equally small ones.
+/// `None` without contenders.
 fn choose(contenders: &[Contender]) -> Option<usize> {
     let beats = |a: &Contender, b: &Contender| a.errors.iter().zip(&b.errors).all(|(a, b)| *a < WORTH * b);
     let good = |c: &&(usize, &Contender)| !contenders.iter().any(|other| beats(other, c.1));
     contenders.iter().enumerate().filter(|c| good(&c)).min_by_key(|c| c.1.size).map(|c| c.0)
 }
 
-/// True if the rule may select it in a set: it is cross-validated, a model file can hold it, and it was
+/// True if the rule may select a predictor for a set: it is cross-validated, a model file can hold it, and it is
 /// trained on the set's training frames only.
 fn may_choose(named: &Named, set: &str) -> bool {
     named.cross_validated
@@ -41,7 +42,7 @@ fn may_choose(named: &Named, set: &str) -> bool {
         && named.recipe_for(set).file.is_none()
 }
 
-/// The predictor that the rule selects for a set, from all training members of all sets of its group.
+/// The predictor that the rule selects for a set, by the errors of cross-validation in all sets of its group.
 pub fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a Named> {
     let of = study.sets.iter().find(|s| s.name == set)?;
     let group: Vec<&str> = study
@@ -73,8 +74,8 @@ pub fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &'a str)
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }
 
-/// Number of fitted numbers in a model for a shading mode: weights and biases of its network, and unit costs
-/// of work that occurs in such frames.
+/// Number of fitted numbers in a model for a shading mode: weights and biases of its network that are not zero, and
+/// unit costs of work that occurs in frames of this mode.
 pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
     let held = |quantity: &str| match quantity {
         "local_samples" | "far_local_samples" => shading == Shading::Local,
@@ -107,10 +108,10 @@ mod tests {
             };
             values.iter().map(contender).collect::<Vec<_>>()
         };
-        // The network is a tenth better on one machine only.
+        // The larger predictor is 10 % better on one machine only.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.98], 400, 11)])), Some(0));
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.94], 400, 11)])), Some(1));
-        // Of as many numbers, the fewest rays that are good enough.
+        // Among equally large predictors, the one with the fewest rays that no other one beats.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([1.03, 1.2], 15, 7), ([1.3, 1.3], 15, 4)])), Some(1));
         assert_eq!(choose(&of(&[([f64::INFINITY, 1.0], 1, 1), ([1.0, 0.9], 9, 9)])), Some(1));
         assert_eq!(choose(&[]), None);

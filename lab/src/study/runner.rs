@@ -28,21 +28,22 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Frames that an upper bound follows from.
+/// Frames that determine an upper bound.
 pub(crate) enum Bounds<'a> {
-    /// Frames; default: the validation frames.
+    /// These frames; the validation frames if there are none.
     Frames(&'a TimedFrames<'a>),
-    /// Frames that were predicted without their group.
+    /// The frames of a cross-validation.
     Crossed(&'a Crossed),
 }
 
-/// Training frames, each predicted without its ensemble member.
+/// Results of a cross-validation: training frames, each predicted by a model that was trained without its group
+/// (ensemble member or volume).
 pub(crate) struct Crossed {
     pub(super) predicted: Vec<f64>,
     pub(super) measured: Vec<f64>,
-    /// The member of each.
+    /// Group of each frame.
     pub(super) groups: Vec<String>,
-    /// The volume of each.
+    /// Volume of each frame.
     pub(super) volumes: Vec<String>,
     pub(super) folds: usize,
 }
@@ -53,7 +54,7 @@ impl Crossed {
     }
 }
 
-/// A model stored in a file.
+/// A model, with the file that holds it.
 pub(super) struct KeptModel {
     model: Model,
     file: ModelFile,
@@ -64,7 +65,7 @@ pub(super) struct KeptModel {
 pub(super) enum StudyPredictor {
     /// A predictor with a model file.
     Model(Box<KeptModel>),
-    /// The yardstick.
+    /// Boosted trees, a reference without a model file.
     Trees(Box<Trees>),
 }
 
@@ -101,18 +102,19 @@ impl StudyPredictor {
 
 /// Context of a study besides its description.
 pub struct Runner<'a> {
-    /// Threads.
+    /// Threads for training and prediction.
     pub pool: &'a rayon::ThreadPool,
     /// Folder of stored models.
     pub models: PathBuf,
     /// Progress over all trainings.
     pub bar: &'a ProgressBar,
-    /// Called often; true stops.
+    /// Called often; the study stops once it returns true.
     pub stop: &'a dyn Fn() -> bool,
 }
 
 impl Runner<'_> {
-    /// Trains a predictor, or reads the one that was trained on the same data by the same recipe.
+    /// Trains a predictor, or reads the stored one if it was trained on the same data by the same recipe. Returns the
+    /// model and its path.
     pub(crate) fn made(
         &self,
         key: &str,
@@ -156,7 +158,7 @@ impl Runner<'_> {
         Ok((file, path))
     }
 
-    /// As [`Runner::made`], or boosted trees.
+    /// As [`Runner::made`]; grows boosted trees if `trees` is true.
     pub(super) fn any(
         &self,
         key: &str,
@@ -178,8 +180,8 @@ impl Runner<'_> {
         Ok(StudyPredictor::Model(Box::new(KeptModel { model: file.to_model()?, file, path })))
     }
 
-    /// Predicts every frame of `judged` with a predictor that was trained on the frames of `all` of other
-    /// groups. `None` if there are too few groups.
+    /// Cross-validates a predictor: each fold of `judged` is predicted by a model that was trained on the frames of
+    /// `all` in other folds. `None` if there are too few groups.
     pub(super) fn crossed(
         &self,
         key: &str,
@@ -229,7 +231,7 @@ impl Runner<'_> {
                     out.noise.push((set.name.clone(), split.name.clone(), noise, part.frames.len()));
                 }
             }
-            // Read before any training, so that a table that does not fit is reported at once.
+            // These are read before any training, so that a table with other scenes is reported at once.
             let low = low_resolution(set, &tables.tables, clock)?;
             let mut bench = Bench::new(&volume, data.one_step.all.frames[0].scene.shading)?;
             let on = OnSet { study, set, data: &data, context: &context };
@@ -249,7 +251,8 @@ impl Runner<'_> {
         Ok(out)
     }
 
-    /// Trains a predictor and tests it on every split. A predictor that cannot be trained is left out.
+    /// Trains a predictor and tests it on every split. A predictor that cannot be trained is left out, with the
+    /// reason.
     ///
     /// # Errors
     /// When it was stopped.
@@ -271,8 +274,8 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// Trains a predictor for a set, cross-validated if required; also its upper bound and its errors on the
-    /// training frames.
+    /// Trains a predictor for a set and cross-validates it if required. Also returns its upper bound and its errors on
+    /// the training tables.
     fn on_set(
         &self,
         on: &OnSet<'_>,
@@ -349,7 +352,7 @@ impl Runner<'_> {
     }
 }
 
-/// Error that eight-bit weights add on the main split.
+/// Stores the RMSE with eight-bit weights over that with the weights as stored, on the main split.
 fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> Result<()> {
     let OnSet { set, data, context, .. } = *on;
     for (split, part) in set.splits.iter().zip(&data.splits).filter(|(split, _)| split.main) {

@@ -1,4 +1,4 @@
-//! Cross-validation, stored models, and frames of the proxy.
+//! Tests of cross-validation, of stored models, and of frames at low resolution.
 
 use super::baselines::low_resolution;
 use super::cache::identity;
@@ -24,7 +24,7 @@ pub(super) fn table(volumes: &[(&str, &str)]) -> Table {
     Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
 }
 
-/// Frames of members with unrelated seconds, which no other member can predict.
+/// Frames of members with unrelated seconds: no model can predict a member from the others.
 pub(super) fn telling() -> Table {
     let frames: Vec<(String, String)> =
         (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
@@ -40,7 +40,7 @@ pub(super) fn telling() -> Table {
 
 #[test]
 fn what_is_cross_validated_was_not_learned_from() {
-    // Only a predictor trained on a member's seconds could know them.
+    // Only a predictor that was trained on a member's seconds could predict them.
     let t = telling();
     let part = TimedFrames::of(&t.frames, Clock::Cpu);
     let folder = tempfile::tempdir().unwrap();

@@ -11,16 +11,16 @@ use entire_io::path::PathFile;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// The `format` value.
+/// Value of `format` in the file.
 pub const TRACE_FORMAT: &str = "entire-trace-1";
 
 /// A volume of a trace.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TraceVolume {
-    /// The file, as it was given.
+    /// Path of the file, as it was given.
     pub file: PathBuf,
-    /// Enlargement at load.
+    /// Factor of the enlargement at load.
     pub enlarge: usize,
     /// Identities of its files; empty if they were not stored.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -57,7 +57,7 @@ pub struct TracePoint {
     pub seconds: Vec<f64>,
     /// PSNR against the picture at the reference step and scale 1, decibels.
     pub psnr: f64,
-    /// Structural similarity of their luma, 0 to 1 (MSSIM).
+    /// Mean structural similarity (MSSIM) of the luma of both pictures, 0 to 1.
     pub ssim: f64,
 }
 
@@ -67,7 +67,7 @@ pub struct TracePoint {
 pub struct Trace {
     /// [`TRACE_FORMAT`].
     pub format: String,
-    /// A name for reports.
+    /// Name in reports.
     pub name: String,
     /// Volumes, in the order of the series.
     pub volumes: Vec<TraceVolume>,
@@ -75,11 +75,11 @@ pub struct Trace {
     pub path: PathFile,
     /// Frames per volume; 0 for a single volume.
     pub hold: u32,
-    /// Image scales relative to the full size, each from a frame on.
+    /// Image scales relative to the full size, each with the frame from which on it holds.
     pub scales: Vec<(u32, f32)>,
     /// Settings of drawing.
     pub draw: TraceDraw,
-    /// Per frame, every point of the grid; scale 1 first, steps ascending. Then smaller images, if they were
+    /// Points of every frame's grid: first those at scale 1, steps ascending, then smaller images if they were
     /// recorded.
     pub frames: Vec<Vec<TracePoint>>,
     /// Machine, device, commit and date.
@@ -107,7 +107,7 @@ impl Trace {
     /// Reads and checks a trace, gzip-compressed where the name ends in `.gz`.
     ///
     /// # Errors
-    /// Names the file and the error in it.
+    /// When the file cannot be read, is no trace, or holds an incomplete recording; the error names the file.
     pub fn open(path: &Path) -> Result<Self> {
         let trace = Self::open_begun(path)?;
         ensure!(
@@ -148,7 +148,7 @@ impl Trace {
     /// Reads and checks a trace's text, which may hold only the first frames of its path.
     ///
     /// # Errors
-    /// The error in the text, with line and column where it is in the JSON.
+    /// When the text is no trace; an error in the JSON has line and column.
     pub fn parse(text: &str) -> Result<Self> {
         let trace: Self = serde_json::from_str(text)?;
         trace.check()?;

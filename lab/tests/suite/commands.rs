@@ -1,4 +1,4 @@
-//! `entire-lab` as a process: help, usage, and checks before any work.
+//! `entire-lab` as a process: help, wrong usage, and checks before any work.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -32,7 +32,7 @@ fn record_says_where_it_cannot_write_before_anything_is_drawn() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("file");
     std::fs::write(&file, "x").unwrap();
-    // Works for every user: the folder's path is a file.
+    // A file in place of the folder stops every user, root included.
     let out = file.join("trace.json");
     let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
         .args([
@@ -97,7 +97,7 @@ fn tune_says_what_recorded_paths_cost() {
         assert_eq!(output.status.code(), Some(1));
         assert!(said.contains(why), "{said}");
     }
-    // From another start, and only one constant.
+    // A search from another start, for one constant only.
     let more = ["--set", "damping=0.4", "--only", "damping", "--rounds", "1", "--out", out.to_str().unwrap()];
     let output = tune(&both, "45fps,60fps", &more);
     assert!(output.status.success(), "{}", text(&output.stderr));

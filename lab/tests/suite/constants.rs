@@ -25,7 +25,8 @@ fn the_book_lists_every_constant_with_its_value() {
     assert_eq!(listed, rows, "docs/src/steering.md lists constants that are not searched");
 }
 
-/// Assumptions of the adaptive probe (`TURN`, `APPROACH`).
+/// The adaptive probe takes for granted that views change ln(time) by less than these bounds (`TURN` = 0.4 and
+/// `APPROACH` = 0.15 in `steer/src/control/session/ladder.rs`).
 #[test]
 fn frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_granted() {
     const FRAMES: usize = 4;

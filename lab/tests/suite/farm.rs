@@ -38,7 +38,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         (output.status.code(), text + &String::from_utf8_lossy(&output.stderr))
     };
-    // The limit by noise is printed with every method.
+    // The report compares every method, and states the limit by noise.
     let (code, text) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
     assert_eq!(code, Some(0), "{text}");
     for word in [
@@ -84,8 +84,8 @@ fn a_simulated_farm_does_all_tasks_and_pays_for_bundles() {
     };
     let plain = run(&["--arrival"]);
     assert_eq!(plain["lower_bound_s"], 24.0);
-    // Tasks of 1 s and 2 s in turn on four slots, without bundles: the queue ends at the bound or a task
-    // later.
+    // Tasks alternately take 1 s and 2 s, on four slots, and bundles cost nothing: the queue ends at the lower bound or
+    // one task later.
     let plain = plain["makespan_s"].as_f64().unwrap();
     assert!((24.0..=25.0).contains(&plain), "{plain}");
     let paid = run(&["--arrival", "--latency", "0.5", "--overhead", "0"]);

@@ -1,5 +1,5 @@
-//! Rules that act on image resolution get times of smaller images, rules that act on the ray step those of
-//! steps.
+//! In a replay, rules that act on image resolution get the times of smaller images, and rules that act on the ray step
+//! those of coarser steps.
 
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::play::ActsOn;
@@ -20,7 +20,7 @@ fn recorded() -> Replayable {
     Replayable::new(trace).unwrap()
 }
 
-/// Seconds and PSNR of an image with 1 / s of the pixels, different from those of any ray step.
+/// Seconds of an image with 1 / s of the pixels, different from those at any ray step.
 fn seconds(s: f64) -> f64 {
     0.2 / s
 }
@@ -72,7 +72,7 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
         let frames = play(&recorded, player, 0.02).unwrap();
         for (index, (f, curve)) in frames.iter().zip(&recorded.curves).enumerate() {
             let place = format!("{} at {index}: {f:?}", player.kind.name());
-            // The oracle, and so feasibility, is about the step.
+            // The oracle chooses a ray step, so feasibility is about the step, too.
             assert_eq!(f.oracle_step, curve.oracle(0.02, 1.0, 12.0), "{place}");
             assert!(close(f.oracle_ssim, curve.ssim(f.oracle_step)), "{place}");
             assert_eq!(f.feasible, curve.seconds(12.0) <= 0.02, "{place}");
@@ -86,7 +86,7 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
                     assert_eq!(f.finest_step, f.oracle_step, "{place}");
                 }
                 ActsOn::ImageResolution { coarsest } => {
-                    // Its own range, as far as images were recorded, independent of the step's limits.
+                    // The range is the rule's own, as far as images were recorded; limits of the step do not count.
                     let coarsest = f64::from(coarsest).min(16.0);
                     assert!((1.0..=1.0001 * coarsest).contains(&f.step), "{place}");
                     assert!(close(f.seconds, noise * seconds(f.step)), "{place}");
@@ -98,8 +98,8 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
         }
         let last = frames.last().unwrap();
         match player.kind {
-            // As published: the first frame at half the largest distance, here that of the recorded images,
-            // then by the last frame's time.
+            // As in VTK: the first frame is drawn at half of the largest image sample distance, here that of the
+            // recorded images, and later ones follow the time of the frame before.
             ControllerKind::VtkFixedPoint => {
                 assert!(close(frames[0].step, 16.0) && frames[20].step > 7.0, "{:?}", frames[20]);
                 assert!(close(last.ssim, recorded.images.as_ref().unwrap()[0].ssim(last.step)));
@@ -122,7 +122,7 @@ fn traces_without_images_open_and_rules_for_them_are_played_on_the_step_and_said
     for f in play(&both[0], players[0], 0.02).unwrap() {
         assert!((1.0..=12.0).contains(&f.step) && f.finest_step == f.oracle_step);
     }
-    // With a note.
+    // On images it is refused, with the reason.
     let filament = Player { kind: ControllerKind::Filament, acts_on: ControllerKind::Filament.acts_on() };
     let refused = play(&both[0], filament, 0.02).unwrap_err().to_string();
     assert!(refused.contains("without smaller images") && refused.contains("record it again"), "{refused}");

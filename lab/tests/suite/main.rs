@@ -1,4 +1,4 @@
-//! The tests of the studies that need no harness of their own, as one program.
+//! The tests of the lab that run under cargo's harness, as one program.
 
 mod commands;
 mod constants;

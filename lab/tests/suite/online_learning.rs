@@ -1,5 +1,5 @@
-//! Learning from observations only, on recorded times of a real renderer (software Vulkan, process-CPU time):
-//! a session without any model file learns the costs of an unknown renderer.
+//! Learning from observed frame times, on recorded times of a real renderer (software Vulkan, process-CPU time): a
+//! session without a model learns the costs of an unknown renderer, and a network is fine-tuned.
 
 use clap::Parser;
 use entire_cli::commands::train;
@@ -46,7 +46,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 #[test]
 fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
-    // Factor between the test's renderer and the default costs of a session.
+    // Factor on the recorded seconds, so that the renderer differs from the default costs of a session.
     const TIMES: f64 = 3.0;
     for (name, fps) in [("nyx-switches.json", 30.0), ("castro-cuts.json", 45.0)] {
         let recorded = slower(name, TIMES);
@@ -70,7 +70,7 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
             let (before, after, score) = errors(seed);
             assert!(after <= 0.10, "{name}: {after}");
             assert!(before > 2.0 * after, "{name}: there was nothing to learn: {before} {after}");
-            // With it, the target is held.
+            // With this error, the target is met.
             assert!(score.all.missed < 0.15 && score.all.quality > 0.8, "{name}: {score:?}");
         }
     }
@@ -121,8 +121,8 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
         }
         file
     };
-    // Three of eight frames are for testing, the others train the network and, on a slower machine, are the
-    // log of drawn frames: one step per frame.
+    // One of eight frames is for testing. The others train the network and, on a slower machine, are the log of
+    // drawn frames, with one step per frame.
     let slower = |t: f64| 0.004 + 2.2 * t;
     let made_on = table("made.csv", &|i, p| i % 8 != 3 && p % 2 == 0, &|t| t);
     let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);

@@ -37,7 +37,7 @@ fn description(to: &Path) {
     d["depths"] = json!(["0C32", "1C32"]);
     let table = |part: &str| absolute(&format!("data/timings/paraview-{part}.csv.gz"));
     let renderers = json!([["ParaView", table("train"), table("test")]]);
-    // The first is the table collected here under another machine's name, the second the same under its own.
+    // Both are the table that this test collects: first under another machine's name, then under its own.
     let (own, other) = ("out/tables/castro_blast-none.csv", "elsewhere.csv");
     let machines = json!([["elsewhere", other, other], ["here", own, own]]);
     d["tuning"] =
@@ -108,20 +108,19 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let at = folder.path();
     description(&at.join("paper.json"));
 
-    // Stopped at once: existing results are kept and the message names the command that continues.
+    // The command is stopped at once: results are kept, and the message says how to continue.
     let (output, said) = paper(at, "collect", &["--budget", "0.00001"]);
     assert!(!output.status.success() && said.contains("the same command goes on"), "{said}");
     let table = at.join("out/tables/castro_blast-none.csv");
     let begun = lines(&table);
     assert!(begun < 1 + 5 * 8, "{begun}");
-    // Cut off within a row, as a killed process would leave it.
+    // The last row is cut off, as a killed process would leave it.
     let mut text = std::fs::read_to_string(&table).unwrap();
     text.push_str("3,0,castro");
     std::fs::write(&table, text).unwrap();
     let (output, said) = paper(at, "collect", &[]);
     assert!(output.status.success(), "{said}");
-    // Five volumes; the test volume of each split is a training volume of the other one, except those of
-    // both.
+    // Of five volumes, one that is a training volume in some split has eight frames, any other has four.
     let rows = lines(&table) - 1;
     assert!((5 * 4..=5 * 8).contains(&rows) && rows.is_multiple_of(4), "{rows}");
     assert_eq!(lines(&at.join("out/tables/castro_blast-none-low.csv")) - 1, 5 * 4);
@@ -144,7 +143,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     manifest["machine"] = json!("another");
     std::fs::write(at.join("elsewhere.manifest.json"), manifest.to_string()).unwrap();
 
-    // Volumes of ParaView's table are not in the repository.
+    // The volumes of ParaView's table are not in the repository, so the table is left out.
     let (output, said) = paper(at, "train", &[]);
     assert!(output.status.success() && said.contains("note: ParaView is left out: "), "{said}");
     assert!(said.contains("note: here is left out: its frames are of the machine"), "{said}");
@@ -169,14 +168,15 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
             .iter()
             .find(|r| r["split"] == row["split"] && r["name"].as_str().unwrap().starts_with("mean of"))
             .unwrap();
-        // The proxy is judged on those frames that were rendered on few voxels, four of each volume.
+        // The proxy is tested on the frames that were rendered at low resolution, four of each volume.
         if row["frames"] == constant["frames"] {
             assert!((over - rmse / constant["rmse"].as_f64().unwrap()).abs() < 1e-9, "{row}");
         } else {
             assert!(row["name"] == "LVRP" && row["frames"] == 4, "{row}");
         }
     }
-    // All frames of a test volume count: the one of the split by member is learned from in the other split.
+    // All measured frames of a test volume count. That of the split by member has eight, since it is a training
+    // volume in the other split.
     let tested = rows.iter().find(|r| r["split"] == "members").unwrap();
     assert_eq!(
         (&tested["frames"], &tested["by_volume"]["castro_blast/m05/t0012.nrrd"]["frames"]),
@@ -201,7 +201,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     assert_eq!(files(&at.join("out/models")), models);
     assert_eq!(files(&at.join("out/results")), results);
 
-    // Recorded paths are in the repository and name its volumes relative to it.
+    // Use case 1 needs recorded paths, which are in the repository and name volumes relative to it.
     assert!(!results.contains_key(&at.join("out/results/steering-castro_blast-none.json")));
     std::os::unix::fs::symlink(repository().join("data"), at.join("data")).unwrap();
     let (output, said) = paper(at, "train", &["--only", "steering"]);
@@ -210,7 +210,8 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
         &std::fs::read(at.join("out/results/steering-castro_blast-none.json")).unwrap(),
     )
     .unwrap();
-    // Two paths show volumes of the data set. Twelve controllers, and ours with its own predictor.
+    // Two paths show volumes of the data set. They are played under twelve controllers, and under ours with its own
+    // predictor.
     assert_eq!(steering["frames"]["paths"][2], 2);
     let facts = steering["facts"].as_array().unwrap();
     assert_eq!(facts.len(), 13);
@@ -264,7 +265,7 @@ fn trials_are_judged_by_volume_and_made_once() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     description(&at.join("paper.json"));
-    // The encoder whose features lie beside the tables.
+    // This is the encoder whose features are stored beside the tables.
     let text = std::fs::read_to_string(at.join("paper.json")).unwrap();
     let mut of_tables: Value = serde_json::from_str(&text).unwrap();
     of_tables["encoders"]["shipped"] = json!([repository().join("models/volumenet-128f2.safetensors")]);
@@ -288,7 +289,7 @@ fn trials_are_judged_by_volume_and_made_once() {
         let frames = volumes.values().map(|v| v["frames"].as_u64().unwrap()).sum::<u64>();
         assert_eq!((volumes.len(), frames), (77, 770));
     }
-    // Lobes in another order are other inputs.
+    // Lobes in another order are other inputs, so the error differs.
     assert_ne!(rows[2]["rmse"], rows[3]["rmse"]);
     let frames = of("frames");
     let learned =

@@ -82,8 +82,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     std::fs::write(at.join("study.json"), description.to_string()).unwrap();
 
     let (output, text) = study(at, &["--bars"]);
-    // One limit is about a predictor and tables that the study lacks: that bar is short, and so is the
-    // status.
+    // One bar is about a predictor and tables that the study lacks: it is short, so the command fails.
     assert_eq!(output.status.code(), Some(1), "{text}");
     let bars: Vec<Vec<&str>> =
         text.lines().filter(|l| l.starts_with("bar ")).map(|l| l.split(' ').collect()).collect();
@@ -110,7 +109,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(report.contains("small/member/paper-rmse-over-lvrp") && report.contains("<svg"));
 
-    // Kept models are used again: not a byte changes. Without --bars the status only says that the study ran.
+    // Stored models are used again: not a byte changes. Without --bars the command succeeds.
     let before = models(at);
     assert!(!before.is_empty());
     let (output, _) = study(at, &[]);

@@ -1,8 +1,8 @@
 //! `readers CRATE FILE`: reads a volume and prints its sizes, the spacing, and a checksum of its voxels as
 //! 32-bit floats. `judge.py` runs it.
 //!
-//! `readers lines`: reads the command's way each file that a line of the standard input names, and prints a line of
-//! JSON for each: `{"dims", "type", "spacing", "range", "crc32", "notes"}`, `{"refused"}` or `{"panic"}`.
+//! `readers lines`: reads each file that a line of standard input names with the readers of `entire`, and prints a line
+//! of JSON for it: `{"dims", "type", "spacing", "range", "crc32", "notes"}`, `{"refused"}` or `{"panic"}`.
 //! `differential.py` runs it.
 
 use anyhow::{Result, bail};
@@ -12,7 +12,7 @@ use std::io::{BufRead, Write};
 use std::path::Path;
 use volume::VolumeData;
 
-/// Every value as the file has it, fill values too.
+/// Options to read every value as stored, fill values included.
 fn as_stored() -> volume::Reading {
     volume::Reading { fill: volume::Fill::None, ..volume::Reading::default() }
 }
@@ -20,7 +20,7 @@ fn as_stored() -> volume::Reading {
 struct Found {
     sizes: Vec<usize>,
     spacing: Vec<f32>,
-    /// x fastest.
+    /// Voxels, x fastest.
     voxels: Vec<f32>,
 }
 
@@ -31,8 +31,9 @@ fn ours(path: &Path) -> Result<Found> {
     Ok(Found { sizes: volume.dims().to_vec(), spacing: volume.spacing().to_vec(), voxels })
 }
 
-/// The same as `cli/tests/suite/independent_readers.rs` compares with its table: the range of the finite voxels and
-/// the CRC-32 of all voxels in their type in memory, little-endian, each NaN as the one without a payload.
+/// Description of a volume, with the values that `cli/tests/suite/independent_readers.rs` compares with its table: the
+/// range of the finite voxels, and the CRC-32 of all voxels in their type in memory, little-endian, with every NaN
+/// replaced by the one without payload.
 fn line_of(path: &Path) -> Value {
     let volume = match volume::Volume::open_as(path, &as_stored(), None) {
         Ok(volume) => volume,
@@ -97,7 +98,7 @@ fn with_vtkio(path: &Path) -> Result<Found> {
         arrays = piece.data.cell;
         sizes.iter_mut().for_each(|n| *n -= 1);
     }
-    // The active array of the fixtures.
+    // The name of the active array in the fixtures.
     let at = arrays.iter().position(|a| a.name() == "density").unwrap_or(0);
     let Some(Attribute::DataArray(array)) = arrays.into_iter().nth(at) else { bail!("no array") };
     let voxels = array.data.cast_into::<f32>().context("voxels that are no numbers")?;
@@ -143,7 +144,7 @@ fn with_bioformats(path: &Path) -> Result<Found> {
         other => bail!("pixels of type {other:?}"),
     };
     let sizes = [meta.size_x, meta.size_y, meta.size_z].map(|n| n as usize).to_vec();
-    // The spacing is not part of what every reader gives back.
+    // This crate does not state the spacing of every format.
     Ok(Found { sizes, spacing: Vec::new(), voxels })
 }
 

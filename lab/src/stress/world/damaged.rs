@@ -14,7 +14,7 @@ use entire_steer::features::{
 };
 use entire_steer::predict::{Inputs, load};
 
-/// Plays it.
+/// Plays the scene.
 pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     let mut broken = Vec::new();
     let model = fitted(machine)?;
@@ -70,7 +70,7 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     if refused < 100 {
         broken.push(format!("only {refused} of 203 damaged files were refused, {read} were read"));
     }
-    // States of this method, cut short or foreign.
+    // Saved states of this method that are cut short, and a state of another format.
     let mut session = contender(
         method,
         2.0,

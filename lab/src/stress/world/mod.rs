@@ -1,5 +1,5 @@
-//! Scenes of real geometry: the CPU version of the raycaster counts each frame's work, and a law, to which
-//! the predictor was fitted on an ordinary volume, converts counts to seconds.
+//! Scenes of real geometry: the CPU version of the raycaster counts the work of each frame, and a law converts the
+//! counts to seconds. The predictor was fitted to frames of an ordinary volume.
 
 mod damaged;
 mod scenes;
@@ -21,13 +21,13 @@ use entire_steer::predict::{AnalyticModel, Measurement, UnitCosts};
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
 
-/// Allowed steps.
+/// Limits of the ray step, reference steps.
 const FINEST: f32 = 1.0;
 const COARSEST: f32 = 12.0;
-/// Spread of the scripted clock in ln(seconds).
+/// Standard deviation of the scripted clock's noise, in ln(seconds).
 const SIGMA: f64 = 0.02;
 
-/// The machine's unit costs, with other ratios than the predictor's defaults.
+/// Seconds of a frame on the scripted machine, whose unit costs have other ratios than the predictor's defaults.
 fn law(pixels: f64, counts: &WorkCounts) -> f64 {
     let n = |v: u64| v as f64;
     5e-5 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
@@ -37,11 +37,11 @@ fn law(pixels: f64, counts: &WorkCounts) -> f64 {
 pub enum Machine<'a> {
     /// The CPU version counts work and `law` converts it to seconds: the same in every run.
     Scripted(Box<CpuRaycaster>),
-    /// A real renderer and its clock. Images are [`GROWN`] times as large, so that times are measurable.
+    /// A real renderer and its clock. Images are [`GROWN`] times as wide and high, so that times are measurable.
     Real(&'a mut dyn Renderer, Clock),
 }
 
-/// Factor of image sides on a real clock.
+/// Factor on image sides on a real renderer.
 pub const GROWN: u32 = 4;
 
 /// Scenes that can be played on a real renderer. The images of scene 12 are too large for a software driver;
@@ -71,7 +71,7 @@ impl Machine<'_> {
     fn seconds(&mut self, frame: &Frame) -> Result<f64> {
         let rendered = self.renderer().render(frame)?;
         match self {
-            Self::Scripted(_) => Ok(law(pixels(frame), &rendered.counts.context("the twin counts")?)),
+            Self::Scripted(_) => Ok(law(pixels(frame), &rendered.counts.context("counts are missing")?)),
             Self::Real(_, clock) => {
                 entire_io::dataset::Timing::new(rendered.time, rendered.counts).seconds(*clock).with_context(
                     || format!("the renderer has no {} clock; choose another with --clock", clock.name()),
@@ -81,7 +81,7 @@ impl Machine<'_> {
     }
 }
 
-/// The predictor: fitted to frames of an ordinary ball on the machine.
+/// The predictor, fitted to frames of an ordinary ball on this machine.
 fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
     let block = Block::ball(32, 0.05);
     let view = block.view()?;
@@ -118,14 +118,14 @@ fn pixels(frame: &Frame) -> f64 {
     f64::from(frame.width) * f64::from(frame.height)
 }
 
-/// One frame's time at a step.
+/// Seconds of a frame at a step, without noise of the scripted clock.
 fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Result<f64> {
     let twin = match machine {
         Machine::Scripted(twin) => twin.as_mut(),
         Machine::Real(..) => return Ok(shot.speed * machine.seconds(&Frame { step, ..*frame }.checked()?)?),
     };
     let drawn = Frame { step, ..Frame::new(frame.camera, shot.drawn.0, shot.drawn.1)? }.checked()?;
-    let counts = twin.render(&drawn)?.counts.context("the twin counts")?;
+    let counts = twin.render(&drawn)?.counts.context("counts are missing")?;
     let scale = pixels(frame) / pixels(&drawn);
     let up = |n: u64| (n as f64 * scale) as u64;
     let counts = WorkCounts {
@@ -137,11 +137,11 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
     Ok(shot.speed * law(pixels(frame), &counts))
 }
 
-/// Plays a scene of this file. On a real machine the rules leave room for its unpredictable noise: a
-/// twentieth more frames may be over, two more in a row, and quality may be a tenth lower.
+/// Plays a scene of this file. On a real machine the rules leave room for its unpredictable noise: 5 % more of the
+/// frames may be over 1.1 targets, two more in a row, and quality may be lower by 0.1.
 ///
 /// # Errors
-/// When it cannot be set up, or is not in this file.
+/// When the scene cannot be set up, or is not in this file.
 pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     if number == 28 {
         return damaged(method, machine);
@@ -191,16 +191,16 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
         }
         let frame = Frame::new(Camera::from_arcball(shot.camera)?, grown * shot.size.0, grown * shot.size.1)?;
         if machine.is_real() && edited {
-            // Uploads and first use are not part of frame times.
+            // Uploads and the first use of a volume or transfer function are not part of frame times.
             truth(machine, &shot, &frame, FINEST)?;
         }
-        // The grid that the oracle knows.
+        // Times at a grid of steps, which the oracle knows.
         let grid: Vec<(f64, f64)> = [1.0f32, 1.5, 2.2, 3.3, 5.0, 7.7, 12.0]
             .into_iter()
             .map(|s| Ok((f64::from(s), truth(machine, &shot, &frame, s)?)))
             .collect::<Result<_>>()?;
         if i == 0 || (number == 12 && sized != shot.size) {
-            // There every image size has its own target; else one target holds for the whole path.
+            // In scene 12 every image size has its own target; in the others one target holds for the whole path.
             target = world.share
                 * grid[0].1
                 * if i == 0 && number != 12 { typical(machine, &world, &views)? / grid[0].1 } else { 1.0 };
@@ -242,7 +242,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
     }
     let feasible = seen.iter().filter(|s| s.feasible).count();
     if 2 * feasible < seen.len() {
-        broken.push(format!("the script requests an impossible state in {} frames", seen.len() - feasible));
+        broken.push(format!("the coarsest step misses the target in {} frames", seen.len() - feasible));
     }
     if number == 12 {
         // The first frame of a size also sets its target.
@@ -251,7 +251,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
     Ok(judge(number, method, &seen, world.limits, broken))
 }
 
-/// Median over some frames of the time at the finest step.
+/// Median of the seconds at the finest step, over every fourth frame.
 fn typical(machine: &mut Machine<'_>, world: &World, views: &[VolumeView<'_>]) -> Result<f64> {
     let mut times = Vec::new();
     for i in (0..world.frames).step_by(4) {

@@ -70,7 +70,7 @@ pub(super) struct Shot {
     pub(super) size: (u32, u32),
     /// The CPU version draws at this size and its counts are scaled: for images too large to draw.
     pub(super) drawn: (u32, u32),
-    /// Speed factor that no predictor models.
+    /// Factor on the seconds that no predictor models.
     pub(super) speed: f64,
     pub(super) camera_cut: bool,
 }
@@ -93,7 +93,7 @@ pub(super) struct World {
     pub(super) blocks: Vec<Block>,
     pub(super) shot: Box<dyn Fn(usize) -> Shot>,
     pub(super) frames: usize,
-    /// Share of the median frame's time at the finest step that is the target.
+    /// Target over the median frame time at the finest step.
     pub(super) share: f64,
     pub(super) limits: Limits,
 }
@@ -123,7 +123,7 @@ pub(super) fn scene(number: usize) -> Option<World> {
             ball(),
             strict(0.10, 3),
             Box::new(|i| Shot {
-                // In to a single block, out to a few pixels, in steps of a few percent.
+                // The camera moves in to a single block, then out to a few pixels.
                 camera: Arcball {
                     rx: 10.0,
                     ry: 30.0,
@@ -213,7 +213,7 @@ pub(super) fn scene(number: usize) -> Option<World> {
                     ..Shot::plain(i)
                 }),
             );
-            // There are few samples: little can be saved.
+            // These volumes need few samples, so a coarser step saves little.
             World { share: 1.1, ..flat }
         }
         12 => world(
@@ -242,7 +242,7 @@ pub(super) fn scene(number: usize) -> Option<World> {
         15 => world(
             vec![
                 Block::new([32; 3], |p| {
-                    // Labels: whole numbers that jump.
+                    // A volume of labels: whole numbers that jump between voxels.
                     ((p[0] * 3.0).floor() + 3.0 * (p[1] * 3.0).floor() + 5.0 * (p[2] * 2.0).floor())
                         .rem_euclid(7.0)
                 }),

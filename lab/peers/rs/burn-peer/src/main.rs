@@ -18,7 +18,7 @@ fn linear(s: &Tensors, k: &str, dev: &Device) -> Linear {
     let sh = &s.get(&format!("{k}.weight")).0;
     let mut l = LinearConfig::new(sh[1], sh[0]).init(dev);
     let (wd, w) = s.get(&format!("{k}.weight"));
-    // burn stores [in, out]
+    // burn stores weights as [in, out].
     let (o, i) = (wd[0], wd[1]);
     let mut tr = vec![0f32; o * i];
     for a in 0..o {

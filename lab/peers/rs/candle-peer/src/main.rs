@@ -6,7 +6,7 @@ use candle_nn::{Linear, Module};
 use common::*;
 
 fn main() {
-    // name may carry a dtype suffix: pred_12c256:f16 ; NAME_elu weights are used (scale folded)
+    // A name may end in a dtype: pred_12c256:f16. Weights are those of NAME_elu, which contain the scale of SELU.
     serve(|dir, name, batch| {
         if name.starts_with("vol") {
             return Err("no conv3d in candle".into());

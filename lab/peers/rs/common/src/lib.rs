@@ -45,7 +45,7 @@ pub fn threads() -> usize {
     std::env::var("PEER_THREADS").ok().and_then(|s| s.parse().ok()).unwrap_or(1)
 }
 
-/// A prepared case: each call runs one inference and returns the output (sum is checked).
+/// A prepared case: each call runs one inference and returns the output, whose sum is reported.
 pub type Case = Box<dyn FnMut() -> Vec<f32>>;
 
 pub fn serve(mut make: impl FnMut(&str, &str, usize) -> Result<Case, String>) {
