@@ -19,6 +19,7 @@ use egui::TextureId;
 use entire_core::scene::{Shading, Skipping};
 use entire_vk_raycaster::{Picture, Renderer, SharedDevice, VulkanOptions, VulkanRaycaster};
 use std::collections::HashSet;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use winit::application::ApplicationHandler;
@@ -174,15 +175,7 @@ impl App {
                 .with_inner_size(PhysicalSize::new(width, height))
                 .with_min_inner_size(PhysicalSize::new(480, 360));
             let window = event_loop.create_window(attributes).context("the window cannot be opened")?;
-            self.input = Some(egui_winit::State::new(
-                self.egui.clone(),
-                egui::ViewportId::ROOT,
-                &window,
-                Some(window.scale_factor() as f32),
-                window.theme(),
-                None,
-            ));
-            self.egui.set_theme(egui::Theme::Dark);
+            self.input = Some(input(&self.egui, &window));
             self.window = Some(window);
         }
         self.open_device()?;
@@ -223,37 +216,33 @@ impl App {
             loading.cancel();
         }
         let scene = self.scene.take();
-        (self.refinement, self.screenshot, self.pictures) = (None, None, None);
+        // A screenshot is in the host's memory and continues once the volume is on the device again.
+        (self.refinement, self.pictures) = (None, None);
         (self.presenter, self.device) = (None, None);
         self.state.picture = None;
         self.warm.clear();
         // The fonts are textures of the lost device: the interface is rebuilt.
         self.egui = egui::Context::default();
-        self.egui.set_theme(egui::Theme::Dark);
         if let Some(window) = &self.window {
-            self.input = Some(egui_winit::State::new(
-                self.egui.clone(),
-                egui::ViewportId::ROOT,
-                window,
-                Some(window.scale_factor() as f32),
-                window.theme(),
-                None,
-            ));
+            self.input = Some(input(&self.egui, window));
         }
         self.open_device()?;
         self.state.say("the device was lost and is open again");
         if let Some(scene) = scene {
             self.start(Job {
-                path: scene.path,
-                index: scene.index,
                 source: Some(scene.whole),
                 crop: scene.crop,
                 curve: Some(self.state.edited.curve.clone()),
-                shading: self.state.shading,
-                skipping: self.state.skipping,
+                ..self.job(scene.path, scene.index)
             })?;
         }
         Ok(())
+    }
+
+    /// A load of a whole volume file in the current modes, with a preset as its transfer function.
+    fn job(&self, path: PathBuf, index: usize) -> Job {
+        let (shading, skipping) = (self.state.shading, self.state.skipping);
+        Job { path, index, source: None, crop: None, curve: None, shading, skipping }
     }
 
     /// Starts a load; a running load is cancelled.
@@ -297,10 +286,18 @@ impl App {
             event_loop.exit();
         } else {
             self.state.complain(&error);
-            (self.refinement, self.screenshot) = (None, None);
+            self.refinement = None;
+            self.end_screenshot();
             self.refined = true;
         }
     }
+}
+
+/// Input of a window for its interface, which gets the dark theme.
+fn input(egui: &egui::Context, window: &Window) -> egui_winit::State {
+    egui.set_theme(egui::Theme::Dark);
+    let scale = window.scale_factor() as f32;
+    egui_winit::State::new(egui.clone(), egui::ViewportId::ROOT, window, Some(scale), window.theme(), None)
 }
 
 impl ApplicationHandler<Wake> for App {

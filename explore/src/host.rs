@@ -24,6 +24,9 @@ pub trait Steering: Send + Sync {
     /// Name of the predictor, for display.
     fn title(&self) -> String;
 
+    /// Hash of the model. Sessions continue on a later volume if its predictor has the same hash.
+    fn identity(&self) -> u32;
+
     /// VolumeNet's output for the volume, if the predictor uses it.
     fn volume_features(&self) -> Option<&[f32]>;
 
@@ -39,7 +42,7 @@ pub trait Host: Send + Sync {
     /// Reads a volume file, reports its progress, and stops once it is cancelled.
     ///
     /// # Errors
-    /// The error in the file; [`Progress::check`]'s error when cancelled.
+    /// The error in the file; an error if it was cancelled.
     fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>>;
 
     /// The predictor for a volume and shading mode.
@@ -100,7 +103,7 @@ impl Progress {
     ///
     /// # Errors
     /// When it was cancelled.
-    pub fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         if self.is_cancelled() {
             bail!("cancelled");
         }

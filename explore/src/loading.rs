@@ -9,7 +9,6 @@ use crate::transfer::Curve;
 use anyhow::{Context, Result};
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
 use entire_steer::VolumeSummary;
-use entire_steer::features::SummaryOptions;
 use entire_vk_raycaster::{Renderer, SharedDevice, VulkanOptions, VulkanRaycaster};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -147,7 +146,7 @@ impl Worker {
         // The processor summarizes while the device takes the voxels, each with its own threads.
         let (summed, uploaded) = std::thread::scope(|scope| {
             let summed = scope.spawn(|| -> Result<_> {
-                let summary = VolumeSummary::new(&view, SummaryOptions::default())?;
+                let summary = VolumeSummary::new(&view)?;
                 let histogram = Histogram::of(&view);
                 let of = |shading| self.host.steering(&view, shading);
                 let steering = [of(Shading::None)?, of(Shading::Local)?, of(Shading::Scatter)?];

@@ -2,11 +2,11 @@
 
 use crate::camera::Viewpoint;
 use crate::transfer::{Curve, RecordedTransfer};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use entire_core::scene::Arcball;
 
 /// Maximum number of frames of a recording.
-pub(crate) const MOST_FRAMES: usize = 1_000_000;
+const MOST_FRAMES: usize = 1_000_000;
 
 /// A frame that was drawn.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,8 +92,21 @@ impl Recorder {
         self.recording.frames.len()
     }
 
-    pub(crate) fn finish(self) -> Recording {
-        self.recording
+    /// Writes a recording by `write` and ends it. It continues if it cannot be written.
+    ///
+    /// # Errors
+    /// When no frame was recorded; those of `write`.
+    pub(crate) fn save(
+        recorder: &mut Option<Self>,
+        write: impl FnOnce(&Recording) -> Result<()>,
+    ) -> Result<()> {
+        match recorder {
+            Some(current) if current.frames() > 0 => write(&current.recording)?,
+            Some(_) => bail!("nothing was recorded: no frame was drawn since the recording began"),
+            None => bail!("nothing was recorded"),
+        }
+        *recorder = None;
+        Ok(())
     }
 }
 
@@ -119,7 +132,7 @@ mod tests {
         recorder.note(&view, &curve("core"), true).unwrap();
         view.zoom(0.5);
         recorder.note(&view, &curve("core"), true).unwrap();
-        let frames = recorder.finish().frames;
+        let frames = recorder.recording.frames;
         assert_eq!(frames[1].camera.ry, 365.0);
         let switched: Vec<bool> = frames.iter().map(|f| f.camera_switched).collect();
         assert_eq!(switched, [false, false, true, true, false, true]);
@@ -128,5 +141,24 @@ mod tests {
         let scales: Vec<Option<f32>> = frames.iter().map(|f| f.parallel_scale).collect();
         assert_eq!(scales[..3], [None; 3]);
         assert!((scales[4].unwrap() / scales[3].unwrap() - 0.9).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_recording_that_cannot_be_written_continues() {
+        let curve = Curve::preset("shell", &Histogram { counts: vec![5; 256] }).unwrap();
+        let mut recorder = Some(Recorder::new(45.0));
+        let refused = Recorder::save(&mut recorder, |_| panic!("no frame was recorded")).unwrap_err();
+        assert!(refused.to_string().contains("no frame was drawn"), "{refused}");
+        recorder.as_mut().unwrap().note(&Viewpoint::default(), &curve, true).unwrap();
+        let full = Recorder::save(&mut recorder, |_| bail!("the disk is full")).unwrap_err();
+        assert_eq!(full.to_string(), "the disk is full");
+        recorder.as_mut().unwrap().note(&Viewpoint::default(), &curve, true).unwrap();
+        let mut written = 0;
+        Recorder::save(&mut recorder, |recording| {
+            written = recording.frames.len();
+            Ok(())
+        })
+        .unwrap();
+        assert!(written == 2 && recorder.is_none(), "{written}");
     }
 }

@@ -95,7 +95,7 @@ pub(crate) struct Steer {
     other: VecDeque<f64>,
 }
 
-pub(crate) fn shading_index(shading: Shading) -> usize {
+fn shading_index(shading: Shading) -> usize {
     match shading {
         Shading::None => 0,
         Shading::Scatter => 2,
@@ -127,8 +127,12 @@ impl Steer {
         }
     }
 
-    /// Sets a volume and its predictors. Existing sessions keep their predictor and its correction.
+    /// Sets a volume and its predictors. Sessions whose predictor is still the same keep its correction.
     pub(crate) fn set_volume(&mut self, summary: VolumeSummary, steering: [Arc<dyn Steering>; 3]) {
+        if let Some(known) = &self.known {
+            let same = [0, 1, 2].map(|i| known.steering[i].identity() == steering[i].identity());
+            self.loops.retain(|(_, shading), _| same[*shading]);
+        }
         self.known = Some(Known { summary, steering, table: None });
         self.volume += 1;
         self.full = None;
@@ -237,17 +241,10 @@ impl Steer {
         Ok(Planned { plan, frame: drawn, other })
     }
 
-    /// Gives the session the seconds of ray casting, `cast`. `unusual`: true if they include other work.
-    pub(crate) fn observe(
-        &mut self,
-        planned: &Planned,
-        shading: Shading,
-        cast: f64,
-        unusual: bool,
-    ) -> Result<()> {
-        let flags = ObserveFlags { unusual, ..ObserveFlags::default() };
+    /// Gives the session the seconds of ray casting, `cast`.
+    pub(crate) fn observe(&mut self, planned: &Planned, shading: Shading, cast: f64) -> Result<()> {
         // An impossible time (of a suspended machine) is refused and has no effect.
-        let _ = self.session(shading)?.observe(planned.plan.id, cast as f32, flags);
+        let _ = self.session(shading)?.observe(planned.plan.id, cast as f32, ObserveFlags::default());
         Ok(())
     }
 
@@ -308,13 +305,17 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
 mod tests {
     use super::*;
     use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction, VolumeView};
-    use entire_steer::features::SummaryOptions;
 
-    struct Untrained;
+    /// Its number is the predictor's identity.
+    struct Untrained(u32);
 
     impl Steering for Untrained {
         fn title(&self) -> String {
             "untrained".into()
+        }
+
+        fn identity(&self) -> u32 {
+            self.0
         }
 
         fn volume_features(&self) -> Option<&[f32]> {
@@ -326,16 +327,19 @@ mod tests {
         }
     }
 
-    fn steer() -> (Steer, Frame) {
+    /// Sets a volume whose predictors have a given identity.
+    fn set_volume(steer: &mut Steer, identity: u32) {
         let voxels = vec![100u8; 32 * 32 * 32];
         let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).unwrap();
+        let one: Arc<dyn Steering> = Arc::new(Untrained(identity));
+        let summary = VolumeSummary::new(&view).unwrap();
+        steer.set_volume(summary, [one.clone(), one.clone(), one]);
+    }
+
+    fn steer() -> (Steer, Frame) {
         let lobes = vec![GaussianLobe { center: 0.4, width: 0.1, height: 0.1 }];
         let mut steer = Steer::new(vec![("a", "A"), ("b", "B")], 0, 0.03);
-        let one: Arc<dyn Steering> = Arc::new(Untrained);
-        steer.set_volume(
-            VolumeSummary::new(&view, SummaryOptions::default()).unwrap(),
-            [one.clone(), one.clone(), one],
-        );
+        set_volume(&mut steer, 1);
         steer.set_transfer(TransferFunction::Gaussian(lobes.clone()).to_table().unwrap(), Some(&lobes));
         let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
         (steer, Frame::new(camera, 640, 480).unwrap())
@@ -355,7 +359,7 @@ mod tests {
             let planned = steer.plan(&frame, before).unwrap();
             let cast = cost(&planned.frame);
             last = before + cast + after;
-            steer.observe(&planned, frame.shading, cast, false).unwrap();
+            steer.observe(&planned, frame.shading, cast).unwrap();
             let record = FrameRecord {
                 number,
                 seconds: last,
@@ -383,10 +387,20 @@ mod tests {
     }
 
     #[test]
+    fn a_session_lasts_as_long_as_its_predictor() {
+        let (mut steer, frame) = steer();
+        steer.plan(&frame, 0.0).unwrap();
+        set_volume(&mut steer, 1);
+        assert_eq!(steer.loops.len(), 1, "another volume with the same model");
+        set_volume(&mut steer, 2);
+        assert!(steer.loops.is_empty(), "another model");
+    }
+
+    #[test]
     fn controllers_learn_for_themselves_and_every_reason_has_words() {
         let (mut steer, frame) = steer();
         let first = steer.plan(&frame, 0.0).unwrap();
-        steer.observe(&first, frame.shading, 0.5, false).unwrap();
+        steer.observe(&first, frame.shading, 0.5).unwrap();
         let learned = steer.plan(&frame, 0.0).unwrap();
         steer.controller = 1;
         let other = steer.plan(&frame, 0.0).unwrap();

@@ -7,7 +7,7 @@ use entire_vk_raycaster::{Region, Renderer, VulkanRaycaster};
 /// Cells along x and y.
 pub(crate) const CELLS: [u32; 2] = [24, 18];
 
-/// Pixels along the edge of a cell.
+/// Mean number of pixels along the edge of a cell.
 const CELL_PIXELS: u32 = 8;
 
 /// A map that is filled cell by cell.
@@ -20,17 +20,21 @@ pub(crate) struct WorkMap {
 }
 
 impl WorkMap {
-    /// An empty map for the camera and modes of a frame, at the reference step.
+    /// An empty map for the camera, aspect ratio and modes of a frame, at the reference step.
     ///
     /// # Errors
     /// When the frame is invalid.
     pub(crate) fn new(frame: &Frame) -> Result<Self> {
+        let sides = [frame.width, frame.height].map(f64::from);
+        let pixels = f64::from(CELLS[0] * CELLS[1] * CELL_PIXELS * CELL_PIXELS);
+        let scale = (pixels / (sides[0] * sides[1])).sqrt();
+        let side = |a: usize| ((sides[a] * scale).round() as u32).max(CELLS[a]);
         let coarse = Frame {
             termination: frame.termination,
             shading: frame.shading,
             skipping: frame.skipping,
             step: 1.0,
-            ..Frame::new(frame.camera, CELLS[0] * CELL_PIXELS, CELLS[1] * CELL_PIXELS)?
+            ..Frame::new(frame.camera, side(0), side(1))?
         }
         .checked()?;
         Ok(Self { samples: vec![0.0; (CELLS[0] * CELLS[1]) as usize], next: 0, frame: coarse })
@@ -38,6 +42,17 @@ impl WorkMap {
 
     pub(crate) fn is_done(&self) -> bool {
         self.next == CELLS[0] * CELLS[1]
+    }
+
+    /// The pixels of a cell.
+    fn region(&self, cell: u32) -> Region {
+        let part = |index: u32, cells: u32, side: u32| {
+            let first = index * side / cells;
+            (first, (index + 1) * side / cells - first)
+        };
+        let (x, width) = part(cell % CELLS[0], CELLS[0], self.frame.width);
+        let (y, height) = part(cell / CELLS[0], CELLS[1], self.frame.height);
+        Region { x, y, width, height }
     }
 
     /// Counts the samples of cells for about `budget` seconds, of at least one cell.
@@ -54,8 +69,7 @@ impl WorkMap {
 
     fn count(&mut self, raycaster: &mut VulkanRaycaster, go_on: impl Fn() -> bool) -> Result<()> {
         while !self.is_done() {
-            let (x, y) = (self.next % CELLS[0] * CELL_PIXELS, self.next / CELLS[0] * CELL_PIXELS);
-            let region = Region { x, y, width: CELL_PIXELS, height: CELL_PIXELS };
+            let region = self.region(self.next);
             let counts = raycaster.render_region(&self.frame, region)?.counts.unwrap_or_default();
             self.samples[self.next as usize] = counts.samples as f32 / region.pixels() as f32;
             self.next += 1;
@@ -64,5 +78,27 @@ impl WorkMap {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::scene::{Arcball, Camera};
+
+    #[test]
+    fn cells_divide_a_view_of_any_aspect_ratio() {
+        let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.5 }).unwrap();
+        for [width, height] in [[800, 600], [1021, 317], [250, 900]] {
+            let map = WorkMap::new(&Frame::new(camera, width, height).unwrap()).unwrap();
+            let aspect = |width: u32, height: u32| f64::from(width) / f64::from(height);
+            let ratio = aspect(map.frame.width, map.frame.height) / aspect(width, height);
+            assert!((ratio - 1.0).abs() < 0.01, "{width} x {height}: {ratio}");
+            let cells = (0..CELLS[0] * CELLS[1]).map(|cell| map.region(cell));
+            let pixels: u64 = cells.map(|r| r.pixels()).sum();
+            assert_eq!(pixels, u64::from(map.frame.width) * u64::from(map.frame.height));
+            let last = map.region(CELLS[0] * CELLS[1] - 1);
+            assert_eq!([last.x + last.width, last.y + last.height], [map.frame.width, map.frame.height]);
+        }
     }
 }

@@ -139,9 +139,9 @@ impl Server {
             }
             ["counts", mode] => {
                 let frame = self.framed(mode)?;
-                self.renderer.set_count_work(true);
+                self.renderer.count_work(true);
                 let r = self.renderer.render(&frame);
-                self.renderer.set_count_work(false);
+                self.renderer.count_work(false);
                 let c = r?.counts.ok_or("no counts")?;
                 Ok(format!(r#"{{"rays": {}, "samples": {}, "skips": {}}}"#, c.rays, c.samples, c.skips))
             }

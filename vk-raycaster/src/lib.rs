@@ -37,8 +37,8 @@
 //!
 //! *Single scattering.* Per sample with α′ > 0, a shadow ray towards a directional light that is fixed in
 //! scene space ([`LIGHT_DIRECTION`]). It is sampled every [`SHADOW_STEP`] steps, the first sample one such
-//! distance away: T ← T·(1 − α′)^[`SHADOW_STEP`], until the ray leaves the box or T falls below
-//! [`SHADOW_TERMINATION`]. c ← c·(0.25 + 0.75·T).
+//! distance away: T ← T·(1 − α′)^[`SHADOW_STEP`], until the ray leaves the box or T falls below 0.25.
+//! c ← c·(0.25 + 0.75·T).
 //!
 //! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`] (a cell lies between
 //! eight voxel centers), store the smallest and largest value of their samples; a block is empty when the
@@ -67,8 +67,5 @@ pub use cpu::CpuRaycaster;
 pub use error::{Error, Result};
 pub use probe::{Agreement, Probe, ProbeOptions, TimestampQuality, probe};
 pub use renderer::{DeviceLimits, FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
-pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
-pub use vulkan::{
-    LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, Picture, Region, SharedDevice, VoxelFetch, VulkanOptions,
-    VulkanRaycaster,
-};
+pub use setup::{LIGHT_DIRECTION, SHADOW_STEP};
+pub use vulkan::{Picture, Region, SharedDevice, VoxelFetch, VulkanOptions, VulkanRaycaster};

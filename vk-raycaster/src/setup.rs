@@ -12,7 +12,7 @@ pub const LIGHT_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
 pub const SHADOW_STEP: u32 = 2;
 
 /// Transmittance below which a shadow ray stops.
-pub const SHADOW_TERMINATION: f32 = 0.25;
+pub(crate) const SHADOW_TERMINATION: f32 = 0.25;
 
 /// Smallest advance per step along an axis, in voxels; keeps its inverse finite.
 pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;

@@ -1,7 +1,7 @@
 //! A volume's voxels in the form that both renderers use: contiguous, clamped to the range, of one of three
 //! types.
 
-use entire_core::scene::{ScalarType, Scalars, VolumeView};
+use entire_core::scene::{Scalars, VolumeView};
 use rayon::prelude::*;
 
 /// Contiguous voxels, x fastest.
@@ -38,7 +38,7 @@ impl PreparedVolume {
             Scalars::U8(s) => integers(view, s, |v, _| (Voxels::U8(v), 0)),
             Scalars::U16(s) => integers(view, s, less_minimum),
             Scalars::I16(s) => integers(view, s, less_minimum),
-            _ => (Voxels::F32(gather(view, |v| view.normalize(v))), 255.0, 0.0),
+            Scalars::F32(s) => (Voxels::F32(gather(view, s, |v| view.normalize(v))), 255.0, 0.0),
         };
         let spacing = view.shape().spacing.to_array().map(f64::from);
         let smallest = spacing.iter().copied().fold(f64::INFINITY, f64::min);
@@ -71,7 +71,7 @@ fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     keep: impl FnOnce(Vec<T>, i32) -> (Voxels, i32),
 ) -> (Voxels, f32, f32) {
     let (low, high) = view.range();
-    let voxels = gather_as(view, stored, |v| v);
+    let voxels = gather(view, stored, |v| v);
     let ends = voxels.par_iter().copied().map(|v| (v, v)).reduce_with(|a, b| (a.0.min(b.0), a.1.max(b.1)));
     let (min, max) = ends.unwrap_or_default();
     if high <= low {
@@ -98,7 +98,7 @@ where
 }
 
 /// Contiguous copy of a typed slice, row by row.
-fn gather_as<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
+fn gather<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
     view: &VolumeView<'_>,
     stored: &[T],
     map: impl Fn(T) -> U + Sync,
@@ -113,17 +113,6 @@ fn gather_as<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
         }
     });
     out
-}
-
-fn gather(view: &VolumeView<'_>, map: impl Fn(f32) -> f32 + Sync) -> Vec<f32> {
-    debug_assert_eq!(view.scalars().scalar_type(), ScalarType::F32);
-    match view.scalars() {
-        Scalars::F32(s) => gather_as(view, s, map),
-        other => {
-            let indices: Vec<f32> = other.iter().collect();
-            gather_as(view, &indices, map)
-        }
-    }
 }
 
 /// An element type of [`Voxels`].

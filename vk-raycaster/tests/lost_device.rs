@@ -1,6 +1,7 @@
-//! Devices that are lost and devices that hang: an error, never a panic, never an endless wait, and a new
-//! renderer can be opened. The device is a real one whose functions fail from a given call on. Without a
-//! Vulkan device every test is reported as ignored.
+//! Devices that are lost, devices that hang and slow devices: an error, never a panic, never an endless wait,
+//! and a new renderer can be opened. A slow device gets smaller tiles. The device is a real one whose
+//! functions fail from a given call on, or report long times. Without a Vulkan device every test is reported
+//! as ignored.
 
 mod common;
 
@@ -22,7 +23,12 @@ enum Fault {
     Lost(usize),
     /// No submission ends after this many waits.
     Hangs(usize),
+    /// Every dispatch takes [`SLOW_TICKS`] by the device's timestamps.
+    Slow,
 }
+
+/// Ticks of a slow dispatch: more than half a second, if a tick is longer than 0.06 ns.
+const SLOW_TICKS: u64 = 1 << 33;
 
 /// Time limit of a submission in these tests: the mock sees it, but nobody waits for it.
 const WAIT: Duration = Duration::from_secs(20);
@@ -87,6 +93,29 @@ unsafe extern "system" fn wait_for_fences(
     fault(true).unwrap_or_else(|| unsafe { own!(wait_for_fences)(device, count, fences, all, timeout) })
 }
 
+unsafe extern "system" fn get_query_pool_results(
+    device: vk::Device,
+    pool: vk::QueryPool,
+    first: u32,
+    count: u32,
+    size: usize,
+    out: *mut std::ffi::c_void,
+    stride: vk::DeviceSize,
+    flags: vk::QueryResultFlags,
+) -> vk::Result {
+    let result = fault(false).unwrap_or_else(|| {
+        // SAFETY: the caller's arguments, passed on.
+        unsafe { own!(get_query_pool_results)(device, pool, first, count, size, out, stride, flags) }
+    });
+    if FAULT.get() == Fault::Slow && result == vk::Result::SUCCESS {
+        let ticks = out.cast::<u64>();
+        assert!(count == 2 && size == 16, "two timestamps of 64 bits are read");
+        // SAFETY: the caller's memory, as large as checked above.
+        unsafe { ticks.add(1).write_unaligned(ticks.read_unaligned().wrapping_add(SLOW_TICKS)) };
+    }
+    result
+}
+
 unsafe extern "system" fn device_wait_idle(_: vk::Device) -> vk::Result {
     // This wait has no time limit, so no renderer may use it.
     vk::Result::ERROR_UNKNOWN
@@ -112,6 +141,7 @@ macro_rules! faulty {
             let mut functions = device.fp_v1_0().clone();
             $(functions.$name = $name;)*
             functions.wait_for_fences = wait_for_fences;
+            functions.get_query_pool_results = get_query_pool_results;
             functions.device_wait_idle = device_wait_idle;
             functions.destroy_device = destroy_device;
             let (f1, f2, f3) = (device.fp_v1_1().clone(), device.fp_v1_2().clone(), device.fp_v1_3().clone());
@@ -136,10 +166,6 @@ faulty! {
     allocate_memory(d: vk::Device, i: *const vk::MemoryAllocateInfo<'_>, a: Host<'_>, out: *mut vk::DeviceMemory);
     create_sampler(d: vk::Device, i: *const vk::SamplerCreateInfo<'_>, a: Host<'_>, out: *mut vk::Sampler);
     create_query_pool(d: vk::Device, i: *const vk::QueryPoolCreateInfo<'_>, a: Host<'_>, out: *mut vk::QueryPool);
-    get_query_pool_results(
-        d: vk::Device, q: vk::QueryPool, first: u32, n: u32, size: usize, out: *mut std::ffi::c_void,
-        stride: vk::DeviceSize, flags: vk::QueryResultFlags
-    );
     create_descriptor_pool(
         d: vk::Device, i: *const vk::DescriptorPoolCreateInfo<'_>, a: Host<'_>, out: *mut vk::DescriptorPool
     );
@@ -334,6 +360,32 @@ fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
     Ok(())
 }
 
+/// A frame of four tiles in which every dispatch is slow halves the tiles once. The first dispatch of a
+/// shader does not count, since the driver compiles the shader in it.
+fn slow_frames_halve_the_tiles_once_each() -> Outcome {
+    set(Fault::Slow);
+    let slow = VulkanOptions { tile: Some(256), ..options()? };
+    // SAFETY: as in `open`.
+    let mut gpu = unsafe { VulkanRaycaster::with_device_functions(slow, &wrap) }?;
+    let dims = [9, 8, 7];
+    let voxels = field_bytes(dims);
+    gpu.set_volume(&VolumeView::new(Scalars::U8(&voxels), dims)?)?;
+    gpu.set_transfer(&medium())?;
+    let wide = frame(20.0, 35.0, 2.5, 1024, 4);
+    let tiles = |gpu: &mut VulkanRaycaster, edge: u32| {
+        let error = gpu.enqueue(&wide).expect_err("a frame of several tiles").to_string();
+        assert!(error.contains(&format!("tiles of {edge} pixels")), "{edge}: {error}");
+    };
+    tiles(&mut gpu, 256);
+    gpu.render(&small_frame())?;
+    tiles(&mut gpu, 256);
+    for edge in [128, 64, 64] {
+        gpu.render(&wide)?;
+        tiles(&mut gpu, edge);
+    }
+    Ok(())
+}
+
 fn main() {
     let arguments = Arguments::from_args();
     let device = VulkanRaycaster::new(VulkanOptions::from_env().unwrap_or_default());
@@ -341,6 +393,7 @@ fn main() {
     if let Err(error) = &device {
         eprintln!("No Vulkan device, these tests are ignored: {error}");
     }
+    let timed = device.as_ref().is_ok_and(VulkanRaycaster::has_timestamps);
     drop(device);
     type Test = (&'static str, fn() -> Outcome);
     let tests: [Test; 5] = [
@@ -362,7 +415,9 @@ fn main() {
             a_frame_that_takes_too_long_is_given_up_while_it_runs,
         ),
     ];
-    let trials =
+    let mut trials: Vec<Trial> =
         tests.into_iter().map(|(name, run)| Trial::test(name, run).with_ignored_flag(none)).collect();
+    let slow = "slow_frames_halve_the_tiles_once_each";
+    trials.push(Trial::test(slow, slow_frames_halve_the_tiles_once_each).with_ignored_flag(!timed));
     libtest_mimic::run(&arguments, trials).exit();
 }

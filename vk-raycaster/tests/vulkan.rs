@@ -33,7 +33,7 @@ fn open_validated(fetch: Option<VoxelFetch>) -> Result<VulkanRaycaster, Failed> 
 }
 
 fn expect_silence(gpu: &VulkanRaycaster) -> Outcome {
-    let messages = gpu.validation_messages();
+    let messages = gpu.shared_device().validation_messages();
     if messages.is_empty() { Ok(()) } else { Err(format!("validation: {}", messages.join("\n")).into()) }
 }
 
@@ -499,7 +499,7 @@ fn counting_changes_no_picture() -> Outcome {
             for skipping in SKIPPINGS {
                 let frame = Frame { shading, skipping, ..scene.frame };
                 let [counted, timed] = [true, false].map(|count| {
-                    gpu.set_count_work(count);
+                    gpu.count_work(count);
                     gpu.render(&frame)
                 });
                 let (counted, timed) = (counted?, timed?);
@@ -517,7 +517,7 @@ fn counting_changes_no_picture() -> Outcome {
     gpu.set_transfer(&transparent().with_unit_distance(16.0).unwrap())?;
     for skipping in SKIPPINGS {
         let [counted, timed] = [true, false].map(|count| {
-            gpu.set_count_work(count);
+            gpu.count_work(count);
             gpu.render(&Frame { skipping, ..frame })
         });
         if counted?.image != timed?.image {

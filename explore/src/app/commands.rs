@@ -4,6 +4,7 @@ use super::{App, Waiting};
 use crate::camera::Axis;
 use crate::exchange;
 use crate::loading::Job;
+use crate::recording::Recorder;
 use crate::scene::Crop;
 use crate::scene::Spanned;
 use crate::script::Action;
@@ -91,23 +92,11 @@ impl App {
     }
 
     fn save_recording(&mut self, file: &Path) -> Result<()> {
-        let recorder = self.state.recorder.take().context("nothing was recorded")?;
-        if recorder.frames() == 0 {
-            bail!("nothing was recorded: no frame was drawn since the recording began");
-        }
-        self.host.save_recording(file, &recorder.finish())
+        Recorder::save(&mut self.state.recorder, |recording| self.host.save_recording(file, recording))
     }
 
     pub(super) fn load(&mut self, path: PathBuf) -> Result<()> {
-        self.start(Job {
-            path,
-            index: 0,
-            source: None,
-            crop: None,
-            curve: None,
-            shading: self.state.shading,
-            skipping: self.state.skipping,
-        })
+        self.start(self.job(path, 0))
     }
 
     fn crop(&mut self, crop: Option<Crop>) -> Result<()> {
@@ -115,13 +104,10 @@ impl App {
         // A part that is the whole volume is not cropped.
         let all = scene.facts.dims.map(|n| [0, n - 1]);
         self.start(Job {
-            path: scene.path.clone(),
-            index: scene.index,
             source: Some(scene.whole.clone()),
             crop: crop.filter(|c| *c != all),
             curve: Some(self.state.edited.curve.clone()),
-            shading: self.state.shading,
-            skipping: self.state.skipping,
+            ..self.job(scene.path.clone(), scene.index)
         })
     }
 
@@ -129,13 +115,9 @@ impl App {
     fn span_data(&mut self) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
         self.start(Job {
-            path: scene.path.clone(),
-            index: scene.index,
             source: Some(Arc::new(Spanned::new(scene.whole.clone()))),
             crop: scene.crop,
-            curve: None,
-            shading: self.state.shading,
-            skipping: self.state.skipping,
+            ..self.job(scene.path.clone(), scene.index)
         })
     }
 
@@ -282,7 +264,7 @@ impl App {
             }
             Action::Undo(_) => state.changed.transfer |= state.edited.undo(),
             Action::Record(_) => {
-                state.recorder = Some(crate::recording::Recorder::new(state.view.fov_y));
+                state.recorder = Some(Recorder::new(state.view.fov_y));
             }
             Action::SaveRecording(file) => self.save_recording(&file)?,
             Action::LoseDevice(_) => {

@@ -107,6 +107,13 @@ impl App {
             }
         };
         let Loaded { scene, summary, steering, curve, seconds } = loaded;
+        // A screenshot continues only if its volume was loaded again after the loss of the device.
+        let again = self.scene.is_none()
+            && self.state.path.as_ref() == Some(&scene.path)
+            && self.state.crop == scene.crop;
+        if !again {
+            self.end_screenshot();
+        }
         let state = &mut self.state;
         let title = scene.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         if let Some(window) = &self.window {
@@ -147,7 +154,6 @@ impl App {
         self.warm.clear();
         self.warm.insert((state.shading, state.skipping));
         self.refinement = None;
-        self.screenshot = None;
         self.scene = Some(scene);
         self.swapped = Instant::now();
         if self.waiting == Waiting::Volume {
@@ -182,7 +188,7 @@ impl App {
             return Ok(None);
         }
         let resized = self.prepare_pictures()?;
-        if self.state.show_work && self.state.changed.any() {
+        if self.state.show_work && (resized || self.state.changed.any()) {
             self.state.work = None;
         }
         if !(resized || self.state.changed.any() || self.is_scripted()) {
@@ -218,7 +224,7 @@ impl App {
         let planned = state.steer.plan(&frame, before)?;
         let whole = Region::whole(&planned.frame);
         let cast = scene.raycaster.render_to(&planned.frame, whole, &mut pictures.steered)?.wall;
-        state.steer.observe(&planned, frame.shading, cast, false)?;
+        state.steer.observe(&planned, frame.shading, cast)?;
         pictures.used = [whole.width, whole.height];
         state.picture = Some(Shown { steered: STEERED, full: None });
         state.probe = state.steer.probe(state.shading);

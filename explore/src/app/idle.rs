@@ -163,27 +163,27 @@ impl App {
     fn go_on_with_screenshot(&mut self) -> Result<()> {
         let budget = self.slice_seconds();
         let (Some(shot), Some(scene)) = (&mut self.screenshot, &mut self.scene) else {
-            self.screenshot = None;
+            self.end_screenshot();
             return Ok(());
         };
-        let done = match shot.slice(&mut scene.raycaster, budget, &*self.host) {
-            Ok(done) => done,
-            Err(error) => {
-                (self.screenshot, self.state.screenshot_share) = (None, None);
-                return Err(error);
-            }
-        };
+        // If this fails because the device is lost, the screenshot continues on the reopened device.
+        let done = shot.slice(&mut scene.raycaster, budget, &*self.host)?;
         self.state.screenshot_share = Some(shot.share());
         if done {
             let file = shot.file.display().to_string();
             self.state.say(format!("wrote {file}"));
-            (self.screenshot, self.state.screenshot_share) = (None, None);
-            if self.waiting == Waiting::Screenshot {
-                self.waiting = Waiting::Nothing;
-            }
+            self.end_screenshot();
         }
         self.show_now_and_then(done);
         Ok(())
+    }
+
+    /// Ends a screenshot, complete or not. Its display ends too, and a script stops waiting for it.
+    pub(super) fn end_screenshot(&mut self) {
+        (self.screenshot, self.state.screenshot_share) = (None, None);
+        if self.waiting == Waiting::Screenshot {
+            self.waiting = Waiting::Nothing;
+        }
     }
 
     /// Requests the next volume of a playing series.
@@ -200,14 +200,6 @@ impl App {
     pub(super) fn load_step(&mut self, index: usize) -> Result<()> {
         let Some(path) = self.state.series.get(index).cloned() else { return Ok(()) };
         let curve = self.scene.is_some().then(|| self.state.edited.curve.clone());
-        self.start(Job {
-            path,
-            index,
-            source: None,
-            crop: self.state.crop,
-            curve,
-            shading: self.state.shading,
-            skipping: self.state.skipping,
-        })
+        self.start(Job { crop: self.state.crop, curve, ..self.job(path, index) })
     }
 }

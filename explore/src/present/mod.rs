@@ -306,13 +306,15 @@ impl Presenter {
                 .map_err(failed("vkQueueSubmit"))?;
         }
         let cpu = thread_seconds();
-        swapchain.present(index)?;
+        let done = swapchain.present(index);
         let handing = thread_seconds() - cpu;
         // SAFETY: the fence was submitted above; it is reset only once it has signaled.
         unsafe {
             d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
             d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
         }
+        // Returned only now, since the next frame needs an unsignaled fence.
+        done?;
         Ok(handing)
     }
 }

@@ -259,7 +259,7 @@ fn colors(ui: &mut Ui, state: &State) {
     painter.add(Shape::mesh(mesh));
 }
 
-/// The selected handle's numbers, in the volume's scalars.
+/// The selected handle's numbers, in the volume's scalars. Only numbers that the user edits are written back.
 fn numbers(ui: &mut Ui, state: &mut State) {
     let (low, high) = state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);
     let width = (high - low).max(f32::MIN_POSITIVE);
@@ -272,26 +272,32 @@ fn numbers(ui: &mut Ui, state: &mut State) {
     let mut number =
         |ui: &mut Ui, label: &str, value: &mut f32, range: std::ops::RangeInclusive<f32>, speed: f32| {
             ui.label(label);
-            let response = ui.add(DragValue::new(value).range(range).speed(speed).max_decimals(6));
+            let value = DragValue::new(value).range(range).clamp_existing_to_range(false);
+            let response = ui.add(value.speed(speed).max_decimals(6));
             changed |= response.changed();
             done |= response.drag_stopped() || response.lost_focus();
+            response.changed()
         };
     ui.horizontal(|ui| match (&mut state.edited.curve.opacity, handle) {
         (Opacity::Points(points), Handle::Point(i)) if i < points.len() => {
             let before = if i > 0 { points[i - 1][0] } else { 0.0 };
             let after = points.get(i + 1).map_or(1.0, |p| p[0]);
             let mut scalar = low + points[i][0] * width;
-            number(ui, "scalar", &mut scalar, low + before * width..=low + after * width, 0.002 * width);
-            points[i][0] = ((scalar - low) / width).clamp(before, after);
+            let range = low + before * width..=low + after * width;
+            if number(ui, "scalar", &mut scalar, range, 0.002 * width) {
+                points[i][0] = ((scalar - low) / width).clamp(before, after);
+            }
             number(ui, "opacity", &mut points[i][1], 0.0..=1.0, 0.001);
         }
         (Opacity::Lobes(lobes), Handle::Lobe(i) | Handle::Width(i)) if i < lobes.len() => {
             let mut scalar = low + lobes[i].center * width;
-            number(ui, "center", &mut scalar, low..=high, 0.002 * width);
-            lobes[i].center = (scalar - low) / width;
+            if number(ui, "center", &mut scalar, low..=high, 0.002 * width) {
+                lobes[i].center = (scalar - low) / width;
+            }
             let mut half = lobes[i].width.sqrt() * width;
-            number(ui, "half width", &mut half, 0.001 * width..=width, 0.001 * width);
-            lobes[i].width = (half / width).powi(2);
+            if number(ui, "half width", &mut half, 0.001 * width..=width, 0.001 * width) {
+                lobes[i].width = (half / width).powi(2);
+            }
             number(ui, "height", &mut lobes[i].height, 0.0..=1.0, 0.001);
         }
         _ => {}
@@ -307,6 +313,46 @@ fn numbers(ui: &mut Ui, state: &mut State) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::host::Options;
+    use crate::scene::Facts;
+    use crate::state::Changed;
+    use crate::steering::Steer;
+    use crate::transfer::Edited;
+    use entire_core::scene::{Scalars, Shading, Skipping, VolumeOptions, VolumeView};
+
+    #[test]
+    fn showing_numbers_changes_none() {
+        let options = Options {
+            volumes: vec![],
+            target: 0.03,
+            controller: "a".into(),
+            shading: Shading::None,
+            skipping: Skipping::Blocks,
+            termination: 0.99,
+            size: (640, 480),
+            script: None,
+            log: None,
+        };
+        let mut state = State::new(&options, Steer::new(vec![("a", "A")], 0, 0.03));
+        // Scalars of this range are rounded to a sixteenth.
+        let range = Some((1e6, 1e6 + 10.0));
+        let options = VolumeOptions { range, ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::F32(&[1e6; 8]), [2; 3], options).unwrap();
+        state.facts = Some(Facts::of(&view));
+        let lobe = GaussianLobe { center: 0.333, width: 1e-7, height: 1.5 };
+        let points = Opacity::Points(vec![[0.1, 0.2], [0.333, 0.7]]);
+        for (opacity, handle) in [(Opacity::Lobes(vec![lobe]), Handle::Lobe(0)), (points, Handle::Point(1))] {
+            let mut curve = state.edited.curve.clone();
+            curve.opacity = opacity;
+            state.edited = Edited::new(curve);
+            state.selected = Some(handle);
+            state.changed = Changed::default();
+            let shown =
+                egui::Context::default().run_ui(egui::RawInput::default(), |ui| numbers(ui, &mut state));
+            shown.drop_without_applying_deltas();
+            assert!(!state.edited.can_undo() && !state.changed.any(), "{:?}", state.edited.curve);
+        }
+    }
 
     #[test]
     fn places_and_values_are_inverse_and_fine_near_zero() {

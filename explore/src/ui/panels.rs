@@ -1,6 +1,6 @@
 //! The panels beside the view: steering, modes, camera, part, series, files.
 
-use crate::camera::{Axis, DISTANCES, Viewpoint};
+use crate::camera::{Axis, DISTANCES};
 use crate::recording::Recorder;
 use crate::state::{Command, State};
 use egui::{CollapsingHeader, ComboBox, DragValue, Slider, Ui};
@@ -111,8 +111,8 @@ fn camera(ui: &mut Ui, state: &mut State) {
             if !control.is_empty() {
                 return;
             }
-            if ui.button("reset").clicked() {
-                state.view = Viewpoint::default();
+            if ui.button("reset").on_hover_text("R").clicked() {
+                state.view.reset();
                 state.changed.cut = true;
             }
             ui.toggle_value(&mut state.fly, "fly");

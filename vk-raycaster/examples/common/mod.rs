@@ -1,5 +1,4 @@
-//! Scenes of the timing tools.
-#![allow(dead_code, reason = "every tool uses a part of this")]
+//! Scenes of the frame server.
 
 use entire_core::scene::{ControlPoint, TransferFunction, TransferTable};
 

@@ -17,6 +17,17 @@ enum Sink<'a> {
     Picture(&'a mut Picture),
 }
 
+impl Sink<'_> {
+    /// Destination of a dispatch's pixels: only the last dispatch of a tile (`done`) has the finished ones.
+    fn output(&self, done: bool) -> Output {
+        match self {
+            _ if !done => Output::Device,
+            Sink::Host(_) => Output::Host,
+            Sink::Picture(p) => Output::Picture { image: p.image(), fresh: p.fresh },
+        }
+    }
+}
+
 impl VulkanRaycaster {
     /// Renders a part of a frame and reads it back; its pixels equal those of the whole frame.
     ///
@@ -67,7 +78,8 @@ impl VulkanRaycaster {
         let timestamps = device.is_some();
         let class = plan.class;
         let windowed = plan.last_window > 0.0 || bricks.len() > 1;
-        let cut = tiles(region.width, region.height, self.tile[class]);
+        let edge = self.tile[class];
+        let cut = tiles(region.width, region.height, edge);
         for (i, &place) in cut.iter().enumerate() {
             let tile = Tile { x: region.x + place.x, y: region.y + place.y, ..place };
             let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
@@ -85,21 +97,19 @@ impl VulkanRaycaster {
                         bricks[brick].dims,
                     );
                     let done = last && visit + 1 == order.len();
-                    let output = match &sink {
-                        Sink::Picture(p) if done => Output::Picture { image: p.image(), fresh: p.fresh },
-                        Sink::Picture(_) => Output::Device,
-                        Sink::Host(_) => Output::Host,
-                    };
                     let table = plan.table.take();
-                    let commands =
-                        record_tile(&setup, tile, table, timestamps, self.options.count_work, output);
+                    let counting = self.options.count_work;
+                    let commands = record_tile(&setup, tile, table, timestamps, counting, sink.output(done));
                     let cast = Cast { pass: &pass, key: plan.key, tile, windowed, brick };
+                    // Drivers compile shaders until the end of the first dispatch.
+                    let compiled = self.engine.has_pipeline(plan.key);
                     let tile_watch = Stopwatch::start();
                     let ticket = self.engine.start(slot, &cast, &commands)?;
                     let found = self.engine.finish(ticket)?;
                     device = device.zip(found.seconds).map(|(sum, s)| sum + s);
-                    if found.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
-                        self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
+                    let seconds = found.seconds.unwrap_or_else(|| tile_watch.wall());
+                    if compiled && seconds > LONG_DISPATCH_SECONDS {
+                        self.tile[class] = (edge / 2).max(SMALLEST_TILE.min(edge));
                     }
                     if done {
                         match &mut sink {
@@ -126,5 +136,16 @@ fn join(rgba: &mut [u8], width: u32, tile: Tile, found: &[u8]) {
     for (y, row) in found.chunks_exact(row_bytes).enumerate() {
         let start = ((tile.y as usize + y) * width as usize + tile.x as usize) * 4;
         rgba[start..start + row_bytes].copy_from_slice(row);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_last_dispatch_of_a_tile_is_read_back() {
+        let sink = Sink::Host(&mut []);
+        assert_eq!([false, true].map(|done| sink.output(done)), [Output::Device, Output::Host]);
     }
 }

@@ -71,7 +71,7 @@ pub(crate) struct CastTile<'a> {
 /// Resources of one submission, so that another may run meanwhile.
 struct Slot {
     descriptors: Owned<vk::DescriptorPool>,
-    /// For each brick of the volume, if made: the descriptor set with all resources of a dispatch.
+    /// The descriptor sets made so far, by brick of the volume, each with all resources of a dispatch.
     sets: HashMap<usize, vk::DescriptorSet>,
     pool: Owned<vk::CommandPool>,
     commands: vk::CommandBuffer,
@@ -370,6 +370,11 @@ impl Engine {
         Ok(())
     }
 
+    /// True if a shader was cast with before.
+    pub(crate) fn has_pipeline(&self, key: ShaderKey) -> bool {
+        self.pipelines.contains_key(&key)
+    }
+
     /// A slot for a frame without a running submission.
     pub(crate) fn free_slot(&self) -> Result<usize> {
         self.slots[..COPIES].iter().position(|s| s.running.is_none()).ok_or_else(|| {
@@ -442,7 +447,7 @@ impl Engine {
     }
 
     fn prepare_pipeline(&mut self, key: ShaderKey) -> Result<()> {
-        if self.pipelines.contains_key(&key) {
+        if self.has_pipeline(key) {
             return Ok(());
         }
         let wanted = [key.shading, key.skipping, key.fetch, key.counting, key.packets, key.bricks];

@@ -14,11 +14,11 @@ const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 /// Time limit of a submission on a GPU, after which the device counts as hanging: 30 s. A submission is one
 /// tile or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does
 /// not answer for 2 to 10 s, so that a sound device is far below this.
-pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
+const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
 /// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. The largest tile takes them
 /// minutes, longer on a loaded host, and no driver ends them.
-pub const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
+const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 
 /// Replaces functions of the device by those of a test.
 pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;

@@ -23,7 +23,6 @@ use crate::voxels::{Geometry, PreparedVolume};
 use engine::{Cast, Engine, STATE_BYTES, ShaderKey, Ticket};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use gpu::{Gpu, GpuOptions, WrapDevice};
-pub use gpu::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE};
 pub use picture::{Picture, Region};
 use recording::{Output, Target, Tile, WORK_BYTES, record_tile};
 use resources::Shape;
@@ -34,7 +33,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use upload::Brick;
 
-/// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink.
+/// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink from the next frame on.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
 /// Largest number of loop iterations of an invocation on a software device. llvmpipe ends the loops after
@@ -74,7 +73,7 @@ pub struct VulkanOptions {
     /// the device's limit.
     pub largest_texture: Option<u32>,
     /// Time limit of one submission (a tile, a copy), after which the device counts as hanging. `None` is
-    /// [`LONGEST_WAIT`], on software devices [`LONGEST_WAIT_SOFTWARE`].
+    /// 30 s, on software devices 30 min.
     pub longest_wait: Option<Duration>,
     /// Instance extensions of a window system (`VK_KHR_surface` and the like). With any, the device is opened
     /// so that it can present in a window: with `VK_KHR_swapchain`, and a queue with graphics.
@@ -237,11 +236,6 @@ impl VulkanRaycaster {
         })
     }
 
-    /// Messages of the validation layer so far; empty without validation.
-    pub fn validation_messages(&self) -> Vec<String> {
-        self.engine.gpu().messages()
-    }
-
     /// True if frames have device times.
     pub fn has_timestamps(&self) -> bool {
         self.engine.gpu().timestamps.is_some()
@@ -267,11 +261,6 @@ impl VulkanRaycaster {
     /// volume and transfer function were set.
     pub fn occupied_blocks(&self) -> Option<(usize, usize)> {
         self.occupied
-    }
-
-    /// Switches the counting of work on or off.
-    pub fn set_count_work(&mut self, on: bool) {
-        self.options.count_work = on;
     }
 
     /// Maximum number of frames in flight: enqueued and not yet collected.
@@ -419,7 +408,7 @@ impl VulkanRaycaster {
 
 impl Renderer for VulkanRaycaster {
     fn count_work(&mut self, on: bool) {
-        self.set_count_work(on);
+        self.options.count_work = on;
     }
 
     fn device(&self) -> String {

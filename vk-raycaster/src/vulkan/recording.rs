@@ -138,7 +138,7 @@ pub(crate) fn record_tile(
     if let Output::Picture { image, fresh } = output {
         commands.push(Command::CopyToPicture { image, fresh, tile });
     }
-    if output == Output::Host || counting {
+    if output == Output::Host || counting && output != Output::Device {
         commands.extend([
             Command::ReadBack {
                 image_bytes: pixels * IMAGE_BYTES,
@@ -232,6 +232,16 @@ mod tests {
         // Counts are read nevertheless.
         let c = record_tile(&setup, tile, None, true, true, output);
         assert!(c.contains(&Command::ReadBack { image_bytes: 128, work_bytes: 512 }));
+    }
+
+    #[test]
+    fn rays_that_another_dispatch_continues_are_not_read_back() {
+        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
+        let tile = Tile { x: 0, y: 0, width: 8, height: 8 };
+        for counting in [false, true] {
+            let c = record_tile(&setup, tile, None, true, counting, Output::Device);
+            assert!(!c.iter().any(|c| matches!(c, Command::ReadBack { .. })), "{c:?}");
+        }
     }
 
     #[test]
