@@ -9,15 +9,15 @@ use std::collections::HashMap;
 
 /// A finished image of the database.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Row {
+pub(crate) struct Row {
     /// Measured times and result.
-    pub answer: Answer,
+    pub(crate) answer: Answer,
     /// Expected seconds when its task was sent.
-    pub predicted_s: f64,
+    pub(crate) predicted_s: f64,
 }
 
 /// The columns of the table.
-pub const COLUMNS: [&str; 15] = [
+const COLUMNS: [&str; 15] = [
     "volume",
     "time",
     "rx_deg",
@@ -39,7 +39,7 @@ pub const COLUMNS: [&str; 15] = [
 ///
 /// # Errors
 /// When it cannot be written.
-pub fn write(job: &Job, done: &HashMap<u32, Row>) -> Result<()> {
+pub(crate) fn write(job: &Job, done: &HashMap<u32, Row>) -> Result<()> {
     let mut tasks: Vec<u32> = done.keys().copied().collect();
     tasks.sort_unstable();
     write_whole_with(&job.output.join("data.csv"), |file| {

@@ -5,11 +5,11 @@ use anyhow::{Result, bail};
 
 /// The values of placeholders.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Placeholders(pub Vec<(&'static str, String)>);
+pub(crate) struct Placeholders(pub(crate) Vec<(&'static str, String)>);
 
 impl Placeholders {
     /// Names of all placeholders.
-    pub const NAMES: [&'static str; 14] = [
+    pub(crate) const NAMES: [&'static str; 14] = [
         "volume",
         "volume_name",
         "time",
@@ -64,7 +64,7 @@ fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
 ///
 /// # Errors
 /// Names the unknown placeholder and the accepted ones, or the single brace.
-pub fn check(argument: &str, names: &[&str]) -> Result<()> {
+pub(crate) fn check(argument: &str, names: &[&str]) -> Result<()> {
     for part in parts(argument)? {
         if let Part::Name(name) = part
             && !names.contains(&name)
@@ -79,7 +79,7 @@ pub fn check(argument: &str, names: &[&str]) -> Result<()> {
 ///
 /// # Errors
 /// As [`check`].
-pub fn fill(argument: &str, values: &Placeholders) -> Result<String> {
+pub(crate) fn fill(argument: &str, values: &Placeholders) -> Result<String> {
     let mut out = String::new();
     for part in parts(argument)? {
         match part {
@@ -95,7 +95,7 @@ pub fn fill(argument: &str, values: &Placeholders) -> Result<String> {
 }
 
 /// A word quoted for a POSIX shell, for the scripts of batch systems.
-pub fn quoted(word: &str) -> String {
+pub(crate) fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 

@@ -40,7 +40,7 @@ impl<'a> Database<'a> {
         let numbers = job.numbers();
         ensure!(
             numbers.len() == job.len(),
-            "two tasks have the same id; give one of their volumes another name in the job"
+            "two different tasks have the same id, a hash of 64 bits; split the job into two"
         );
         let (mut done, mut quarantined) = (HashMap::new(), HashMap::new());
         let (mut begun, mut inputs, mut gone) = (false, None, HashSet::new());
@@ -151,7 +151,7 @@ impl<'a> Database<'a> {
                 job.output.join("image").display()
             ));
         }
-        self.journal.add(&Entry::Inputs { files: now })?;
+        self.journal.add(&Entry::Inputs { files: now });
         self.journal.flush()
     }
 
@@ -165,7 +165,7 @@ impl<'a> Database<'a> {
     ///
     /// # Errors
     /// When a file cannot be read or written.
-    pub fn take_over(&mut self) -> Result<()> {
+    pub(crate) fn take_over(&mut self) -> Result<()> {
         let state = self.job.state();
         let folder = state.join("spool");
         let mut files = Vec::new();
@@ -181,7 +181,7 @@ impl<'a> Database<'a> {
                     continue;
                 };
                 if answer.error.is_none() && !self.done.contains_key(&task) && self.is_there(&answer, true) {
-                    self.finish(task, answer, f64::NAN)?;
+                    self.finish(task, answer, f64::NAN);
                 }
             }
         }
@@ -196,12 +196,11 @@ impl<'a> Database<'a> {
         Ok(())
     }
 
-    pub(super) fn finish(&mut self, task: u32, answer: Answer, predicted_s: f64) -> Result<()> {
+    pub(super) fn finish(&mut self, task: u32, answer: Answer, predicted_s: f64) {
         let predicted_s = if predicted_s.is_finite() { predicted_s } else { answer.seconds };
-        self.journal.add(&Entry::Done { answer: answer.clone(), predicted_s })?;
+        self.journal.add(&Entry::Done { answer: answer.clone(), predicted_s });
         self.quarantined.remove(&task);
         self.done.insert(task, Row { answer, predicted_s });
-        Ok(())
     }
 
     fn is_there(&self, answer: &Answer, whole: bool) -> bool {
@@ -270,7 +269,7 @@ impl<'a> Database<'a> {
     ///
     /// # Errors
     /// When it cannot be written.
-    pub fn write_table(&self) -> Result<()> {
+    pub(crate) fn write_table(&self) -> Result<()> {
         cinema::write(self.job, &self.done)
     }
 }

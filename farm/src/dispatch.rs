@@ -15,21 +15,22 @@ const WORTH: (f64, f64) = (50.0, 3.0);
 const CUTS: f64 = 4.0;
 
 /// A node's request for work.
-pub struct Ask<'a> {
+pub(crate) struct Ask<'a> {
     /// Its loaded volume.
-    pub held: Option<usize>,
+    pub(crate) held: Option<usize>,
     /// True if it keeps a volume from one bundle to the next.
-    pub keeps: bool,
+    pub(crate) keeps: bool,
     /// Seconds to load a volume.
-    pub load: &'a dyn Fn(usize) -> f64,
+    pub(crate) load: &'a dyn Fn(usize) -> f64,
     /// Overhead of a bundle, seconds.
-    pub overhead: f64,
+    pub(crate) overhead: f64,
     /// Slots that share the work.
-    pub slots: usize,
-    /// Limit of the expected seconds of a bundle of several tasks; not applied if `blind`.
-    pub limit: f64,
-    /// True if task times are unknown: the size of a bundle is then a share of the number of waiting tasks.
-    pub blind: bool,
+    pub(crate) slots: usize,
+    /// Limit of the expected seconds of a bundle of several tasks.
+    pub(crate) limit: f64,
+    /// True if expected times are only assumed: the size of a bundle is then a share of the number of waiting
+    /// tasks, up to the limit.
+    pub(crate) blind: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +55,7 @@ impl Ord for Front {
 
 /// Waiting tasks by volume, the longest last.
 #[derive(Clone, Debug)]
-pub struct Dispatcher {
+pub(crate) struct Dispatcher {
     seconds: Vec<f32>,
     volume: Vec<u32>,
     waits: Vec<bool>,
@@ -90,7 +91,7 @@ pub enum Order {
 
 impl Dispatcher {
     /// A dispatcher for tasks with these expected seconds and volumes; no task is queued yet.
-    pub fn new(seconds: Vec<f32>, volume: Vec<u32>, volumes: usize, order: Order) -> Self {
+    pub(crate) fn new(seconds: Vec<f32>, volume: Vec<u32>, volumes: usize, order: Order) -> Self {
         let n = seconds.len();
         Self {
             seconds,
@@ -115,37 +116,37 @@ impl Dispatcher {
     }
 
     /// Number of tasks that wait.
-    pub fn pending(&self) -> usize {
+    pub(crate) fn pending(&self) -> usize {
         self.pending
     }
 
     /// Expected seconds of all waiting tasks.
-    pub fn work(&self) -> f64 {
+    pub(crate) fn work(&self) -> f64 {
         self.work.iter().sum()
     }
 
     /// Expected seconds of a task.
-    pub fn seconds(&self, task: u32) -> f32 {
+    pub(crate) fn seconds(&self, task: u32) -> f32 {
         self.seconds[task as usize]
     }
 
     /// The waiting tasks, in ascending number.
-    pub fn waiting(&self) -> impl Iterator<Item = u32> + '_ {
+    pub(crate) fn waiting(&self) -> impl Iterator<Item = u32> + '_ {
         self.waits.iter().enumerate().filter(|(_, w)| **w).map(|(i, _)| i as u32)
     }
 
     /// Answers every n-th request with a task of the volume with the fewest sent tasks; 0 for never.
-    pub fn set_explore(&mut self, every: u32) {
+    pub(crate) fn set_explore(&mut self, every: u32) {
         self.explore = every;
     }
 
     /// Takes all tasks as equally long, like a scheduler without predictions.
-    pub fn set_uniform(&mut self) {
+    pub(crate) fn set_uniform(&mut self) {
         self.uniform = true;
     }
 
     /// Queues tasks.
-    pub fn add(&mut self, tasks: impl IntoIterator<Item = u32>) {
+    pub(crate) fn add(&mut self, tasks: impl IntoIterator<Item = u32>) {
         for task in tasks {
             if self.wait(task) {
                 self.lanes[self.volume[task as usize] as usize].push(task);
@@ -155,7 +156,7 @@ impl Dispatcher {
     }
 
     /// Queues a task again.
-    pub fn add_again(&mut self, task: u32) {
+    pub(crate) fn add_again(&mut self, task: u32) {
         if !self.wait(task) {
             return;
         }
@@ -185,7 +186,7 @@ impl Dispatcher {
     }
 
     /// Replaces the expected seconds of all tasks and sorts the waiting ones.
-    pub fn reorder(&mut self, seconds: Vec<f32>) {
+    pub(crate) fn reorder(&mut self, seconds: Vec<f32>) {
         self.seconds = seconds;
         self.sort();
     }
@@ -219,14 +220,19 @@ impl Dispatcher {
         if self.arrival || self.uniform { -(task as f32) } else { self.seconds[task as usize] }
     }
 
-    fn push_front(&mut self, v: usize) {
-        while self.lanes[v].last().is_some_and(|t| !self.waits[*t as usize]) {
+    /// The next task of a volume. Tasks that were sent meanwhile leave its lane.
+    fn front(&mut self, v: usize) -> Option<u32> {
+        while let Some(&task) = self.lanes[v].last() {
+            if self.waits[task as usize] {
+                return Some(task);
+            }
             self.lanes[v].pop();
         }
-        if self.listed[v] {
-            return;
-        }
-        if let Some(&task) = self.lanes[v].last() {
+        None
+    }
+
+    fn push_front(&mut self, v: usize) {
+        if let (Some(task), false) = (self.front(v), self.listed[v]) {
             self.listed[v] = true;
             self.heap.push(Front { seconds: self.key(task), volume: v as u32 });
         }
@@ -242,17 +248,14 @@ impl Dispatcher {
     }
 
     fn pop(&mut self, v: usize) -> Option<u32> {
-        while let Some(task) = self.lanes[v].pop() {
-            if self.waits[task as usize] {
-                self.take(task);
-                return Some(task);
-            }
-        }
-        None
+        let task = self.front(v)?;
+        self.lanes[v].pop();
+        self.take(task);
+        Some(task)
     }
 
     /// Records that a node has loaded a volume instead of the one before.
-    pub fn hold(&mut self, before: Option<usize>, after: Option<usize>) {
+    pub(crate) fn hold(&mut self, before: Option<usize>, after: Option<usize>) {
         if let Some(v) = before {
             self.holders[v] = self.holders[v].saturating_sub(1);
         }
@@ -263,7 +266,7 @@ impl Dispatcher {
 
     /// The next bundle for a node; `None` if no task waits, or if the other nodes would finish the waiting
     /// tasks before this node has loaded their volume.
-    pub fn next(&mut self, ask: &Ask<'_>) -> Option<Vec<u32>> {
+    pub(crate) fn next(&mut self, ask: &Ask<'_>) -> Option<Vec<u32>> {
         if self.pending == 0 {
             return None;
         }
@@ -287,17 +290,13 @@ impl Dispatcher {
         };
         let cost = ask.overhead + if ask.held == Some(volume) { 0.0 } else { (ask.load)(volume) };
         let share = total / slots;
-        let target =
-            (share / CUTS).min(WORTH.0 * cost).max((WORTH.1 * cost).min(share.max(cost))).min(ask.limit);
-        let target = if ask.blind { f64::INFINITY } else { target };
+        let worth = (share / CUTS).min(WORTH.0 * cost).max((WORTH.1 * cost).min(share.max(cost)));
+        let target = if ask.blind { ask.limit } else { worth.min(ask.limit) };
         let fair = (self.pending as f64 / (slots * CUTS)).ceil() as usize;
         let most = if ask.blind { fair.min(MOST) } else { MOST };
         let (mut bundle, mut sum) = (Vec::new(), 0.0);
         while bundle.len() < most {
-            while self.lanes[volume].last().is_some_and(|t| !self.waits[*t as usize]) {
-                self.lanes[volume].pop();
-            }
-            let Some(&task) = self.lanes[volume].last() else { break };
+            let Some(task) = self.front(volume) else { break };
             let more = f64::from(self.seconds[task as usize]);
             if !bundle.is_empty() && sum + more > target {
                 break;
@@ -315,11 +314,8 @@ impl Dispatcher {
         while let Some(front) = self.heap.pop() {
             let v = front.volume as usize;
             self.listed[v] = false;
-            while self.lanes[v].last().is_some_and(|t| !self.waits[*t as usize]) {
-                self.lanes[v].pop();
-            }
-            match self.lanes[v].last() {
-                Some(&task) if self.key(task) == front.seconds => return Some(v),
+            match self.front(v) {
+                Some(task) if self.key(task) == front.seconds => return Some(v),
                 Some(_) => self.push_front(v),
                 None => {}
             }

@@ -55,6 +55,17 @@ fn bundles_are_as_large_as_their_sending_is_worth_and_shrink_at_the_end() {
 }
 
 #[test]
+fn bundles_of_unknown_tasks_keep_to_the_limit() {
+    let load = |_: usize| 0.0;
+    let unknown = |limit: f64| {
+        let mut d = Dispatcher::new(vec![1.0; 1000], vec![0; 1000], 1, Order::LongestFirst);
+        d.add(0..1000);
+        d.next(&Ask { limit, blind: true, ..ask(None, &load, 5) }).unwrap().len()
+    };
+    assert_eq!([f64::INFINITY, 20.0, 0.5].map(unknown), [50, 20, 1]);
+}
+
+#[test]
 fn a_node_stays_with_its_volume_where_loading_costs() {
     let mut d = Dispatcher::new(vec![1.0; 60], (0..60).map(|i| i % 3).collect(), 3, Order::LongestFirst);
     d.add(0..60);

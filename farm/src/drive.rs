@@ -1,7 +1,7 @@
 //! The driver: sends bundles, records their results, and predicts the end.
 
 use super::database::{Database, planner};
-use super::engine::{Bundle, Engine, Event};
+use super::engine::{self, Bundle, Engine, Event};
 use super::job::Job;
 use super::options::Options;
 use super::planner::{Planner, Setting, State, Straggler};
@@ -135,7 +135,7 @@ pub fn run(
         engine: engine.name().into(),
         slots: engine.slots(),
         at: unix_now(),
-    })?;
+    });
     database.journal.flush()?;
     let slots = engine.slots();
     let mut drive = Drive {
@@ -188,11 +188,12 @@ impl Drive<'_, '_> {
                 self.planner.pending()
             );
             let events = self.engine.poll(Duration::from_millis(100))?;
-            let refit = self.take(events)?;
+            self.take(events)?;
+            let reordered = self.planner.refresh();
             // Sends new bundles before it flushes the journal: until then the spool keeps the finished tasks.
             self.send()?;
             self.database.journal.flush()?;
-            if refit {
+            if reordered {
                 self.engine.reprioritize(&self.urgency())?;
             }
             if let Some(why) = self.down.take() {
@@ -218,7 +219,7 @@ impl Drive<'_, '_> {
                     printed = share;
                     said.push((now - begin, share, eta));
                     let ends = eta.map(|e| begin + e);
-                    self.database.journal.add(&Entry::Eta { at: now, share, ends })?;
+                    self.database.journal.add(&Entry::Eta { at: now, share, ends });
                 }
                 show.update(&self.view(eta, now - begin));
                 show.cost = before.elapsed();
@@ -289,7 +290,7 @@ impl Drive<'_, '_> {
         if bundles.is_empty() {
             return Ok(());
         }
-        let limit = self.engine.limit();
+        let (limit, blind) = (self.engine.limit(), self.planner.is_blind());
         let mut ready = Vec::new();
         for sent in bundles {
             let retries = sent.tasks.iter().filter_map(|t| self.losses.get(t)).max().copied().unwrap_or(0);
@@ -300,9 +301,9 @@ impl Drive<'_, '_> {
                     self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead();
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
-            if let Some(limit) = limit.filter(|l| sent.expected_s > *l) {
-                // The tasks of a bundle take at most half of this, unless it has one task or times are
-                // unknown.
+            // An assumed time excludes no task: the engine ends a bundle that takes longer than the limit.
+            if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
+                // The tasks of a bundle take at most half of this, unless it has one task.
                 let why = format!(
                     "it is expected to take {:.0} s, and the engine runs nothing longer than {limit:.0} s",
                     sent.expected_s
@@ -331,9 +332,8 @@ impl Drive<'_, '_> {
         waits
     }
 
-    /// Processes events. Returns true if the model got new measured times.
-    fn take(&mut self, events: Vec<Event>) -> Result<bool> {
-        let before = self.planner.learner().observed();
+    /// Processes events.
+    fn take(&mut self, events: Vec<Event>) -> Result<()> {
         for event in events {
             match event {
                 Event::Line(bundle, Line::Begin { begins }) => {
@@ -355,7 +355,7 @@ impl Drive<'_, '_> {
                 Event::Down(why) => self.down = Some(why),
             }
         }
-        Ok(self.planner.learner().observed() > before)
+        Ok(())
     }
 
     fn answer(&mut self, bundle: u64, answer: Answer) -> Result<()> {
@@ -382,7 +382,7 @@ impl Drive<'_, '_> {
         if !self.database.done.contains_key(&task) {
             self.now += 1;
             let predicted = self.predicted.get(&bundle).and_then(|p| p.get(&task)).copied();
-            self.database.finish(task, answer, predicted.unwrap_or(f64::NAN))?;
+            self.database.finish(task, answer, predicted.unwrap_or(f64::NAN));
         }
         Ok(())
     }
@@ -398,7 +398,7 @@ impl Drive<'_, '_> {
         if *count >= self.database.job.retry.attempts {
             return self.quarantine(bundle, task, error);
         }
-        self.database.journal.add(&Entry::Failed { task: self.id(task), error: error.to_owned() })?;
+        self.database.journal.add(&Entry::Failed { task: self.id(task), error: error.to_owned() });
         self.planner.again(bundle, task);
         Ok(())
     }
@@ -422,7 +422,7 @@ impl Drive<'_, '_> {
         let text = format!("{error}\n\n{order}\n\n{}", String::from_utf8_lossy(&output));
         write_whole(&self.database.job.output.join(&name), text.as_bytes())?;
         let entry = Entry::Quarantined { task: id, error: error.to_owned(), log: name };
-        self.database.journal.add(&entry)?;
+        self.database.journal.add(&entry);
         self.database.quarantined.insert(task, error.to_owned());
         self.planner.quarantine(Some(bundle), task);
         Ok(())
@@ -439,8 +439,7 @@ impl Drive<'_, '_> {
         if let Some(slot) = slot {
             self.free[slot] = true;
         } else {
-            super::engine::Places { state: self.database.job.state(), program: Default::default() }
-                .clear(bundle);
+            engine::clear(&self.database.job.state(), bundle);
         }
         self.at.remove(&bundle);
         self.predicted.remove(&bundle);
@@ -451,7 +450,7 @@ impl Drive<'_, '_> {
         let slot = self.planner.slot_of(bundle);
         let at = self.at.get(&bundle).copied().filter(|t| self.planner.open(bundle).contains(t));
         if let Some(task) = at.filter(|_| !why.is_empty()) {
-            self.database.journal.add(&Entry::Lost { task: self.id(task), why: why.to_owned() })?;
+            self.database.journal.add(&Entry::Lost { task: self.id(task), why: why.to_owned() });
             let count = self.losses.entry(task).or_insert(0);
             *count += 1;
             if *count >= self.database.job.retry.losses {
@@ -475,8 +474,7 @@ impl Drive<'_, '_> {
                     self.answer(bundle, answer)?;
                 }
             }
-            super::engine::Places { state: self.database.job.state(), program: Default::default() }
-                .cancel(bundle);
+            engine::cancel(&self.database.job.state(), bundle);
             let slot = self.planner.slot_of(bundle);
             self.planner.ended(bundle, unix_now());
             if let Some(slot) = slot {

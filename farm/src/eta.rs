@@ -206,7 +206,7 @@ fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
 
 /// Seconds until a queue is done: tasks in order, each to the first free slot. `times`: seconds at speed 1;
 /// `busy`: seconds until each slot is free.
-pub fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
+pub(crate) fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
     let mut last = busy.iter().copied().fold(0.0, f64::max);
     let mut free: BinaryHeap<Reverse<(Time, usize)>> =
         busy.iter().enumerate().map(|(slot, at)| Reverse((Time(*at), slot))).collect();

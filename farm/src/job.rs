@@ -13,6 +13,7 @@ use entire_io::options::parse_size;
 use entire_io::path::Transfer;
 use entire_io::volume::Reading;
 use entire_report::{Column, Table};
+use entire_steer::features::MAX_PROBE_SIDE;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -21,7 +22,7 @@ use std::path::{Path, PathBuf};
 const MAX_JOB_BYTES: u64 = 16 << 20;
 
 /// Maximum number of tasks of a job.
-pub const MAX_TASKS: usize = 20_000_000;
+const MAX_TASKS: usize = 20_000_000;
 
 /// A volume file of a job.
 #[derive(Clone, Debug, PartialEq)]
@@ -158,7 +159,11 @@ impl Job {
             predict.model.is_none() || predict.list.is_none(),
             "predict: both model and list are given; give one of them"
         );
-        let text = |v: &dyn erased::Text| fnv1a(v.text().as_bytes());
+        ensure!(
+            predict.probe_side.is_none_or(|side| (1..=MAX_PROBE_SIDE).contains(&side)),
+            "predict: probe_side is {}; it must lie in 1 to {MAX_PROBE_SIDE}",
+            predict.probe_side.unwrap_or(0)
+        );
         let mut names = HashSet::new();
         if let Some(volume) =
             volumes.iter().find(|v| !names.insert(format!("{} {} {}", v.name, v.time, v.reading.key())))
@@ -170,12 +175,16 @@ impl Job {
             );
         }
         let told = Told::by(&renderer);
+        // Ids are hashes of these texts.
+        let hash = |text: String| fnv1a(text.as_bytes());
+        let transfer_text =
+            |t: &NamedTransfer| serde_json::to_string(&t.transfer).unwrap_or_default() + &t.name;
         let hashes = [
             volume_hashes(&volumes, &told),
-            cameras.iter().map(|v| text(v)).collect(),
-            transfers.iter().map(|v| text(v)).collect(),
-            sizes.iter().map(|v| text(v)).collect(),
-            file.steps.iter().map(|v| text(v)).collect(),
+            cameras.iter().map(|c| hash(format!("{},{},{}", c.rx, c.ry, c.dz))).collect(),
+            transfers.iter().map(|t| hash(transfer_text(t))).collect(),
+            sizes.iter().map(|[width, height]| hash(format!("{width}x{height}"))).collect(),
+            file.steps.iter().map(|step| hash(step.to_string())).collect(),
         ];
         let salt = fnv1a(format!("{} {fov}", settings(&renderer)?).as_bytes());
         let job = Self {
@@ -258,14 +267,14 @@ impl Job {
     }
 
     /// The task numbers of a volume.
-    pub fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
+    fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
         let each = self.len() / self.volumes.len();
         volume * each..(volume + 1) * each
     }
 
     /// Returns a function from a volume to the ids that its tasks have with earlier identities of its files.
     /// `then`: these identities, by [`Job::shown`].
-    pub fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
+    pub(crate) fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
         let mut volumes = self.volumes.clone();
         for (i, volume) in volumes.iter_mut().enumerate() {
             if let Some(files) = then.get(&self.shown(i)) {
@@ -368,40 +377,6 @@ fn settings(renderer: &Renderer) -> Result<String> {
         }
     }
     Ok(serde_json::to_string(&renderer)? + &script_key)
-}
-
-/// The canonical text of an entry, which ids are hashes of.
-mod erased {
-    use super::NamedTransfer;
-    use entire_core::scene::Arcball;
-
-    pub(super) trait Text {
-        fn text(&self) -> String;
-    }
-
-    impl Text for Arcball {
-        fn text(&self) -> String {
-            format!("{},{},{}", self.rx, self.ry, self.dz)
-        }
-    }
-
-    impl Text for NamedTransfer {
-        fn text(&self) -> String {
-            serde_json::to_string(&self.transfer).unwrap_or_default() + &self.name
-        }
-    }
-
-    impl Text for [u32; 2] {
-        fn text(&self) -> String {
-            format!("{}x{}", self[0], self[1])
-        }
-    }
-
-    impl Text for f32 {
-        fn text(&self) -> String {
-            self.to_string()
-        }
-    }
 }
 
 fn check_name(what: &str, name: &str) -> Result<()> {

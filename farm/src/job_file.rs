@@ -55,7 +55,7 @@ fn default_steps() -> Vec<f32> {
 pub struct VolumesEntry {
     /// Its name; default: the first file's stem, or each file's own if `series` is false.
     pub name: Option<String>,
-    /// Files or glob patterns, sorted by name with numbers in them by value (see [`super::natural::sort`]).
+    /// Files or glob patterns, sorted by name with numbers in them by value.
     pub files: Vec<String>,
     /// True if the files are time steps of one volume.
     #[serde(default)]

@@ -95,6 +95,8 @@ fn every_mistake_is_named() {
         ("lobes = [[0.5, 0.1, 0.2]]", "", "either lobes or points"),
         ("views = 5", "views = 5\nvews = 6", "vews"),
         ("kind = \"command\"", "kind = \"command\"\ntimeout_s = -1.0", "timeout_s is -1"),
+        ("[renderer]", "[predict]\nprobe_side = 0\n[renderer]", "probe_side is 0"),
+        ("[renderer]", "[predict]\nprobe_side = 25\n[renderer]", "probe_side is 25"),
     ] {
         let text = JOB.replace(from, to);
         assert_ne!(text, JOB, "{from}");

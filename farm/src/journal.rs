@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// An open journal and its lock.
 #[derive(Debug)]
-pub struct Journal {
+pub(crate) struct Journal {
     file: File,
     path: PathBuf,
     waiting: Vec<u8>,
@@ -23,7 +23,7 @@ impl Journal {
     ///
     /// # Errors
     /// When another driver holds the lock, a line is damaged, or a file cannot be read.
-    pub fn open(state: &Path, mut each: impl FnMut(Entry) -> Result<()>) -> Result<Self> {
+    pub(crate) fn open(state: &Path, mut each: impl FnMut(Entry) -> Result<()>) -> Result<Self> {
         let lock_path = state.join("lock");
         let lock = OpenOptions::new().create(true).write(true).truncate(false).open(&lock_path);
         let lock = lock.with_context(|| format!("cannot open {}", lock_path.display()))?;
@@ -50,20 +50,17 @@ impl Journal {
     }
 
     /// Adds an entry; it is durable after [`Journal::flush`].
-    ///
-    /// # Errors
-    /// Never in practice: it writes to memory.
-    pub fn add(&mut self, entry: &Entry) -> Result<()> {
-        serde_json::to_writer(&mut self.waiting, entry)?;
+    pub(crate) fn add(&mut self, entry: &Entry) {
+        serde_json::to_writer(&mut self.waiting, entry)
+            .expect("every entry is valid JSON, written to memory");
         self.waiting.push(b'\n');
-        Ok(())
     }
 
     /// Flushes added entries to the disk.
     ///
     /// # Errors
     /// When the disk is full or fails; the entries are kept for the next flush.
-    pub fn flush(&mut self) -> Result<()> {
+    pub(crate) fn flush(&mut self) -> Result<()> {
         if self.waiting.is_empty() {
             return Ok(());
         }
@@ -103,7 +100,7 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
 ///
 /// # Errors
 /// When it cannot be read or is damaged.
-pub fn entries(state: &Path) -> Result<Vec<Entry>> {
+pub(crate) fn entries(state: &Path) -> Result<Vec<Entry>> {
     let path = state.join("journal.jsonl");
     let mut out = Vec::new();
     let file = File::open(&path).with_context(|| format!("cannot read the journal {}", path.display()))?;
@@ -127,9 +124,9 @@ mod tests {
     fn whole_lines_are_read_back_and_a_torn_one_is_cut_off() {
         let dir = tempfile::tempdir().unwrap();
         let mut journal = Journal::open(dir.path(), |_| panic!("it is new")).unwrap();
-        journal.add(&lost("a")).unwrap();
+        journal.add(&lost("a"));
         journal.flush().unwrap();
-        journal.add(&lost("b")).unwrap();
+        journal.add(&lost("b"));
         journal.flush().unwrap();
         // A second writer is refused while the first is there.
         let said = format!("{:#}", Journal::open(dir.path(), |_| Ok(())).unwrap_err());
@@ -146,7 +143,7 @@ mod tests {
             })
             .unwrap();
             assert_eq!(found, [lost("a")]);
-            journal.add(&lost("c")).unwrap();
+            journal.add(&lost("c"));
             journal.flush().unwrap();
             drop(journal);
             assert_eq!(entries(dir.path()).unwrap(), [lost("a"), lost("c")]);

@@ -13,7 +13,7 @@ pub(crate) use super::gauss::normal;
 use super::gauss::normal_below;
 use super::job::Job;
 use entire_core::scene::Camera;
-use entire_steer::numeric::{back, cholesky, forward};
+use entire_steer::numeric::{back, forward, solve};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
@@ -24,7 +24,7 @@ const FIXED: usize = 9;
 /// Prior standard deviations of the coefficients of these features.
 const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
 /// Prior standard deviation of the constant without a model or list of base times.
-pub const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
+pub(crate) const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
 /// Prior standard deviation of the constant with a model or list, which may be of another machine.
 pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
 /// Prior standard deviation of the coefficient of each transfer function.
@@ -34,9 +34,9 @@ const MAX_TRANSFERS: usize = 64;
 /// Prior standard deviation of the residual and of the volume effects, and the weight of these priors as a
 /// number of observations.
 const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
-/// Prior standard deviation of the volume effects with a model or list: the largest of shipped models on
-/// frames of held-out volumes (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside,
-/// none-earlier and none-steps-members of `data/timings` gave 0.03 to 0.07).
+/// Prior standard deviation of the volume effects when a model or a list is given: the largest value of a
+/// shipped model on held-out volumes. `entire evaluate` gave 0.03 to 0.07 on the tables local-timestep,
+/// scatter-timestep, none-inside, none-earlier and none-steps-members of `data/timings`.
 const VOLUME_SD_WITH_MODEL: f64 = 0.07;
 /// Prior standard deviation of the coefficient of ln base with a model or list: twice the largest slope of
 /// ln(measured / base) over ln base on the tables of [`VOLUME_SD_WITH_MODEL`].
@@ -72,12 +72,12 @@ impl Shape {
     }
 
     /// True if the base seconds come from a model or list, not from pixels over step.
-    pub fn has_model(&self) -> bool {
+    pub(crate) fn has_model(&self) -> bool {
         self.constant < CONSTANT_SD_WITHOUT_MODEL
     }
 
     /// The tasks of a job.
-    pub fn of_job(job: &Job, base: Vec<f32>) -> Self {
+    pub(crate) fn of_job(job: &Job, base: Vec<f32>) -> Self {
         let (sizes, steps) = (job.sizes.len(), job.steps.len());
         let mean = |values: &mut dyn Iterator<Item = f64>, n: usize| values.sum::<f64>() / n as f64;
         let pixels = |s: &[u32; 2]| (f64::from(s[0]) * f64::from(s[1])).ln();
@@ -151,13 +151,8 @@ impl Shape {
     }
 
     /// Number of tasks.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.base.len()
-    }
-
-    /// True if there is no task.
-    pub fn is_empty(&self) -> bool {
-        self.base.is_empty()
     }
 
     /// The volume of a task.
@@ -166,7 +161,7 @@ impl Shape {
     }
 
     /// Number of volumes.
-    pub fn volumes(&self) -> usize {
+    pub(crate) fn volumes(&self) -> usize {
         self.volumes
     }
 }
@@ -207,7 +202,7 @@ pub struct Learner {
 
 /// One random draw of all uncertain quantities except the tasks' own errors.
 #[derive(Clone, Debug)]
-pub struct Draw {
+pub(crate) struct Draw {
     beta: Vec<f64>,
     effects: Vec<f64>,
     drift: f64,
@@ -215,7 +210,7 @@ pub struct Draw {
 
 impl Learner {
     /// A model without observations.
-    pub fn new(shape: Shape) -> Self {
+    pub(crate) fn new(shape: Shape) -> Self {
         let d = FIXED + shape.transfers;
         let mean_base = shape.base.iter().map(|b| f64::from(*b)).sum::<f64>() / shape.len().max(1) as f64;
         let volumes = shape.volumes;
@@ -248,17 +243,17 @@ impl Learner {
     }
 
     /// Number of observed times.
-    pub fn observed(&self) -> usize {
+    pub(crate) fn observed(&self) -> usize {
         self.seen.len()
     }
 
     /// Standard deviation of ln(measured / expected) of a task.
-    pub fn log_sd(&self) -> f64 {
+    pub(crate) fn log_sd(&self) -> f64 {
         self.sigma2.sqrt()
     }
 
     /// Speed of a node, 1 where it is unknown.
-    pub fn speed(&self, node: usize) -> f64 {
+    pub(crate) fn speed(&self, node: usize) -> f64 {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
 
@@ -303,12 +298,12 @@ impl Learner {
     }
 
     /// Expected seconds of all tasks.
-    pub fn all_seconds(&self) -> Vec<f32> {
+    pub(crate) fn all_seconds(&self) -> Vec<f32> {
         (0..self.shape.len()).into_par_iter().with_min_len(4096).map(|t| self.seconds(t) as f32).collect()
     }
 
     /// Adds an observed time. Returns true if the model was refitted, which changes the expected seconds.
-    pub fn observe(&mut self, task: usize, node: usize, seconds: f64) -> bool {
+    pub(crate) fn observe(&mut self, task: usize, node: usize, seconds: f64) -> bool {
         if !(seconds.is_finite() && seconds > 0.0) {
             return false;
         }
@@ -323,12 +318,12 @@ impl Learner {
     }
 
     /// True if the fit includes all observations.
-    pub fn is_fresh(&self) -> bool {
+    pub(crate) fn is_fresh(&self) -> bool {
         self.fitted == self.seen.len()
     }
 
     /// Fits the model to all observations.
-    pub fn refit(&mut self) {
+    pub(crate) fn refit(&mut self) {
         let d = self.beta.len();
         let nodes = self.seen.iter().map(|s| s.node as usize + 1).max().unwrap_or(0);
         self.nodes.resize(nodes, 0.0);
@@ -406,11 +401,8 @@ impl Learner {
                     }
                 }
             }
-            if !cholesky(&mut a, d) {
-                return;
-            }
-            self.beta = back(&a, forward(&a, b));
-            self.factor = a;
+            let Some(beta) = solve(&mut a, b) else { return };
+            (self.beta, self.factor) = (beta, a);
             let dot = |x: &[f64]| x.iter().zip(&self.beta).map(|(a, b)| a * b).sum::<f64>();
             for v in 0..counts.len() {
                 self.effects[v] = (sums_y[v] - dot(&sums[v])) / s2 / precisions[v];
@@ -517,12 +509,16 @@ impl Learner {
         }
     }
 
-    /// Draws the uncertain quantities.
-    pub fn draw(&self, rng: &mut ChaCha8Rng) -> Draw {
-        let d = self.beta.len();
-        let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();
+    /// Draws β; returns it and its difference from the mean.
+    fn draw_beta(&self, rng: &mut ChaCha8Rng) -> (Vec<f64>, Vec<f64>) {
+        let noise: Vec<f64> = (0..self.beta.len()).map(|_| normal(rng)).collect();
         let shift = back(&self.factor, noise);
-        let beta: Vec<f64> = self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect();
+        (self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect(), shift)
+    }
+
+    /// Draws the uncertain quantities.
+    pub(crate) fn draw(&self, rng: &mut ChaCha8Rng) -> Draw {
+        let (beta, shift) = self.draw_beta(rng);
         let effects = (0..self.shape.volumes)
             .map(|v| {
                 let along: f64 = self.sums[v].iter().zip(&shift).map(|(a, b)| a * b).sum();
@@ -534,7 +530,7 @@ impl Learner {
     }
 
     /// Seconds of a task in a draw, with its own error.
-    pub fn drawn_seconds(&self, draw: &Draw, task: usize, rng: &mut ChaCha8Rng) -> f64 {
+    pub(crate) fn drawn_seconds(&self, draw: &Draw, task: usize, rng: &mut ChaCha8Rng) -> f64 {
         let calm = self.calm(task);
         let error = if self.residuals.len() >= 50 {
             let r = self.residuals[(rng.next_u64() % self.residuals.len() as u64) as usize];
@@ -548,7 +544,13 @@ impl Learner {
 
     /// As [`Learner::drawn_seconds`], for a task that has run for `seconds` and is not finished. Returns a
     /// longer time, and the probability in this draw that the task takes longer than `seconds`.
-    pub fn drawn_beyond(&self, draw: &Draw, task: usize, seconds: f64, rng: &mut ChaCha8Rng) -> (f64, f64) {
+    pub(crate) fn drawn_beyond(
+        &self,
+        draw: &Draw,
+        task: usize,
+        seconds: f64,
+        rng: &mut ChaCha8Rng,
+    ) -> (f64, f64) {
         let log =
             f64::from(self.shape.base[task]) + self.log_of(&draw.beta, &draw.effects, task) + draw.drift;
         let calm = self.calm(task);
@@ -591,10 +593,7 @@ impl Learner {
 
     /// As [`Learner::draw`], but draws only the effects of the volumes of every `stride`-th task of `tasks`.
     fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
-        let d = self.beta.len();
-        let noise: Vec<f64> = (0..d).map(|_| normal(rng)).collect();
-        let shift = back(&self.factor, noise);
-        let beta: Vec<f64> = self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect();
+        let (beta, shift) = self.draw_beta(rng);
         let mut effects = self.effects.clone();
         let mut volumes: Vec<usize> =
             tasks.iter().step_by(stride).map(|t| self.shape.volume(*t as usize)).collect();

@@ -100,7 +100,7 @@ fn the_posterior_is_that_of_the_whole_system() {
     for k in 0..n {
         a[k * n + k] += if k < d { PRIOR[k].powi(-2) } else { 1.0 / learner.tau2 };
     }
-    let solved = entire_steer::numeric::solve(&mut a, b).unwrap();
+    let solved = solve(&mut a, b).unwrap();
     // The variances changed a little after β was solved for.
     for k in 0..n {
         let own = if k < d { learner.beta[k] } else { learner.effects[k - d] };

@@ -3,11 +3,11 @@
 //!
 //! [`list`] has task lists and static assignments (`entire schedule`). The other modules are `entire farm`: a
 //! job file becomes tasks ([`job`]), tasks get expected times ([`predict`], [`learn`], [`load`]), a planner
-//! sends them in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), the
-//! journal records the results ([`journal`], [`spool`]). The simulator ([`simulate`]) uses the same planner.
+//! sends them in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), a journal
+//! records the results ([`database`]). The simulator ([`simulate`]) uses the same planner.
 
-pub mod cinema;
-pub mod command;
+mod cinema;
+mod command;
 pub mod database;
 pub mod dispatch;
 pub mod drive;
@@ -15,11 +15,11 @@ pub mod engine;
 mod gauss;
 pub mod job;
 mod job_file;
-pub mod journal;
+mod journal;
 pub mod learn;
 pub mod list;
 pub mod load;
-pub mod natural;
+mod natural;
 pub mod openjd;
 pub mod options;
 pub mod planner;
@@ -29,7 +29,7 @@ pub mod report;
 mod session;
 pub mod show;
 pub mod simulate;
-pub mod spool;
+mod spool;
 pub mod survey;
 pub mod worker;
 

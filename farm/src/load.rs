@@ -10,6 +10,7 @@ pub struct Loads {
     bytes: Vec<f64>,
     /// Per volume: sum and count, cold and warm.
     seen: Vec<[(f64, u32); 2]>,
+    /// Offset in seconds and slope in seconds per byte, cold and warm.
     laws: [(f64, f64); 2],
     fixed: Option<Vec<f64>>,
 }
@@ -17,7 +18,7 @@ pub struct Loads {
 impl Loads {
     /// A model for volumes of these sizes in bytes. `has_model` is false for a renderer that does not report
     /// loading times: it loads within its tasks, so loading takes zero seconds.
-    pub fn new(bytes: Vec<f64>, has_model: bool) -> Self {
+    pub(crate) fn new(bytes: Vec<f64>, has_model: bool) -> Self {
         let seen = vec![[(0.0, 0); 2]; bytes.len()];
         let laws = if has_model { BEFORE.map(|rate| (0.0, 1.0 / rate)) } else { [(0.0, 0.0); 2] };
         Self { bytes, seen, laws, fixed: None }
@@ -29,7 +30,7 @@ impl Loads {
     }
 
     /// Adds an observed loading time.
-    pub fn observe(&mut self, volume: usize, warm: bool, seconds: f64) {
+    pub(crate) fn observe(&mut self, volume: usize, warm: bool, seconds: f64) {
         if !(seconds.is_finite() && seconds > 0.0) || self.fixed.is_some() {
             return;
         }
@@ -73,16 +74,6 @@ impl Loads {
         let (sum, n) = self.seen[volume][kind];
         (sum + law) / f64::from(n + 1)
     }
-
-    /// Offset in seconds and slope in seconds per byte of the affine functions, cold and warm.
-    pub fn laws(&self) -> [(f64, f64); 2] {
-        self.laws
-    }
-
-    /// Number of observed loads, cold and warm.
-    pub fn counts(&self) -> [u32; 2] {
-        [0, 1].map(|k| self.seen.iter().map(|s| s[k].1).sum())
-    }
 }
 
 #[cfg(test)]
@@ -100,7 +91,6 @@ mod tests {
         // The fourth volume has never been loaded.
         assert!((loads.seconds(3, false) - (0.5 + 1.8)).abs() < 1e-9);
         assert!((loads.seconds(3, true) - 0.09).abs() < 1e-9);
-        assert_eq!(loads.counts(), [3, 3]);
         assert_eq!(Loads::new(bytes, false).seconds(2, false), 0.0);
     }
 }

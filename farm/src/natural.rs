@@ -16,7 +16,7 @@ use std::path::PathBuf;
 ///   `2024-01-05`).
 ///
 /// Equal numbers (`1`, `01`, `1.0`) are ordered by the rest of the name, then by text.
-pub fn sort(paths: &mut Vec<PathBuf>) {
+pub(crate) fn sort(paths: &mut Vec<PathBuf>) {
     let texts: Vec<String> = paths.iter().map(|p| p.to_string_lossy().into_owned()).collect();
     let mut keys: Vec<Vec<Token>> = texts.iter().map(|t| tokens(t)).collect();
     let plain: HashSet<(usize, String)> = keys

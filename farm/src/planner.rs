@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashSet, VecDeque};
 
 #[path = "eta.rs"]
 mod eta;
-pub use eta::queue_end;
+pub(crate) use eta::queue_end;
 
 /// Share of finished tasks up to which some requests are answered with a task for learning, and the interval
 /// of these requests.
@@ -102,17 +102,15 @@ pub struct Planner {
 
 /// A bundle that is slower than expected.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Straggler {
-    /// Its number.
-    pub bundle: u64,
+pub(crate) struct Straggler {
     /// Its current task, probably.
-    pub task: u32,
+    pub(crate) task: u32,
     /// The slot, if known.
-    pub slot: Option<usize>,
+    pub(crate) slot: Option<usize>,
     /// Seconds since its first task began, or since it was sent if that is not known.
-    pub elapsed_s: f64,
+    pub(crate) elapsed_s: f64,
     /// Expected seconds.
-    pub expected_s: f64,
+    pub(crate) expected_s: f64,
 }
 
 impl Planner {
@@ -178,7 +176,7 @@ impl Planner {
     }
 
     /// Records that a task was given up.
-    pub fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
+    pub(crate) fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
         if let Some(r) = bundle.and_then(|b| self.running.get_mut(&b)) {
             r.open.retain(|t| *t != task);
         }
@@ -201,37 +199,37 @@ impl Planner {
     }
 
     /// Adds a measured loading time to the model of loading times.
-    pub fn observe_load(&mut self, volume: usize, warm: bool, seconds: f64) {
+    pub(crate) fn observe_load(&mut self, volume: usize, warm: bool, seconds: f64) {
         self.loads.observe(volume, warm, seconds);
     }
 
     /// Number of finished tasks and of all tasks, both including those that earlier runs have finished.
-    pub fn progress(&self) -> (usize, usize) {
+    pub(crate) fn progress(&self) -> (usize, usize) {
         (self.done, self.wanted)
     }
 
     /// Number of waiting tasks.
-    pub fn pending(&self) -> usize {
+    pub(crate) fn pending(&self) -> usize {
         self.dispatcher.pending() + self.stages.iter().map(Vec::len).sum::<usize>()
     }
 
     /// Number of running bundles.
-    pub fn running(&self) -> usize {
+    pub(crate) fn running(&self) -> usize {
         self.running.len()
     }
 
     /// True if no task waits and no bundle runs.
-    pub fn is_over(&self) -> bool {
+    pub(crate) fn is_over(&self) -> bool {
         self.pending() == 0 && self.running.is_empty()
     }
 
     /// Overhead of a bundle as measured, seconds.
-    pub fn overhead(&self) -> f64 {
+    pub(crate) fn overhead(&self) -> f64 {
         self.overhead
     }
 
     /// Sets the overhead of a bundle.
-    pub fn set_overhead(&mut self, seconds: f64) {
+    pub(crate) fn set_overhead(&mut self, seconds: f64) {
         self.overhead = seconds;
     }
 
@@ -240,12 +238,18 @@ impl Planner {
         f64::from(self.dispatcher.seconds(task))
     }
 
-    /// Sorts the queue by the corrected times, if they have changed.
-    pub fn refresh(&mut self) {
-        if self.stale {
-            self.stale = false;
+    /// Sorts the queue by the corrected times, if they have changed. Returns true if they have.
+    pub fn refresh(&mut self) -> bool {
+        let changed = std::mem::take(&mut self.stale);
+        if changed {
             self.dispatcher.reorder(self.learner.all_seconds());
         }
+        changed
+    }
+
+    /// True if expected times are only assumed: no model or list gives them, and few tasks were measured.
+    pub(crate) fn is_blind(&self) -> bool {
+        self.setting.learn && self.learner.observed() < 8 && !self.learner.shape().has_model()
     }
 
     /// The next bundle for a slot, or for any free slot; `now`: seconds.
@@ -266,7 +270,7 @@ impl Planner {
             overhead: self.overhead,
             slots: slots.len(),
             limit: self.setting.limit.unwrap_or(f64::INFINITY) / 2.0,
-            blind: self.setting.learn && learner.observed() < 8 && !learner.shape().has_model(),
+            blind: self.is_blind(),
         };
         let tasks = self.dispatcher.next(&ask)?;
         let volume = learner.shape().volume(tasks[0] as usize);
@@ -290,36 +294,35 @@ impl Planner {
     }
 
     /// Sets the number of the next bundle, so that numbers differ from those of an earlier run.
-    pub fn number_from(&mut self, bundle: u64) {
+    pub(crate) fn number_from(&mut self, bundle: u64) {
         self.bundles = self.bundles.max(bundle);
     }
 
     /// Records the start of a bundle.
-    pub fn begun(&mut self, bundle: u64, at: f64) {
+    pub(crate) fn begun(&mut self, bundle: u64, at: f64) {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.begun.get_or_insert(at);
         }
     }
 
-    /// Records a finished task. Returns false if it was finished before.
-    pub fn done(&mut self, bundle: u64, task: u32, node: usize, seconds: f64, load: f64) -> bool {
+    /// Records a finished task.
+    pub(crate) fn done(&mut self, bundle: u64, task: u32, node: usize, seconds: f64, load: f64) {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.open.retain(|t| *t != task);
             r.busy += seconds + load;
         }
         if self.states[task as usize] == State::Done {
-            return false;
+            return;
         }
         self.states[task as usize] = State::Done;
         self.done += 1;
         if self.setting.learn {
             self.stale |= self.learner.observe(task as usize, node, seconds);
         }
-        true
     }
 
     /// Queues a task again.
-    pub fn again(&mut self, bundle: u64, task: u32) {
+    pub(crate) fn again(&mut self, bundle: u64, task: u32) {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.open.retain(|t| *t != task);
         }
@@ -330,7 +333,7 @@ impl Planner {
     }
 
     /// Records the end of a bundle; its unfinished tasks are queued again.
-    pub fn ended(&mut self, bundle: u64, now: f64) {
+    pub(crate) fn ended(&mut self, bundle: u64, now: f64) {
         let Some(r) = self.running.remove(&bundle) else { return };
         if self.setting.bound && r.open.is_empty() {
             // Time in which the slot neither rendered nor loaded.
@@ -345,24 +348,24 @@ impl Planner {
     }
 
     /// Records that a slot has lost its volume.
-    pub fn forget(&mut self, slot: usize) {
+    pub(crate) fn forget(&mut self, slot: usize) {
         let before = self.slots[slot].held.take();
         self.dispatcher.hold(before, None);
     }
 
     /// The unfinished tasks of a bundle.
-    pub fn open(&self, bundle: u64) -> &[u32] {
+    pub(crate) fn open(&self, bundle: u64) -> &[u32] {
         self.running.get(&bundle).map_or(&[], |r| &r.open)
     }
 
     /// The slot of a bundle.
-    pub fn slot_of(&self, bundle: u64) -> Option<usize> {
+    pub(crate) fn slot_of(&self, bundle: u64) -> Option<usize> {
         self.running.get(&bundle).and_then(|r| r.sent.slot)
     }
 
     /// Bundles that take over a second longer than the 99.9 % quantile of their expected time, the longest
     /// first.
-    pub fn stragglers(&self, now: f64) -> Vec<Straggler> {
+    pub(crate) fn stragglers(&self, now: f64) -> Vec<Straggler> {
         let spread = 3.0 * self.learner.log_sd().hypot(0.05);
         let mut out: Vec<Straggler> = self
             .running
@@ -373,7 +376,6 @@ impl Planner {
                 let expected = r.sent.expected_s;
                 let late = elapsed > expected * spread.exp() + 1.0 && self.learner.observed() >= 10;
                 late.then(|| Straggler {
-                    bundle: r.sent.bundle,
                     task: r.open.first().copied().unwrap_or(r.sent.tasks[0]),
                     slot: r.sent.slot,
                     elapsed_s: elapsed,

@@ -11,10 +11,7 @@ use entire_core::scene::{Camera, Frame, Shading, Skipping};
 use entire_io::dataset::Clock;
 use entire_io::files::{note, open_model, open_volume};
 use entire_io::progress::progress_bar;
-use entire_steer::features::{
-    Changes, FrameFeatures, MAX_PROBE_SIDE, PROBE_SIDE, Setting, SummaryOptions, TransferSummary,
-    VolumeSummary,
-};
+use entire_steer::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{AnalyticModel, Inputs, Predictor, load};
 use rayon::prelude::*;
 use std::path::Path;
@@ -121,7 +118,6 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         (None, None) => PROBE_SIDE,
         (Some(_), _) => make()?.probe_side(),
     };
-    ensure!(side <= MAX_PROBE_SIDE, "predict: probe_side is {side}; it must lie in 1 to {MAX_PROBE_SIDE}");
     let encoder = match model.as_ref().and_then(|m| m.volumenet()) {
         Some(parts) => Some(VolumeNet::new(parts)?),
         None => None,
@@ -133,8 +129,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
     for (index, file) in job.volumes.iter().enumerate() {
         let volume = open_volume(&file.path, &file.reading)?;
         let view = volume.view();
-        let summary = VolumeSummary::new(&view, SummaryOptions::default())
-            .with_context(|| format!("{}", file.path.display()))?;
+        let summary = VolumeSummary::new(&view).with_context(|| format!("{}", file.path.display()))?;
         let code = match &encoder {
             Some(net) => {
                 let mut code = vec![0.0; net.feature_len()];

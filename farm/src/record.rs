@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The number of the current run of a database with the state folder `state`; `None` before the first run.
-pub fn run_number(state: &Path) -> Option<u64> {
+pub(crate) fn run_number(state: &Path) -> Option<u64> {
     std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
 }
 
@@ -49,13 +49,13 @@ pub struct Order {
 
 /// Tasks for one worker, one after another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BundleOrder {
+pub(crate) struct BundleOrder {
     /// The bundle's number in this run.
-    pub bundle: u64,
+    pub(crate) bundle: u64,
     /// The run that it belongs to: when another run has begun, the worker stops.
-    pub run: u64,
+    pub(crate) run: u64,
     /// The tasks.
-    pub tasks: Vec<Order>,
+    pub(crate) tasks: Vec<Order>,
 }
 
 /// Result of a task.
@@ -111,7 +111,7 @@ pub enum Line {
 /// A line of the journal.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Entry {
+pub(crate) enum Entry {
     /// A run has started.
     Run {
         /// The journal's format.
@@ -174,17 +174,17 @@ pub enum Entry {
 }
 
 /// The journal's format.
-pub const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
+pub(crate) const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
 
 /// The format of journals that do not record the input files of pictures.
-pub const BARE_JOURNAL_FORMAT: &str = "entire-farm-journal-1";
+pub(crate) const BARE_JOURNAL_FORMAT: &str = "entire-farm-journal-1";
 
 /// Seconds since 1970.
-pub fn unix_now() -> f64 {
+pub(crate) fn unix_now() -> f64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
 }
 
 /// Parses a task's id.
-pub fn parse_id(text: &str) -> Option<u64> {
+pub(crate) fn parse_id(text: &str) -> Option<u64> {
     (text.len() == 16).then(|| u64::from_str_radix(text, 16).ok())?
 }

@@ -12,6 +12,9 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+/// Time limit of the wait for the last lines of a program that reads no more tasks.
+const LAST_LINES: Duration = Duration::from_secs(1);
+
 /// The line that answers a task.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Reply {
@@ -127,6 +130,7 @@ impl Session {
         let text = || format!("the renderer {program:?} ended: {}", tail(log));
         loop {
             let left = self.limit.map_or(Duration::from_secs(3600), |l| l.saturating_sub(clock.elapsed()));
+            let left = if sent.is_ok() { left } else { left.min(LAST_LINES) };
             let line = match running.lines.recv_timeout(left) {
                 Ok(line) => line,
                 Err(RecvTimeoutError::Disconnected) => {
@@ -137,15 +141,15 @@ impl Session {
                     "the renderer gave no answer within {} s (timeout_s)",
                     self.limit.unwrap_or_default().as_secs_f64()
                 ),
+                Err(RecvTimeoutError::Timeout) if sent.is_err() => {
+                    self.ended = true;
+                    bail!(text())
+                }
                 Err(RecvTimeoutError::Timeout) => continue,
             };
             match serde_json::from_str::<Reply>(&line) {
                 Ok(reply) if reply.task == order.task => return Ok(reply),
                 _ => writeln!(log_file, "{line}")?,
-            }
-            if sent.is_err() && running.lines.try_recv().is_err() {
-                self.ended = true;
-                bail!(text());
             }
         }
     }
@@ -157,5 +161,41 @@ fn forward(reader: impl BufRead, to: &mpsc::Sender<String>) {
         if to.send(String::from_utf8_lossy(&line).into_owned()).is_err() {
             return;
         }
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use entire_io::path::Transfer;
+    use entire_io::volume::Reading;
+
+    #[test]
+    fn a_program_that_reads_no_more_is_heard_to_its_last_line() {
+        let dir = tempfile::tempdir().unwrap();
+        // It closes its input before the task, longer than a pipe holds, is written.
+        let script = "printf 'one\ntwo\n{\"task\": \"7\"}\n'; exec 0<&-";
+        let command = ["sh", "-c", script].map(str::to_owned).to_vec();
+        let order = Order {
+            task: "7".into(),
+            volume: "v.raw".into(),
+            volume_name: "v".repeat(1 << 20),
+            time: 0,
+            reading: Reading::default(),
+            camera: [0.0, 0.0, 2.0],
+            fov_y_deg: 30.0,
+            transfer_name: "t".into(),
+            transfer: Transfer::Lobes(Vec::new()),
+            size: [1, 1],
+            step: 1.0,
+            image: "i.png".into(),
+            predicted_s: 1.0,
+            files: Vec::new(),
+        };
+        let log = dir.path().join("log");
+        let mut session = Session::new(command, None);
+        let reply = session.ask(&order, &dir.path().join("i.png"), &log).unwrap();
+        assert_eq!(reply.task, "7");
+        assert_eq!(std::fs::read_to_string(&log).unwrap(), "one\ntwo\n");
     }
 }

@@ -13,38 +13,38 @@ const NODES: usize = 8;
 
 /// Contents of the display.
 #[derive(Clone, Debug, Default)]
-pub struct View {
+pub(crate) struct View {
     /// Finished tasks.
-    pub done: usize,
+    pub(crate) done: usize,
     /// All tasks.
-    pub all: usize,
+    pub(crate) all: usize,
     /// Tasks that were given up.
-    pub quarantined: usize,
+    pub(crate) quarantined: usize,
     /// Tasks per second of this run.
-    pub rate: f64,
+    pub(crate) rate: f64,
     /// Seconds since the run began.
-    pub elapsed: f64,
+    pub(crate) elapsed: f64,
     /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds since the run began.
-    pub eta: [f64; 3],
+    pub(crate) eta: [f64; 3],
     /// Activity of the nodes.
-    pub nodes: Vec<String>,
+    pub(crate) nodes: Vec<String>,
     /// Bundles that are slower than expected.
-    pub stragglers: Vec<String>,
+    pub(crate) stragglers: Vec<String>,
 }
 
 /// The display.
-pub struct Show {
+pub(crate) struct Show {
     bar: ProgressBar,
     lines: bool,
     line_at: Instant,
     named: Vec<String>,
     /// Time to compute the display, which bounds how often it is updated.
-    pub cost: Duration,
+    pub(crate) cost: Duration,
 }
 
 impl Show {
     /// A new display.
-    pub fn begin() -> Self {
+    pub(crate) fn begin() -> Self {
         let terminal = std::io::stderr().is_terminal();
         Self {
             bar: templated_bar("[{bar:28}] {pos}/{len} {wide_msg}"),
@@ -56,7 +56,7 @@ impl Show {
     }
 
     /// Updates the display.
-    pub fn update(&mut self, view: &View) {
+    pub(crate) fn update(&mut self, view: &View) {
         self.bar.set_length(view.all as u64);
         self.bar.set_position(view.done as u64);
         let text = text(view);
@@ -80,7 +80,7 @@ impl Show {
     }
 
     /// Prints a note above the bar.
-    pub fn note(&self, text: &str) {
+    pub(crate) fn note(&self, text: &str) {
         if self.lines {
             entire_io::files::note(text);
         } else {
@@ -89,7 +89,7 @@ impl Show {
     }
 
     /// Removes the bar.
-    pub fn finish(&self) {
+    pub(crate) fn finish(&self) {
         self.bar.finish_and_clear();
     }
 }

@@ -44,6 +44,21 @@ fn without_costs_it_is_the_plain_queue() {
 }
 
 #[test]
+fn the_queue_is_sorted_again_only_after_a_fit() {
+    let seconds = times(100);
+    let mut p = planner(&seconds, &vec![0; 100], vec![0.0], 4, true);
+    let mut sorted = 0;
+    for _ in 0..100 {
+        let sent = p.next(Some(0), 0.0).unwrap();
+        let task = sent.tasks[0];
+        p.done(sent.bundle, task, 0, seconds[task as usize], 0.0);
+        p.ended(sent.bundle, 0.0);
+        sorted += usize::from(p.refresh());
+    }
+    assert!((10..30).contains(&sorted), "{sorted}");
+}
+
+#[test]
 fn losses_are_made_good() {
     let seconds = times(400);
     let mut p = planner(&seconds, &vec![0; 400], vec![0.0], 8, true);

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// When the file cannot be read.
-pub fn lines(path: &Path) -> Result<Vec<Line>> {
+pub(crate) fn lines(path: &Path) -> Result<Vec<Line>> {
     let mut follow = Follow::default();
     follow.read(path)
 }
@@ -46,19 +46,19 @@ impl Follow {
 
 /// Reads the files of running bundles.
 #[derive(Debug)]
-pub struct Spool {
+pub(crate) struct Spool {
     folder: PathBuf,
     open: HashMap<u64, Follow>,
 }
 
 impl Spool {
     /// The spool of a state folder.
-    pub fn new(state: &Path) -> Self {
+    pub(crate) fn new(state: &Path) -> Self {
         Self { folder: state.join("spool"), open: HashMap::new() }
     }
 
     /// Starts to read a bundle's file, from its beginning.
-    pub fn follow(&mut self, bundle: u64) {
+    pub(crate) fn follow(&mut self, bundle: u64) {
         self.open.entry(bundle).or_default();
     }
 
@@ -66,7 +66,7 @@ impl Spool {
     ///
     /// # Errors
     /// When a file cannot be read.
-    pub fn poll(&mut self) -> Result<Vec<(u64, Line)>> {
+    pub(crate) fn poll(&mut self) -> Result<Vec<(u64, Line)>> {
         let mut out = Vec::new();
         let mut ended = Vec::new();
         for (&bundle, follow) in &mut self.open {
@@ -84,7 +84,7 @@ impl Spool {
     }
 
     /// Stops reading a bundle's file.
-    pub fn forget(&mut self, bundle: u64) {
+    pub(crate) fn forget(&mut self, bundle: u64) {
         self.open.remove(&bundle);
     }
 }

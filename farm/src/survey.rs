@@ -4,7 +4,6 @@
 use super::job::Job;
 use super::planner::{Planner, Setting};
 use super::show::duration;
-use anyhow::Result;
 use entire_report::{Column, Table};
 
 /// Maximum number of nodes that is considered.
@@ -12,24 +11,24 @@ const MOST: usize = 4096;
 
 /// A number of nodes, with its end and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Offer {
+struct Offer {
     /// Nodes.
-    pub nodes: usize,
+    nodes: usize,
     /// The end at 5, 50 and 95 percent, seconds.
-    pub end: [f64; 3],
+    end: [f64; 3],
     /// Node hours up to the median end.
-    pub node_hours: f64,
+    node_hours: f64,
 }
 
 /// Forecast for a number of nodes. `plan` makes a plan for a number of nodes.
-pub fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
+fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
     let end = plan(nodes).eta(0.0);
     Offer { nodes, end, node_hours: nodes as f64 * end[1] / 3600.0 }
 }
 
 /// The smallest number of nodes that meets a deadline in 95 of 100 cases: since more nodes never cost fewer
 /// node hours, it is the cheapest. `None` if no number is enough.
-pub fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
+fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
     let (mut low, mut high) = (1, MOST.min(tasks.max(1)));
     let enough = |o: &Offer| o.end[2] <= deadline;
     let mut best = offer(plan, high);
@@ -49,16 +48,13 @@ pub fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) ->
 }
 
 /// The text that a dry run prints. `deadline`: seconds; `price`: of a node hour.
-///
-/// # Errors
-/// Never in practice.
 pub fn text(
     job: &Job,
     plan: &dyn Fn(usize) -> Planner,
     setting: Setting,
     deadline: Option<f64>,
     price: Option<f64>,
-) -> Result<String> {
+) -> String {
     let planner = plan(setting.slots);
     let (done, all) = planner.progress();
     let work: f64 = (0..job.len() as u32)
@@ -139,5 +135,5 @@ pub fn text(
             }
         }
     }
-    Ok(out)
+    out
 }

@@ -254,7 +254,7 @@ impl Own {
 }
 
 /// The values of a task's placeholders.
-pub fn placeholders(order: &Order, out: &Path) -> Result<Placeholders> {
+fn placeholders(order: &Order, out: &Path) -> Result<Placeholders> {
     let path =
         |p: &Path| p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()));
     Ok(Placeholders(vec![

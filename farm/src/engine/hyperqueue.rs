@@ -6,6 +6,7 @@ use crate::spool::Spool;
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -13,8 +14,6 @@ use std::time::{Duration, Instant};
 
 /// The script that talks to HyperQueue.
 const SCRIPT: &str = include_str!("hyperqueue.py");
-/// Initial estimate of a bundle's overhead on its worker, seconds: start of a process, opening of a device.
-const OVERHEAD: f64 = 0.05;
 /// Time limit for the start of the server and its workers.
 const START: Duration = Duration::from_secs(60);
 
@@ -42,8 +41,8 @@ pub struct HyperQueue {
     input: Option<ChildStdin>,
     lines: Receiver<String>,
     spool: Spool,
-    /// Bundles that were sent and have not ended; the value is not used.
-    open: std::collections::BTreeMap<u64, bool>,
+    /// Bundles that were sent and have not ended.
+    open: BTreeSet<u64>,
     priority: i32,
 }
 
@@ -63,6 +62,10 @@ enum Said {
 }
 
 impl HyperQueue {
+    /// Initial estimate of a bundle's overhead on its worker, seconds: start of a process, opening of a
+    /// device.
+    pub const OVERHEAD: f64 = 0.05;
+
     /// Starts the script, and through it a server with workers.
     ///
     /// # Errors
@@ -82,7 +85,7 @@ impl HyperQueue {
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn().with_context(|| {
-            format!("cannot start {:?}; name the Python that has HyperQueue with --python", options.python)
+            format!("cannot start {:?}; use --python to name a Python that has HyperQueue", options.python)
         })?;
         let out = child.stdout.take().context("the script has no standard output")?;
         let input = child.stdin.take();
@@ -97,7 +100,7 @@ impl HyperQueue {
         });
         let spool = Spool::new(&places.state);
         let mut new =
-            Self { places, run, options, child, input, lines, spool, open: Default::default(), priority: 0 };
+            Self { places, run, options, child, input, lines, spool, open: BTreeSet::new(), priority: 0 };
         new.wait_until_ready(&log)?;
         Ok(new)
     }
@@ -137,7 +140,7 @@ impl Engine for HyperQueue {
     }
 
     fn overhead(&self) -> f64 {
-        OVERHEAD
+        Self::OVERHEAD
     }
 
     fn limit(&self) -> Option<f64> {
@@ -166,7 +169,7 @@ impl Engine for HyperQueue {
                 "log": self.places.state.join("logs").join(format!("bundle-{number}.log")),
             }));
             self.spool.follow(number);
-            self.open.insert(number, false);
+            self.open.insert(number);
         }
         let line = json!({ "submit": all }).to_string() + "\n";
         if let Some(input) = &mut self.input {
@@ -178,7 +181,7 @@ impl Engine for HyperQueue {
 
     fn cancel(&mut self) -> Result<()> {
         // The Python package cannot cancel: workers find a marker file before their next task and end.
-        self.open.keys().for_each(|b| self.places.cancel(*b));
+        self.open.iter().for_each(|b| super::cancel(&self.places.state, *b));
         Ok(())
     }
 
@@ -209,10 +212,10 @@ impl Engine for HyperQueue {
         }
         for line in said {
             match serde_json::from_str(&line) {
-                Ok(Said::Over(bundle)) if self.open.remove(&bundle).is_some() => {
+                Ok(Said::Over(bundle)) if self.open.remove(&bundle) => {
                     out.push(Event::Lost(bundle, "its worker ended without an answer".into()));
                 }
-                Ok(Said::Failed { failed, why }) if self.open.remove(&failed).is_some() => {
+                Ok(Said::Failed { failed, why }) if self.open.remove(&failed) => {
                     let log = self.places.state.join("logs").join(format!("bundle-{failed}.log"));
                     let said = crate::spool::tail(&log);
                     out.push(Event::Lost(failed, format!("HyperQueue: {why} ({said})")));

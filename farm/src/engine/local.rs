@@ -11,8 +11,6 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-/// Initial estimate of a bundle's overhead on its slot, seconds: a line through a pipe and a flush.
-const OVERHEAD: f64 = 0.005;
 /// Maximum number, per slot, of workers that end one after another without an answer.
 const STILLBORN: u32 = 3;
 
@@ -38,6 +36,9 @@ struct Worker {
 }
 
 impl Local {
+    /// Initial estimate of a bundle's overhead on its slot, seconds: a line through a pipe and a flush.
+    pub const OVERHEAD: f64 = 0.005;
+
     /// Starts this many workers.
     ///
     /// # Errors
@@ -162,7 +163,7 @@ impl Engine for Local {
     }
 
     fn overhead(&self) -> f64 {
-        OVERHEAD
+        Self::OVERHEAD
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {

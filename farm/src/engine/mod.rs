@@ -12,7 +12,7 @@ pub use slurm::{Options as SlurmOptions, Slurm};
 use super::planner::Sent;
 use super::record::{Line, Order};
 use anyhow::Result;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// A bundle for an engine.
@@ -65,14 +65,14 @@ pub trait Engine {
     /// # Errors
     /// When the engine refuses them.
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()>;
-    /// Changes the order of waiting bundles, the most urgent first. False if the engine cannot: its queue is
-    /// then kept short instead.
+    /// Changes the order of waiting bundles, the most urgent first. By default it does nothing: the queues of
+    /// engines that cannot reorder are kept short instead.
     ///
     /// # Errors
     /// When the engine refuses.
-    fn reprioritize(&mut self, bundles: &[u64]) -> Result<bool> {
+    fn reprioritize(&mut self, bundles: &[u64]) -> Result<()> {
         let _ = bundles;
-        Ok(false)
+        Ok(())
     }
     /// Cancels waiting bundles; running ones end after their current task.
     ///
@@ -104,7 +104,7 @@ impl Places {
     ///
     /// # Errors
     /// When a path is not UTF-8.
-    pub fn worker(&self, bundle: u64) -> Result<Vec<String>> {
+    pub(crate) fn worker(&self, bundle: u64) -> Result<Vec<String>> {
         use anyhow::Context;
         let text = |p: &PathBuf| {
             p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()))
@@ -122,23 +122,23 @@ impl Places {
     ///
     /// # Errors
     /// When it cannot be written.
-    pub fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
+    pub(crate) fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
         let order =
             super::record::BundleOrder { bundle: bundle.sent.bundle, run, tasks: bundle.orders.clone() };
         let path = self.state.join("orders").join(format!("{}.json", bundle.sent.bundle));
         entire_io::files::write_whole(&path, &serde_json::to_vec(&order)?)
     }
+}
 
-    /// Removes the files of a finished bundle.
-    pub fn clear(&self, bundle: u64) {
-        for (folder, end) in [("orders", ".json"), ("spool", ".jsonl"), ("cancel", "")] {
-            let _ = std::fs::remove_file(self.state.join(folder).join(format!("{bundle}{end}")));
-        }
-        let _ = std::fs::remove_file(self.state.join("logs").join(format!("bundle-{bundle}.log")));
+/// Removes the files of a finished bundle from the database's state folder.
+pub(crate) fn clear(state: &Path, bundle: u64) {
+    for (folder, end) in [("orders", ".json"), ("spool", ".jsonl"), ("cancel", "")] {
+        let _ = std::fs::remove_file(state.join(folder).join(format!("{bundle}{end}")));
     }
+    let _ = std::fs::remove_file(state.join("logs").join(format!("bundle-{bundle}.log")));
+}
 
-    /// Tells the worker of a bundle to end after its current task.
-    pub fn cancel(&self, bundle: u64) {
-        let _ = std::fs::write(self.state.join("cancel").join(bundle.to_string()), b"");
-    }
+/// Tells the worker of a bundle, through the database's state folder, to end after its current task.
+pub(crate) fn cancel(state: &Path, bundle: u64) {
+    let _ = std::fs::write(state.join("cancel").join(bundle.to_string()), b"");
 }

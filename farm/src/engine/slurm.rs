@@ -11,8 +11,6 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Initial estimate of a bundle's overhead on its node, seconds.
-const OVERHEAD: f64 = 0.6;
 /// Interval between queries of the queue; the spool is read at every poll.
 const LOOK: Duration = Duration::from_millis(500);
 /// Time that a request adds for start and end of the worker, seconds.
@@ -25,7 +23,7 @@ pub struct Options {
     pub nodes: Option<usize>,
     /// Additional options of sbatch.
     pub sbatch: Vec<String>,
-    /// Longest time request, seconds; default: the partition's.
+    /// Longest time request, seconds; default: that of the partition that jobs go to.
     pub limit: Option<f64>,
 }
 
@@ -103,12 +101,45 @@ fn parse_limit(text: &str) -> Option<f64> {
     Some(86400.0 * days + seconds)
 }
 
+/// Names of the partitions that jobs go to, separated by commas: those in the options of sbatch, else those
+/// in its environment variable; `None` for the default partition.
+fn partitions(options: &[String], environment: Option<String>) -> Option<String> {
+    let mut named = environment.filter(|names| !names.is_empty());
+    let mut words = options.iter();
+    while let Some(word) = words.next() {
+        let names = match word.as_str() {
+            "-p" | "--partition" => words.next().map(String::as_str),
+            word => word.strip_prefix("--partition=").or(word.strip_prefix("-p")),
+        };
+        named = names.map(str::to_owned).or(named);
+    }
+    named
+}
+
+/// The longest limit of the partitions that jobs go to, seconds; `None` for no limit. These partitions are
+/// those in `named`, else the default one; if none of them is listed, all. `listed` has lines of sinfo,
+/// `PARTITION LIMIT`; an asterisk marks the default partition.
+fn longest_request(listed: &str, named: Option<&str>) -> Option<f64> {
+    let takes_jobs = |partition: &str| match named {
+        Some(names) => names.split(',').any(|name| name == partition.trim_end_matches('*')),
+        None => partition.ends_with('*'),
+    };
+    let lines = listed.lines().filter_map(|line| line.trim().split_once(' '));
+    let (used, others): (Vec<_>, Vec<_>) = lines.partition(|(partition, _)| takes_jobs(partition));
+    let partitions = if used.is_empty() { others } else { used };
+    let limits: Option<Vec<f64>> = partitions.iter().map(|(_, limit)| parse_limit(limit.trim())).collect();
+    limits.map(|l| l.into_iter().fold(0.0, f64::max)).filter(|l| *l > 0.0)
+}
+
 /// A time request in sbatch's format, whole minutes, with [`GRACE`] added.
 fn request(seconds: f64) -> String {
     (((seconds + GRACE) / 60.0).ceil().max(1.0) as u64).to_string()
 }
 
 impl Slurm {
+    /// Initial estimate of a bundle's overhead on its node, seconds.
+    pub const OVERHEAD: f64 = 0.6;
+
     /// Checks that Slurm answers, and cancels queued jobs of an earlier run.
     ///
     /// # Errors
@@ -121,11 +152,9 @@ impl Slurm {
         names.dedup();
         let slots = options.nodes.unwrap_or(names.len());
         ensure!(slots > 0, "sinfo lists no node; give the number of bundles that run at once with --slots");
-        let limits = ask("sinfo", &words(&["-h", "-o", "%l"]), None)?;
-        let longest = limits.lines().map(|l| parse_limit(l.trim()));
-        // The longest limit of all partitions; none if a partition has no limit.
-        let limit = longest.collect::<Option<Vec<f64>>>().map(|l| l.into_iter().fold(0.0, f64::max));
-        let limit = options.limit.or(limit.filter(|l| *l > 0.0)).map(|l| l - GRACE);
+        let listed = ask("sinfo", &words(&["-h", "-o", "%P %l"]), None)?;
+        let named = partitions(&options.sbatch, std::env::var("SBATCH_PARTITION").ok());
+        let limit = options.limit.or(longest_request(&listed, named.as_deref())).map(|l| l - GRACE);
         ensure!(
             limit.is_none_or(|l| l > 0.0),
             "the longest time request is {} s, of which start and end take {GRACE} s; raise it with \
@@ -215,7 +244,7 @@ impl Engine for Slurm {
     }
 
     fn overhead(&self) -> f64 {
-        OVERHEAD
+        Self::OVERHEAD
     }
 
     fn limit(&self) -> Option<f64> {
@@ -258,7 +287,7 @@ impl Engine for Slurm {
         Ok(())
     }
 
-    fn reprioritize(&mut self, bundles: &[u64]) -> Result<bool> {
+    fn reprioritize(&mut self, bundles: &[u64]) -> Result<()> {
         // Users may only lower the priority of their jobs, by a larger nice value.
         for (place, bundle) in bundles.iter().enumerate() {
             if let Some(job) = self.open.get(bundle).filter(|j| j.state == "PENDING") {
@@ -270,11 +299,11 @@ impl Engine for Slurm {
                 );
             }
         }
-        Ok(true)
+        Ok(())
     }
 
     fn cancel(&mut self) -> Result<()> {
-        self.open.keys().for_each(|b| self.places.cancel(*b));
+        self.open.keys().for_each(|b| super::cancel(&self.places.state, *b));
         ask("scancel", &[format!("--name={}", self.name), "--state=PENDING".into()], None)?;
         Ok(())
     }
@@ -325,5 +354,22 @@ mod tests {
         assert_eq!(request(45.0), "1");
         assert_eq!(request(46.0), "2");
         assert_eq!(request(3600.0), "61");
+    }
+
+    #[test]
+    fn the_limit_is_that_of_the_partition_that_jobs_go_to() {
+        let listed = "debug* 30:00\nlong 7-00:00:00\nshort 10:00\nopen infinite\n";
+        let limit = |options: &[&str], environment: Option<&str>| {
+            let named = partitions(&words(options), environment.map(str::to_owned));
+            longest_request(listed, named.as_deref())
+        };
+        assert_eq!(limit(&[], None), Some(1800.0));
+        assert_eq!(limit(&["--qos=x", "--partition=long"], Some("short")), Some(604_800.0));
+        assert_eq!(limit(&["-p", "short"], None), Some(600.0));
+        assert_eq!(limit(&["-pshort,debug"], None), Some(1800.0));
+        assert_eq!(limit(&["--partition", "open"], None), None);
+        assert_eq!(limit(&[], Some("short")), Some(600.0));
+        assert_eq!(longest_request("a 10:00\nb 20:00\n", None), Some(1200.0));
+        assert_eq!(longest_request("", None), None);
     }
 }

@@ -1,6 +1,6 @@
 //! A dynamic queue whose tasks need a volume that takes time to load.
 
-use super::queue::{Span, Timeline, check, check_order, first_free};
+use super::queue::{Span, Timeline, check, check_dispatch, check_order, first_free};
 use anyhow::{Result, bail};
 
 /// A task that needs a volume.
@@ -16,21 +16,24 @@ pub struct AffinityTask {
 
 /// Simulates a queue in which a node keeps its last volume: it takes the first task on that volume among the
 /// next `window` tasks of the order, or the next task if there is none. A window of 1 is
-/// [`super::simulate_queue`] with loading times.
+/// [`super::simulate_queue`] with loading times. Every dispatch costs `dispatch` seconds of the node.
 ///
 /// # Errors
-/// For unusable times or speeds, a window of 0, or an order that is not a permutation of the tasks.
+/// For unusable times, speeds or dispatch cost, a window of 0, or an order that is not a permutation of the
+/// tasks.
 pub fn simulate_affinity(
     order: &[usize],
     tasks: &[AffinityTask],
     speeds: &[f64],
     window: usize,
+    dispatch: f64,
 ) -> Result<Timeline> {
     let times: Vec<f64> = tasks.iter().map(|t| t.seconds).collect();
     check(&times, speeds)?;
     let loads: Vec<f64> = tasks.iter().map(|t| t.load).collect();
     check(&loads, speeds)?;
     check_order(order, tasks.len())?;
+    check_dispatch(dispatch)?;
     if window == 0 {
         bail!("a window of 0 tasks was given; at least the next task must be looked at");
     }
@@ -47,7 +50,7 @@ pub fn simulate_affinity(
         let loading = if holds[node] == Some(volume) { 0.0 } else { load };
         holds[node] = Some(volume);
         let start = free[node];
-        let end = start + loading + seconds / speeds[node];
+        let end = start + dispatch + loading + seconds / speeds[node];
         free[node] = end;
         spans.push(Span { task, node, start, end });
     }

@@ -26,7 +26,7 @@ struct Change {
 ///
 /// # Errors
 /// As [`Assignment::makespan`].
-pub fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64]) -> Result<()> {
+pub(super) fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64]) -> Result<()> {
     // Checks times and speeds.
     assignment.makespan(times, speeds)?;
     let mut loads = vec![0.0; speeds.len()];
@@ -73,7 +73,7 @@ fn best_change(
     let mut best: Option<Change> = None;
     for &give in &held[last] {
         for to in (0..loads.len()).filter(|&n| n != last) {
-            // Seconds of the task to take back so that both nodes would end together.
+            // Length, in seconds, of a task that would let both nodes end together if it were taken back.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
             let even = times[give] - (loads[last] - loads[to]) / (own + other);
             let above = held[to].partition_point(|&t| times[t] < even);

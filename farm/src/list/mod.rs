@@ -9,12 +9,12 @@ mod tests;
 
 pub use affinity::{AffinityTask, simulate_affinity};
 pub use bound::lower_bound;
-pub use exchange::exchange;
 pub use queue::{Span, Timeline, simulate_queue};
 
 use anyhow::{Context, Result, ensure};
 use entire_io::files::{decode_text, read_bytes};
 use entire_steer::schedule::{Assignment, assign_longest_first, longest_first};
+use exchange::exchange;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
@@ -214,13 +214,9 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
                 .iter()
                 .zip(seconds)
                 .zip(volumes)
-                .map(|((t, &seconds), volume)| AffinityTask {
-                    volume,
-                    seconds: seconds + farm.dispatch,
-                    load: t.load_s,
-                })
+                .map(|((t, &seconds), volume)| AffinityTask { volume, seconds, load: t.load_s })
                 .collect();
-            simulate_affinity(order, &near, speeds, farm.window)
+            simulate_affinity(order, &near, speeds, farm.window, farm.dispatch)
         }
     }
 }

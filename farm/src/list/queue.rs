@@ -35,9 +35,7 @@ pub struct Timeline {
 pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: f64) -> Result<Timeline> {
     check(times, speeds)?;
     check_order(order, times.len())?;
-    if !(dispatch.is_finite() && dispatch >= 0.0) {
-        bail!("the dispatch cost is {dispatch} seconds; it must be finite and not negative");
-    }
+    check_dispatch(dispatch)?;
     let mut free = vec![0.0f64; speeds.len()];
     let mut spans = Vec::with_capacity(order.len());
     for &task in order {
@@ -59,6 +57,15 @@ pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     }
     // Checks the times; the order is not used.
     longest_first(times)?;
+    Ok(())
+}
+
+/// Checks that a dispatch cost is finite and not negative.
+pub(super) fn check_dispatch(seconds: f64) -> Result<()> {
+    ensure!(
+        seconds.is_finite() && seconds >= 0.0,
+        "the dispatch cost is {seconds} seconds; it must be finite and not negative"
+    );
     Ok(())
 }
 

@@ -86,11 +86,11 @@ fn affinity_saves_loads() {
     let tasks: Vec<AffinityTask> =
         (0..24).map(|i| AffinityTask { volume: i % 3, seconds: 1.0, load: 10.0 }).collect();
     let order: Vec<usize> = (0..24).collect();
-    let plain = simulate_affinity(&order, &tasks, &ones(3), 1).unwrap().makespan;
-    let near = simulate_affinity(&order, &tasks, &ones(3), 24).unwrap().makespan;
+    let plain = simulate_affinity(&order, &tasks, &ones(3), 1, 0.0).unwrap().makespan;
+    let near = simulate_affinity(&order, &tasks, &ones(3), 24, 0.0).unwrap().makespan;
     assert!(near <= 18.0 && plain >= near, "{plain} {near}");
     let loaded = [AffinityTask { volume: 0, seconds: 2.0, load: 5.0 }];
-    assert_eq!(simulate_affinity(&[0], &loaded, &[2.0], 1).unwrap().makespan, 6.0);
+    assert_eq!(simulate_affinity(&[0], &loaded, &[2.0], 1, 0.0).unwrap().makespan, 6.0);
 }
 
 #[test]
@@ -100,11 +100,21 @@ fn nonsense_is_refused() {
     }
     assert!(simulate_queue(&[0], &[1.0], &[1.0], f64::NAN).is_err());
     let task = AffinityTask { volume: 0, seconds: 1.0, load: f64::INFINITY };
-    assert!(simulate_affinity(&[0], &[task], &[1.0], 1).is_err());
-    assert!(simulate_affinity(&[0], &[AffinityTask { load: 0.0, ..task }], &[1.0], 0).is_err());
+    assert!(simulate_affinity(&[0], &[task], &[1.0], 1, 0.0).is_err());
+    assert!(simulate_affinity(&[0], &[AffinityTask { load: 0.0, ..task }], &[1.0], 0, 0.0).is_err());
     for (times, speeds) in [(&[f64::NAN][..], &[1.0][..]), (&[-1.0], &[1.0]), (&[1.0], &[0.0]), (&[1.0], &[])]
     {
         assert!(simulate_queue(&[0], times, speeds, 0.0).is_err(), "{times:?} {speeds:?}");
+    }
+}
+
+#[test]
+fn a_dispatch_takes_as_long_on_a_fast_node() {
+    let tasks = [Task { predicted_s: Some(8.0), ..Task::default() }];
+    let farm = Farm { speeds: vec![4.0], dispatch: 1.0, window: 1 };
+    for method in [Method::Queue, Method::Affinity] {
+        let plan = plan(method, &[8.0], &farm.speeds).unwrap();
+        assert_eq!(play(&plan, &[8.0], &tasks, &farm).unwrap().makespan, 3.0, "{}", method.name());
     }
 }
 
