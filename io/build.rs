@@ -1,4 +1,6 @@
-//! Passes the commit that the program is built from to the compiler, so that tables and reports can state it.
+//! Passes the commit that the program is built from to the compiler, so that tables and reports can state
+//! it, with the words "with local changes" if files differed from it when this crate was built. Edits in the
+//! crates that use this one do not build it again, since all of them would then be built again at every edit.
 
 use std::path::Path;
 use std::process::Command;

@@ -10,7 +10,7 @@ pub mod program;
 pub mod reference;
 #[cfg(test)]
 mod scripted;
-pub mod shipped;
+mod shipped;
 pub mod steering;
 
 pub use command_line::{command, main_with_args};

@@ -72,7 +72,7 @@ impl Taps {
 
 /// Side lengths, in pixels, of an image of full size `size` whose rays are `distance` pixels apart along each
 /// side, rounded down as for an [`entire_steer::control::Plan`].
-pub fn sampled_size(size: (u32, u32), distance: f32) -> (u32, u32) {
+pub(crate) fn sampled_size(size: (u32, u32), distance: f32) -> (u32, u32) {
     let side = |n: u32| ((f64::from(n) / f64::from(distance)) as u32).max(1);
     (side(size.0), side(size.1))
 }
@@ -100,7 +100,7 @@ pub fn psnr(a: &[u8], b: &[u8]) -> Option<f64> {
 
 /// Root mean squared difference of colors between two pictures of one size, on a scale of 0 to 255; `None`
 /// when they differ in size.
-pub fn rmse(a: &[u8], b: &[u8]) -> Option<f64> {
+pub(crate) fn rmse(a: &[u8], b: &[u8]) -> Option<f64> {
     let decibels = psnr(a, b)?;
     Some(255.0 * 10f64.powf(-decibels / 20.0))
 }

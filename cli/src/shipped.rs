@@ -30,7 +30,7 @@ fn read((name, bytes): (&str, &[u8])) -> Result<(String, ModelFile)> {
 ///
 /// # Errors
 /// When a file holds no model.
-pub fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
+pub(crate) fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
     files(shading).into_iter().map(read).collect()
 }
 
@@ -38,7 +38,7 @@ pub fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
 ///
 /// # Errors
 /// When the mode has no shipped model.
-pub fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
+pub(crate) fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
     let selected = files(shading).into_iter().next();
     read(
         selected

@@ -1,6 +1,6 @@
 //! Mutations that know the format: numbers in text, and the length of a model's header.
 
-use crate::mutants::Mutants;
+use crate::mutants::{Mutants, Random};
 
 /// A format-independent change of bytes: takes the buffer, the number of used bytes and the capacity, and
 /// returns the new number of used bytes.
@@ -32,57 +32,39 @@ const WORDS: [&str; 22] = [
     "",
 ];
 
-/// A stream of random numbers; the same seed gives the same.
-pub struct Random(u64);
+/// The stream of random numbers of a seed.
+pub fn random(seed: u32) -> Random {
+    Random::new((u64::from(seed) << 1 | 1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
+}
 
-impl Random {
-    /// The stream of a seed.
-    pub fn new(seed: u32) -> Self {
-        Self((u64::from(seed) << 1 | 1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
-    }
-
-    /// The next 64 bits.
-    pub fn bits(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0.wrapping_mul(0x2545_f491_4f6c_dd1d)
-    }
-
-    /// A number below `n`; 0 for an `n` of 0.
-    pub fn below(&mut self, n: usize) -> usize {
-        ((u128::from(self.bits()) * n as u128) >> 64) as usize
-    }
-
-    /// A mutated number: near the old one, a limit, or random.
-    pub fn number(&mut self, own: f64) -> f64 {
-        let unit = self.bits() as f64 / u64::MAX as f64;
-        let edges = [
-            0.0,
-            -0.0,
-            1.0,
-            -1.0,
-            0.01,
-            1e-12,
-            1e4,
-            1e12,
-            1e300,
-            f64::MIN_POSITIVE,
-            5e-324,
-            f64::MAX,
-            f64::NAN,
-            f64::INFINITY,
-        ];
-        match self.below(8) {
-            0 => edges[self.below(edges.len())],
-            1 => -own,
-            2 => own * 2.0 * unit,
-            3 => own + unit - 0.5,
-            4 => 10f64.powf(40.0 * unit - 20.0),
-            5 => f64::from_bits(self.bits() % 4),
-            6 => f64::from_bits(self.bits()),
-            _ => unit,
-        }
+/// A mutated number: near the old one, a limit, or random.
+pub fn number(random: &mut Random, own: f64) -> f64 {
+    let unit = random.bits() as f64 / u64::MAX as f64;
+    let edges = [
+        0.0,
+        -0.0,
+        1.0,
+        -1.0,
+        0.01,
+        1e-12,
+        1e4,
+        1e12,
+        1e300,
+        f64::MIN_POSITIVE,
+        5e-324,
+        f64::MAX,
+        f64::NAN,
+        f64::INFINITY,
+    ];
+    match random.below(8) {
+        0 => edges[random.below(edges.len())],
+        1 => -own,
+        2 => own * 2.0 * unit,
+        3 => own + unit - 0.5,
+        4 => 10f64.powf(40.0 * unit - 20.0),
+        5 => f64::from_bits(random.bits() % 4),
+        6 => f64::from_bits(random.bits()),
+        _ => unit,
     }
 }
 
@@ -94,7 +76,7 @@ fn put(data: &mut [u8], bytes: &[u8], room: usize) -> usize {
 
 /// Replaces a number by another, doubles or drops a line, or changes the bytes by `step`.
 pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
-    let mut random = Random::new(seed);
+    let mut random = random(seed);
     let mut bytes = data[..size].to_vec();
     match random.below(4) {
         0 | 1 => {
@@ -131,7 +113,7 @@ pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) ->
 /// Changes a model's header or its tensors by `step` and repairs the header's length, or generates another
 /// model.
 pub fn model(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
-    let mut random = Random::new(seed);
+    let mut random = random(seed);
     let header = data[..size]
         .split_first_chunk::<8>()
         .and_then(|(length, rest)| Some((usize::try_from(u64::from_le_bytes(*length)).ok()?, rest)))

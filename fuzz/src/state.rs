@@ -1,10 +1,10 @@
 //! Saved states of a session: mutations with valid checksums, and invariants of accepted states.
 
-use crate::mutate::{Random, Step};
+use crate::mutate::{Step, number, random};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::Session;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use std::cell::RefCell;
 
 /// Bytes of the checksum at the end.
@@ -25,7 +25,7 @@ fn session() -> Session {
     let voxels: Vec<u8> = (0..8 * 8 * 8u32).map(|i| (i * i / 97 % 251) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&voxels), [8; 3]).expect("a volume");
     let mut session = Session::untrained();
-    session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary"), None);
+    session.set_volume(VolumeSummary::new(&view).expect("a summary"), None);
     let lobe = GaussianLobe { center: 0.5, width: 0.1, height: 0.4 };
     let table = TransferFunction::Gaussian(vec![lobe]).to_table().expect("a table");
     session.set_transfer(&table, None).expect("a transfer function");
@@ -54,7 +54,7 @@ pub fn seal(bytes: &mut Vec<u8>) {
 
 /// Changes numbers of a state, or its bytes by `step`, and updates the checksum.
 pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
-    let mut random = Random::new(seed);
+    let mut random = random(seed);
     let mut body = data[..size.saturating_sub(SEAL)].to_vec();
     // A state with at least one number after its first 32 bytes.
     if body.len() < 40 || random.below(200) == 0 {
@@ -73,7 +73,7 @@ pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) 
             for _ in 0..1 + random.below(4) {
                 let at = 32 + 8 * random.below((body.len() - 32) / 8);
                 let own = f64::from_le_bytes(body[at..at + 8].try_into().expect("eight bytes"));
-                let number = random.number(own);
+                let number = number(&mut random, own);
                 body[at..at + 8].copy_from_slice(&number.to_le_bytes());
             }
         }

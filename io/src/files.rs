@@ -1,8 +1,7 @@
 //! Reading and writing of the commands' files: models, volumes, whole files, and notes about them.
 
 use crate::quiet::is_quiet;
-pub use crate::volume::without_mark;
-use crate::volume::{Reading, Stream, Volume};
+use crate::volume::{Reading, Stream, Volume, numbers_in, without_mark};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
@@ -247,7 +246,17 @@ pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
 
 /// 64-bit FNV-1a hash.
 pub fn fnv1a(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
+    fnv1a_after(0xcbf2_9ce4_8422_2325, bytes)
+}
+
+/// The hash [`fnv1a`] of bytes after others, whose hash is `before`.
+pub(crate) fn fnv1a_after(before: u64, bytes: &[u8]) -> u64 {
+    bytes.iter().fold(before, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
+}
+
+/// The hash [`fnv1a`] as 16 hexadecimal digits.
+pub fn fnv1a_text(bytes: &[u8]) -> String {
+    format!("{:016x}", fnv1a(bytes))
 }
 
 /// Reads a volume file and prints its notes ([`Volume::notes`]) on standard error.
@@ -261,7 +270,7 @@ pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
 }
 
 /// Prints the notes of a volume's reader on standard error, each only once.
-pub fn say_notes(volume: &Volume) {
+fn say_notes(volume: &Volume) {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     for text in volume.notes() {
         let text = format!("{}: {text}", volume.source().display());
@@ -295,9 +304,7 @@ pub fn parse_numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
 /// # Errors
 /// When one is not a number.
 pub fn parse_list(text: &str) -> Result<Vec<f32>, String> {
-    text.split(',')
-        .map(|word| word.trim().parse().map_err(|_| format!("{:?} is not a number", word.trim())))
-        .collect()
+    numbers_in(text)
 }
 
 /// A number with 9 significant digits, which identify the `f32`: `1.23456789e-3`.
@@ -308,6 +315,13 @@ pub fn digits(value: f32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn hashes_are_those_of_the_published_test_vectors() {
+        assert_eq!([fnv1a(b""), fnv1a(b"a")], [0xcbf2_9ce4_8422_2325, 0xaf63_dc4c_8601_ec8c]);
+        assert_eq!(fnv1a_after(fnv1a(b"foo"), b"bar"), fnv1a(b"foobar"));
+        assert_eq!(fnv1a_text(b"foobar"), "85944171f73967e8");
+    }
 
     #[test]
     fn text_is_utf8_or_marked_utf16() {

@@ -1,6 +1,7 @@
 //! Identity of a file: size, modification time and a hash of its content. Kept results (pictures, timing
 //! tables) store the identities of their inputs, so that they are never used for changed files.
 
+use crate::files::{fnv1a, fnv1a_after};
 use crate::volume::{Companions, Folder, Format, Stream, Volume};
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
@@ -11,7 +12,7 @@ use std::path::Path;
 use std::time::UNIX_EPOCH;
 
 /// Size of the largest file that is hashed whole, bytes.
-pub const WHOLE: u64 = 16 << 20;
+const WHOLE: u64 = 16 << 20;
 
 /// Number of bytes that are hashed of a larger file at each of three places: beginning, middle and end.
 const PART: u64 = 1 << 20;
@@ -103,7 +104,7 @@ fn modified_ns(metadata: &Metadata) -> u64 {
 /// When one of them cannot be read. A header that names no data file, or cannot be understood, counts as an
 /// ordinary file.
 pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let name = name_of(path);
     let mut out = vec![Identity::of(path, &name)?];
     let folder = path.parent().unwrap_or(Path::new(""));
     for name in data_files(path, &name) {
@@ -113,6 +114,21 @@ pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
         }
     }
     Ok(out)
+}
+
+/// True if a file is a volume by the ending of its name, or a JSON description whose voxels are beside it.
+/// Files of raw voxels are not volumes by themselves: their description stands for them.
+pub fn is_volume(path: &Path) -> bool {
+    let name = name_of(path);
+    match Format::of_name(&name) {
+        None | Some(Format::Raw) => false,
+        Some(Format::Json) => !data_files(path, &name).is_empty(),
+        Some(_) => true,
+    }
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// Key of a volume's files: the keys of their identities, joined.
@@ -215,7 +231,7 @@ struct Hash {
 
 impl Default for Hash {
     fn default() -> Self {
-        Self { fnv: 0xcbf2_9ce4_8422_2325, crc: crc32fast::Hasher::new() }
+        Self { fnv: fnv1a(&[]), crc: crc32fast::Hasher::new() }
     }
 }
 
@@ -232,7 +248,7 @@ impl Hash {
             };
             let bytes = &buffer[..count];
             self.crc.update(bytes);
-            self.fnv = bytes.iter().fold(self.fnv, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
+            self.fnv = fnv1a_after(self.fnv, bytes);
         }
     }
 

@@ -37,13 +37,15 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Errors of predicted seconds against measured ones. Both slices have one entry per frame; measured
-    /// seconds are positive. `None` without frames.
+    /// Errors of predicted seconds against measured ones. Both slices have one entry per frame, and entries
+    /// of the longer one that have no partner are ignored; measured seconds are positive. `None` without
+    /// frames.
     pub fn new(predicted: &[f64], measured: &[f64]) -> Option<Self> {
         let frames = measured.len().min(predicted.len());
         if frames == 0 {
             return None;
         }
+        let (predicted, measured) = (&predicted[..frames], &measured[..frames]);
         let n = frames as f64;
         let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
         let pairs: Vec<(f64, f64)> = predicted.iter().zip(measured).map(|(&p, &t)| (usable(p), t)).collect();
@@ -206,6 +208,9 @@ mod tests {
         assert_eq!(m.not_positive, 3);
         assert!(m.rmse.is_finite() && m.r2_log < -10.0);
         assert_eq!(Metrics::new(&[], &[]), None);
+        let (short, long) = ([1.0, 2.0, 4.0], [1.0, 2.0, 4.0, -8.0]);
+        let equal = Metrics::new(&short, &short);
+        assert_eq!((Metrics::new(&short, &long), Metrics::new(&long, &short)), (equal.clone(), equal));
         assert!(Metrics::new(&[1.0; 3], &[1.0; 3]).unwrap().bias_by_decile.len() <= 3);
     }
 

@@ -93,6 +93,18 @@ impl From<SkipOption> for Skipping {
     }
 }
 
+/// Checks the opacity at which a ray stops (`--termination`).
+///
+/// # Errors
+/// When it is outside of (0, 1].
+pub fn check_termination(opacity: f32) -> Result<()> {
+    ensure!(
+        opacity > 0.0 && opacity <= 1.0,
+        "--termination is {opacity}; it must lie in (0, 1], 1 for never"
+    );
+    Ok(())
+}
+
 /// Parses an image size in pixels: `WxH`.
 ///
 /// # Errors

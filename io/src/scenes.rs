@@ -1,4 +1,4 @@
-//! Random scenes for timing collections (paper, section "Data collection"): cameras on semi-spheres of
+//! Random scenes for timing collections (paper, section "Data collection"): cameras on hemispheres of
 //! several radii, random Gaussian transfer functions, random square and other image sizes.
 
 use anyhow::{Result, ensure};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// Distribution of random scenes. All draws are independent.
 ///
 /// * Distance of the eye: one of `radii` (bounding-sphere radii), each equally likely.
-/// * Direction of the eye: uniform over the area of the upper semi-sphere. R_y uniform in [−180°, 180°), sin
+/// * Direction of the eye: uniform over the area of the upper hemisphere. R_y uniform in [−180°, 180°), sin
 ///   R_x uniform in [0, 1).
 /// * Image size: sides log-uniform in `[min_size, max_size]`; half of the images are square.
 /// * Lobes: a number uniform in `lobes`; center uniform in [0, 1); width w log-uniform in [0.0005, 0.05]
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// * Ray step: one of `steps` (reference steps), each equally likely.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct SceneDistribution {
-    /// Radii of the semi-spheres, bounding-sphere radii.
+    /// Radii of the hemispheres, bounding-sphere radii.
     pub radii: Vec<f32>,
     /// Least and most lobes of a transfer function.
     pub lobes: (u32, u32),
@@ -30,7 +30,7 @@ pub struct SceneDistribution {
     pub steps: Vec<f32>,
 }
 
-/// Default radii of the semi-spheres.
+/// Default radii of the hemispheres.
 pub const DEFAULT_RADII: [f32; 6] = [1.2, 1.5, 2.0, 2.5, 3.0, 4.0];
 const WIDTHS: (f64, f64) = (5e-4, 5e-2);
 const HEIGHTS: (f64, f64) = (5e-3, 1.0);
@@ -162,7 +162,7 @@ mod tests {
             assert!((share(&|s| s.camera.dz == r) - 1.0 / 6.0).abs() < 0.03);
         }
         assert!(scenes.iter().all(|s| (0.0..=90.0).contains(&s.camera.rx)));
-        // Half of a semi-sphere's area lies below 30 degrees.
+        // Half of a hemisphere's area lies below 30 degrees.
         assert!((share(&|s| s.camera.rx < 30.0) - 0.5).abs() < 0.03);
         assert!((share(&|s| s.camera.ry < -90.0) - 0.25).abs() < 0.03);
         assert!((share(&|s| s.width == s.height) - 0.5).abs() < 0.04);

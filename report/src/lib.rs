@@ -8,6 +8,6 @@ mod chart;
 mod page;
 mod table;
 
-pub use chart::{Axis, Chart, Mark, Rule, Scale, Series};
+pub use chart::{Axis, Chart, Mark, Rule, Series};
 pub use page::{Page, encode_png};
-pub use table::{Align, Cell, Column, Table};
+pub use table::{Cell, Column, Table};

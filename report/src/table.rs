@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 /// Alignment of a column's texts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Align {
+enum Align {
     /// Aligned at the left: texts.
     Left,
     /// Aligned at the right: numbers.
@@ -142,7 +142,7 @@ impl Table {
     }
 
     /// The table as HTML; best cells are bold.
-    pub fn to_html(&self) -> String {
+    pub(crate) fn to_html(&self) -> String {
         let blank = Cell::from("");
         let rows: Vec<Vec<(&Column, &Cell)>> = self
             .rows

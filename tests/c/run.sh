@@ -53,7 +53,6 @@ lib=$stage/lib/libentire.so
 
 say "symbols, SONAME, pkg-config"
 nm -D --defined-only "$lib" | awk '{print $3}' | sort >"$work/exported"
-grep -o '\bentire_[a-z0-9_]*(' include/entire/entire.h | grep -v '^entire_[a-z_]*_callback' | tr -d '(' | sort -u >"$work/candidates"
 # A declaration starts in the first column; mentions in comments do not count.
 sed -e 's|/\*.*\*/||' -e '/^ *\*/d' -e '/^ *\/\*/d' include/entire/entire.h | tr '\n' ' ' \
     | grep -o '\bentire_[a-z0-9_]* *(' | tr -d ' (' | sort -u >"$work/declared"

@@ -13,9 +13,7 @@
 use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Volume;
-use entire_steer::features::{
-    FrameFeatures, SceneQuantity, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-};
+use entire_steer::features::{FrameFeatures, SceneQuantity, Setting, TransferSummary, VolumeSummary};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 
 fn main() {
@@ -50,7 +48,7 @@ fn main() {
         for path in &volumes {
             let volume = Volume::open(path).unwrap_or_else(|e| panic!("{e:#}"));
             let view = volume.view();
-            let summary = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
+            let summary = VolumeSummary::new(&view).expect("a summary");
             let mut renderer = CpuRaycaster::new();
             renderer.set_volume(&view).expect("the volume");
             let mut worst = (0.0, String::new());
@@ -75,16 +73,17 @@ fn main() {
                 let mut features = FrameFeatures::default();
                 features.measure(&summary, &mut transfer, &frame).expect("a frame");
                 let setting = Setting::from(&frame);
-                let work = features.work(&setting);
-                let share = |q| features.quantity(q, &setting, &work);
-                let terminated = share(SceneQuantity::TerminatedShare);
-                let occupied = share(SceneQuantity::OccupiedShare);
+                let of = |q| features.quantity(q, &setting);
+                let terminated = of(SceneQuantity::TerminatedShare);
+                let occupied = of(SceneQuantity::OccupiedShare);
+                let samples = of(SceneQuantity::Samples) + of(SceneQuantity::ShadowSamples);
+                let shaded = of(SceneQuantity::LocalSamples) + of(SceneQuantity::ScatterSamples);
                 // The CPU version counts shadow samples with the primary ones.
                 let pairs = [
-                    (work.rays, counts.rays as f64),
-                    (work.samples + work.shadow_samples, counts.samples as f64),
-                    (work.skips, counts.skips as f64),
-                    (work.shaded, counts.shaded as f64),
+                    (of(SceneQuantity::Rays), counts.rays as f64),
+                    (samples, counts.samples as f64),
+                    (of(SceneQuantity::Skips), counts.skips as f64),
+                    (shaded, counts.shaded as f64),
                 ];
                 for (k, (estimate, count)) in pairs.into_iter().enumerate() {
                     // Less than a tenth of an event per ray is negligible.

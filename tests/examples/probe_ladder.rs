@@ -15,7 +15,7 @@ use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Volume;
 use entire_steer::Session;
 use entire_steer::control::StepLimits;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 
 /// Rays along each side of the finest probe.
 const FINEST: usize = 16;
@@ -42,7 +42,7 @@ fn main() {
     let mut scenes = Vec::new();
     for path in &volumes {
         let volume = Volume::open(path).unwrap_or_else(|e| panic!("{e:#}"));
-        let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).expect("a summary");
+        let summary = VolumeSummary::new(&volume.view()).expect("a summary");
         for index in 0..frames {
             let scene = distribution.draw(2, path, index);
             let table = TransferFunction::Gaussian(scene.lobes.clone()).to_table().expect("a table");

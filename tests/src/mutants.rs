@@ -80,10 +80,34 @@ impl Parts {
     }
 }
 
+/// A stream of random numbers (xorshift64*).
+#[derive(Clone, Debug)]
+pub struct Random(u64);
+
+impl Random {
+    /// The stream of a state, which is not 0; the same state gives the same numbers.
+    pub fn new(state: u64) -> Self {
+        Self(state)
+    }
+
+    /// The next 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0.wrapping_mul(0x2545_f491_4f6c_dd1d)
+    }
+
+    /// A number below `n`; 0 for an `n` of 0.
+    pub fn below(&mut self, n: usize) -> usize {
+        ((u128::from(self.bits()) * n as u128) >> 64) as usize
+    }
+}
+
 /// A stream of mutants; the same seed gives the same files.
 #[derive(Clone, Debug)]
 pub struct Mutants {
-    state: u64,
+    random: Random,
     seeds: Vec<Parts>,
     /// True if the file has usable weights and strides except where a mutation changes them.
     calm: bool,
@@ -95,26 +119,21 @@ impl Mutants {
     /// # Panics
     /// When one of the files is no model file.
     pub fn new(seed: u64, files: &[Vec<u8>]) -> Self {
-        let mut out = Self { state: 0, seeds: files.iter().map(|f| Parts::read(f)).collect(), calm: true };
-        out.reseed(seed);
-        out
+        let seeds = files.iter().map(|f| Parts::read(f)).collect();
+        Self { random: Self::stream(seed), seeds, calm: true }
     }
 
     /// Starts the stream of another seed.
     pub fn reseed(&mut self, seed: u64) {
-        self.state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d;
-        self.state |= 1;
+        self.random = Self::stream(seed);
     }
 
-    fn random(&mut self) -> u64 {
-        self.state ^= self.state << 13;
-        self.state ^= self.state >> 7;
-        self.state ^= self.state << 17;
-        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d)
+    fn stream(seed: u64) -> Random {
+        Random::new((seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d) | 1)
     }
 
     fn below(&mut self, n: usize) -> usize {
-        ((u128::from(self.random()) * n as u128) >> 64) as usize
+        self.random.below(n)
     }
 
     fn one<T: Copy>(&mut self, of: &[T]) -> T {
@@ -130,7 +149,7 @@ impl Mutants {
     }
 
     fn float(&mut self) -> f32 {
-        let any = f32::from_bits(self.random() as u32);
+        let any = f32::from_bits(self.random.bits() as u32);
         let huge = 3.0e38 * if self.below(2) == 0 { 1.0 } else { -1.0 };
         self.one(&[f32::NAN, f32::INFINITY, huge, huge, huge, any, 0.0, 1.0e-40, -1.0, 100.0])
     }
@@ -141,7 +160,7 @@ impl Mutants {
             0 => value,
             1 if this.below(50) == 0 => this.float(),
             2 => this.one(&[3.0e38, -3.0e38]),
-            _ => (this.random() % 2000) as f32 * 1.0e-4,
+            _ => (this.random.bits() % 2000) as f32 * 1.0e-4,
         };
         (0..n).flat_map(|_| each(self).to_le_bytes()).collect()
     }

@@ -27,7 +27,7 @@ pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<
 }
 
 /// The bound of each prediction, seconds.
-pub fn of_predictions(upper: &UpperBound, predicted: &[f64]) -> Vec<f64> {
+fn of_predictions(upper: &UpperBound, predicted: &[f64]) -> Vec<f64> {
     predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect()
 }
 

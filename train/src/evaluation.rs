@@ -10,10 +10,8 @@ use entire_io::metrics::{Metrics, median};
 use entire_io::options::thread_pool;
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::{HybridOptions, Session};
-use entire_steer::features::{
-    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-};
-use entire_steer::predict::{GroupKind, Inputs, load};
+use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use entire_steer::predict::{GroupKind, InputRange, Inputs, check_predictions, load};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -27,8 +25,8 @@ pub const PROBE_SHARE: f64 = 0.15;
 /// Warm time of one prediction, in one thread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WarmLatency {
-    /// Median seconds of one prediction, from camera and transfer function to seconds, without the work per
-    /// volume and per transfer function.
+    /// Median seconds of one prediction, from camera and transfer function to checked seconds, without the
+    /// work per volume and per transfer function.
     pub seconds: f64,
     /// Median seconds of the network alone, included in `seconds`.
     pub network_seconds: f64,
@@ -122,9 +120,17 @@ pub fn warm_latency(
     let mut scratch = net.scratch(1)?;
     let middle = |mut times: Vec<f64>| median(&mut times).unwrap_or(f64::NAN);
     let width = layout.width();
+    let range = InputRange::of(model, width)?;
+    let hold = |row: &mut [f32]| {
+        if let Some(range) = &range {
+            range.hold(row);
+        }
+    };
+    let mut held = rows[..width * FRAMES.min(rows.len() / width)].to_vec();
+    held.chunks_exact_mut(width).for_each(&hold);
     let mut times = Vec::new();
     for _ in 0..ROUNDS {
-        for row in rows.chunks_exact(width).take(FRAMES) {
+        for row in held.chunks_exact(width) {
             let start = Instant::now();
             std::hint::black_box(net.predict(std::hint::black_box(row), &mut scratch));
             times.push(start.elapsed().as_secs_f64());
@@ -143,6 +149,7 @@ pub fn warm_latency(
             let start = Instant::now();
             for _ in 0..ROUNDS {
                 layout.write(std::hint::black_box(&inputs), &mut row)?;
+                hold(&mut row);
                 std::hint::black_box(&row);
             }
             Ok(start.elapsed().as_secs_f64() / ROUNDS as f64)
@@ -154,7 +161,7 @@ pub fn warm_latency(
         });
     }
     let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
-    let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
+    let summary = VolumeSummary::new(&volume.view())?;
     let mut features = FrameFeatures::with_probe_side(layout.probe_side());
     let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
     for f in of_volume {
@@ -179,7 +186,10 @@ pub fn warm_latency(
                 lobes: Some(&f.scene.lobes),
             };
             layout.write(&inputs, &mut row)?;
-            std::hint::black_box(net.predict(&row, &mut scratch));
+            hold(&mut row);
+            let mut seconds = [net.predict(&row, &mut scratch)];
+            check_predictions(&mut seconds)?;
+            std::hint::black_box(seconds);
             all.push(start.elapsed().as_secs_f64());
         }
     }
@@ -211,7 +221,7 @@ pub fn in_session(
                 net.encode(&volume.view(), &mut net.scratch(), Executor::Serial, &mut code)?;
                 features = Some(code);
             }
-            let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
+            let summary = VolumeSummary::new(&volume.view())?;
             session.set_volume(summary, features.clone());
             shown = Some(key);
         }

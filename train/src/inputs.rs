@@ -11,8 +11,7 @@ use entire_io::dataset::{Scene, Table, TimedFrame};
 use entire_io::enlarge::{MAX_FACTOR, enlarge};
 use entire_io::volume::Volume;
 use entire_steer::features::{
-    Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, SummaryOptions, TransferSummary,
-    VolumeSummary,
+    Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, TransferSummary, VolumeSummary,
 };
 use entire_steer::predict::{COST_QUANTITIES, COSTS, GroupKind, InputLayout, InputValues, Inputs, UnitCosts};
 use indicatif::ProgressBar;
@@ -103,7 +102,7 @@ impl Layout {
     }
 
     /// The same, with these unit costs for `estimated_seconds`.
-    pub fn with_unit_costs(self, costs: UnitCosts) -> Self {
+    pub(crate) fn with_unit_costs(self, costs: UnitCosts) -> Self {
         Self { layout: InputLayout { unit_costs: Some(costs), ..self.layout }, ..self }
     }
 
@@ -307,10 +306,7 @@ pub fn measure<T: Send>(
             let volume = open_volume(&tables[table], name, dims)?;
             let view = volume.view();
             if probe_side.is_some() {
-                volume_summary = Some(
-                    VolumeSummary::new(&view, SummaryOptions::default())
-                        .with_context(|| format!("volume {name}"))?,
-                );
+                volume_summary = Some(VolumeSummary::new(&view).with_context(|| format!("volume {name}"))?);
             }
             if let (Some(encoder), Some(scratch)) = (encoder, &mut scratch) {
                 code = vec![0.0; encoder.feature_len()];

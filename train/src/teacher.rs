@@ -2,9 +2,7 @@
 
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Frame, Skipping, TransferTable, VolumeView};
-use entire_steer::features::{
-    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-};
+use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
 
@@ -47,7 +45,7 @@ impl Renderer for Teacher {
     }
 
     fn set_volume(&mut self, volume: &VolumeView<'_>) -> Result<Preparation> {
-        let summary = VolumeSummary::new(volume, SummaryOptions::default());
+        let summary = VolumeSummary::new(volume);
         self.summary = Some(summary.map_err(|e| Error::new(e.to_string()))?);
         self.transfer = None;
         Ok(Preparation::default())

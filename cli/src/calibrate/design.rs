@@ -19,7 +19,7 @@ const COST_EXPONENT: f64 = 0.5;
 const RIDGE: f64 = 0.05;
 
 /// Chooses frames one by one.
-pub struct Design {
+pub(crate) struct Design {
     vectors: Vec<Vec<f64>>,
     /// The inverse of the information matrix.
     inverse: Vec<f64>,
@@ -29,7 +29,7 @@ pub struct Design {
 
 impl Design {
     /// An empty design.
-    pub fn new(pool: &Pool, costs: &[f64]) -> Self {
+    pub(crate) fn new(pool: &Pool, costs: &[f64]) -> Self {
         let vectors = vectors(pool, costs);
         let width = vectors.first().map_or(0, Vec::len);
         let mut inverse = vec![0.0; width * width];
@@ -49,7 +49,7 @@ impl Design {
     }
 
     /// Adds a frame to the design (rank-one update of the inverse).
-    pub fn take(&mut self, i: usize) {
+    pub(crate) fn take(&mut self, i: usize) {
         self.taken[i] = true;
         let v = &self.vectors[i];
         let product: Vec<f64> = self.inverse.chunks_exact(self.width).map(|row| dot(row, v)).collect();
@@ -63,7 +63,7 @@ impl Design {
 
     /// Chooses frames until their `seconds` add up to `budget` or there are `most`. Every second one is the
     /// next random candidate, so that the error estimate is for typical frames.
-    pub fn choose(&mut self, pool: &Pool, seconds: &[f64], budget: f64, most: usize) -> Vec<usize> {
+    pub(crate) fn choose(&mut self, pool: &Pool, seconds: &[f64], budget: f64, most: usize) -> Vec<usize> {
         let mut out = Vec::new();
         let mut spent = 0.0;
         // A single frame takes at most 12 % of the budget.

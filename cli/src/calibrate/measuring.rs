@@ -2,7 +2,7 @@
 
 mod pictures;
 
-pub use pictures::PictureError;
+pub(crate) use pictures::PictureError;
 
 use super::Settings;
 use super::design::Design;
@@ -43,21 +43,21 @@ struct Visit {
 }
 
 /// Measured frames of a calibration.
-pub struct Measured {
+pub(crate) struct Measured {
     /// Every frame with its repeats; only the undisturbed repeats, if there are any.
-    pub frames: Vec<TimedFrame>,
+    pub(crate) frames: Vec<TimedFrame>,
     /// Number of passes of each frame's repeats, by frame number.
-    pub passes: HashMap<u64, usize>,
+    pub(crate) passes: HashMap<u64, usize>,
     /// Load of other programs.
-    pub others: BackgroundLoad,
+    pub(crate) others: BackgroundLoad,
     /// Number of batches.
-    pub rounds: usize,
+    pub(crate) rounds: usize,
     /// Number of renderings that were discarded as warm-up.
-    pub warm_ups: usize,
+    pub(crate) warm_ups: usize,
 }
 
 /// A running measurement.
-pub struct Measuring<'a> {
+pub(crate) struct Measuring<'a> {
     settings: &'a Settings,
     pool: &'a Pool,
     renderer: &'a mut dyn Renderer,
@@ -77,7 +77,7 @@ pub struct Measuring<'a> {
 
 impl<'a> Measuring<'a> {
     /// A new measurement.
-    pub fn new(
+    pub(crate) fn new(
         settings: &'a Settings,
         pool: &'a Pool,
         renderer: &'a mut dyn Renderer,
@@ -127,7 +127,7 @@ impl<'a> Measuring<'a> {
     ///
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
-    pub fn run(&mut self) -> Result<()> {
+    pub(crate) fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, self.pool.prior.costs());
         // The prior predicts seconds of another machine: the first, small batch measures the factor.
         let mut share = 0.12;
@@ -302,7 +302,7 @@ impl<'a> Measuring<'a> {
     }
 
     /// Result of the measurement.
-    pub fn finish(&self) -> Measured {
+    pub(crate) fn finish(&self) -> Measured {
         let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
         let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();
         Measured { frames, passes, others: self.others, rounds: self.rounds, warm_ups: self.warm_ups }

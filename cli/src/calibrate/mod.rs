@@ -1,17 +1,19 @@
 //! Fits a model to this machine in a minute and a half: chooses informative frames, renders them in passes,
 //! and fits unit costs to their times, with the shipped models as prior.
 //!
-//! [`pool`] draws candidate frames and computes their features; [`design`] chooses among them; [`measuring`]
-//! renders them, discards warm-ups, repeats in passes and compares pictures; [`others`] measures the load of
+//! `pool` draws candidate frames and computes their features; `design` chooses among them; `measuring`
+//! renders them, discards warm-ups, repeats in passes and compares pictures; `others` measures the load of
 //! other programs; [`entire_steer::calibrate::PriorModel`] fits the model. [`place`] is the location of the
 //! machine's model.
 
-pub mod design;
-pub mod measuring;
-pub mod others;
+mod design;
+pub(crate) mod measuring;
+mod others;
 pub mod place;
-pub mod pool;
-pub mod report;
+pub(crate) mod pool;
+pub(crate) mod report;
+
+pub use report::Report;
 
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Executor;
@@ -29,7 +31,6 @@ use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use measuring::{Measured, Measuring, PictureError};
 use pool::Pool;
-use report::Report;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -41,41 +42,62 @@ const PICTURES_SHARE: f64 = 0.08;
 
 /// Settings and time limit of a calibration.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Volumes whose frames are rendered.
-    pub volumes: Vec<PathBuf>,
+    pub(crate) volumes: Vec<PathBuf>,
     /// Options of reading them.
-    pub reading: Reading,
+    pub(crate) reading: Reading,
     /// Shading of each sample.
-    pub shading: Shading,
+    pub(crate) shading: Shading,
     /// Skipping of empty space.
-    pub skipping: Skipping,
+    pub(crate) skipping: Skipping,
     /// Accumulated opacity at which rays stop.
-    pub termination: f32,
+    pub(crate) termination: f32,
     /// The clock that is learned.
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Limit of wall seconds for all steps.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Maximum number of frames.
-    pub frames: usize,
+    pub(crate) frames: usize,
     /// Shortest and longest image side, pixels.
-    pub sizes: (u32, u32),
+    pub(crate) sizes: (u32, u32),
     /// Ray steps, reference steps.
-    pub steps: Vec<f32>,
+    pub(crate) steps: Vec<f32>,
     /// Seed of every random choice.
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Error measure between a picture and the one at full quality.
-    pub picture_error: PictureError,
+    pub(crate) picture_error: PictureError,
+}
+
+#[cfg(test)]
+impl Settings {
+    /// Settings of a short calibration, for tests.
+    pub(crate) fn brief(volumes: Vec<PathBuf>) -> Self {
+        Self {
+            volumes,
+            reading: Reading::default(),
+            shading: Shading::None,
+            skipping: Skipping::None,
+            termination: 0.99,
+            clock: Clock::Wall,
+            seconds: 1.0,
+            frames: 8,
+            sizes: (16, 32),
+            steps: vec![1.0],
+            seed: 1,
+            picture_error: PictureError::default(),
+        }
+    }
 }
 
 /// A machine's model.
-pub struct Calibrated {
+pub(crate) struct Calibrated {
     /// The model file.
-    pub file: ModelFile,
+    pub(crate) file: ModelFile,
     /// Inputs of the fit, and its error on held-out volumes.
-    pub report: Report,
+    pub(crate) report: Report,
     /// Every frame with its repeats.
-    pub frames: Vec<TimedFrame>,
+    pub(crate) frames: Vec<TimedFrame>,
 }
 
 /// A prior of a calibration, with its name.
@@ -103,7 +125,7 @@ fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
 /// # Errors
 /// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or it
 /// was stopped before [`FEWEST_FRAMES`] were drawn.
-pub fn calibrate(
+pub(crate) fn calibrate(
     settings: &Settings,
     priors: &[NamedPrior],
     renderer: &mut dyn Renderer,
@@ -240,8 +262,8 @@ pub fn calibrate_from(
     Ok(fit_to_frames(context, frames, &named(priors).0)?.0.file)
 }
 
-/// Fits a model to frames that a renderer logged, as [`calibrate`] does to those that it renders: nothing is
-/// drawn. Volumes are opened where features are not stored beside the tables.
+/// Fits a model to frames that a renderer logged; nothing is drawn. Volumes are opened where features are not
+/// stored beside the tables.
 ///
 /// # Errors
 /// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, the clock is [`Clock::Auto`], or inputs

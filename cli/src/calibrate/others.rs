@@ -3,11 +3,11 @@
 use std::time::Instant;
 
 /// Processors in use by other programs above which a stretch of rendering counts as disturbed.
-pub const DISTURBED: f64 = 0.25;
+pub(crate) const DISTURBED: f64 = 0.25;
 
 /// A point in time: processor seconds that the machine and this process had used by then.
 #[derive(Clone, Copy, Debug)]
-pub struct CpuSnapshot {
+pub(crate) struct CpuSnapshot {
     at: Instant,
     machine: Option<f64>,
     own: Option<f64>,
@@ -18,7 +18,7 @@ const TICKS: f64 = 100.0;
 
 impl CpuSnapshot {
     /// Reads the counters now.
-    pub fn now() -> Self {
+    pub(crate) fn now() -> Self {
         Self {
             at: Instant::now(),
             machine: std::fs::read_to_string("/proc/stat").ok().and_then(|t| machine_seconds(&t)),
@@ -28,7 +28,7 @@ impl CpuSnapshot {
 
     /// Wall seconds since the snapshot, and the mean number of processors that other programs used; `None`
     /// where the system does not report it.
-    pub fn others(&self) -> (f64, Option<f64>) {
+    pub(crate) fn others(&self) -> (f64, Option<f64>) {
         let now = Self::now();
         let wall = now.at.duration_since(self.at).as_secs_f64();
         let others = (|| Some((now.machine? - self.machine?) - (now.own? - self.own?)))();
@@ -66,7 +66,7 @@ pub struct BackgroundLoad {
 
 impl BackgroundLoad {
     /// Adds a stretch of `wall` seconds in which other programs used `others` processors on average.
-    pub fn add(&mut self, wall: f64, others: Option<f64>) {
+    pub(crate) fn add(&mut self, wall: f64, others: Option<f64>) {
         if let Some(others) = others {
             let before = self.mean.unwrap_or(0.0) * self.seconds;
             self.mean = Some((before + others * wall) / (self.seconds + wall).max(1e-9));
@@ -78,7 +78,7 @@ impl BackgroundLoad {
     }
 
     /// True if more than a fifth of the time was disturbed.
-    pub fn busy(&self) -> bool {
+    pub(crate) fn busy(&self) -> bool {
         self.disturbed > 0.2 * self.seconds
     }
 }

@@ -6,12 +6,13 @@ use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
 use entire_io::dataset::Clock;
 use entire_io::files::read_model_file;
+use entire_io::identity::is_volume;
 use std::path::{Path, PathBuf};
 
 /// The user's data folder: `XDG_DATA_HOME` where it is an absolute path; else `LOCALAPPDATA` on Windows and
 /// `.local/share` in the home folder elsewhere. `None` where there is neither. `libentire` looks in the same
 /// place (`entire_model_open_machine`).
-pub fn data_folder() -> Option<PathBuf> {
+fn data_folder() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     absolute("XDG_DATA_HOME").or_else(|| {
         if cfg!(windows) {
@@ -23,7 +24,7 @@ pub fn data_folder() -> Option<PathBuf> {
 }
 
 /// The file of the machine's model for a shading mode.
-pub fn file_of(shading: Shading) -> Option<PathBuf> {
+pub(crate) fn file_of(shading: Shading) -> Option<PathBuf> {
     Some(data_folder()?.join("entire").join(format!("machine-{shading}.safetensors")))
 }
 
@@ -32,7 +33,7 @@ pub fn file_of(shading: Shading) -> Option<PathBuf> {
 ///
 /// # Errors
 /// When the file holds no model.
-pub fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Option<Clock>)>> {
+pub(crate) fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Option<Clock>)>> {
     let Some(path) = file_of(shading).filter(|p| p.is_file()) else { return Ok(None) };
     let (file, model) = read_model_file(&path)?;
     let clock = entire_io::clock::of(&model);
@@ -54,16 +55,13 @@ pub fn machine_file(shading: Shading) -> Result<PathBuf> {
 }
 
 /// Default folder of volumes, in the project's root.
-pub const DATA_FOLDER: &str = "data";
+pub(crate) const DATA_FOLDER: &str = "data";
 
 /// Ensemble members that the shipped models were trained on.
 pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
 
-/// Extensions of the volume files that [`volumes_in`] finds.
-const VOLUMES: [&str; 6] = ["nrrd", "nhdr", "mha", "mhd", "vti", "nii"];
-
-/// Every volume below a folder, by name; other files are ignored. Of ensembles only the training members
-/// ([`TRAINING_MEMBERS`]), so that the others remain unseen test data.
+/// Every volume ([`is_volume`]) below a folder, by name; other files are ignored. Of ensembles only the
+/// training members ([`TRAINING_MEMBERS`]), so that the others remain unseen test data.
 ///
 /// # Errors
 /// When a folder cannot be read.
@@ -88,7 +86,7 @@ fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Ve
             let path = entry?.path();
             if path.is_dir() {
                 folders.push(path);
-            } else if path.extension().is_some_and(|e| VOLUMES.iter().any(|v| e == *v)) {
+            } else if is_volume(&path) {
                 let member = Job::from_path(&path).member;
                 if wanted(Some(member.as_str()).filter(|m| !m.is_empty())) {
                     out.push(path);
@@ -117,5 +115,22 @@ mod tests {
         let [seen, first, second, _, scan] = paths;
         assert_eq!(volumes_in(data.path()).unwrap(), [seen, scan]);
         assert_eq!(held_out_in(data.path()).unwrap(), [first, second]);
+    }
+
+    #[test]
+    fn volumes_of_every_format_are_found_and_other_files_are_not() {
+        let data = tempfile::tempdir().unwrap();
+        let description = r#"{"size": [2, 2, 2], "type": "uint8"}"#;
+        let wanted = ["a.nii.gz", "b.NRRD", "c.mhd", "d.vti", "raw.json"];
+        for (name, text) in wanted.map(|name| (name, description)).into_iter().chain([
+            ("raw.raw", "12345678"),
+            ("gone.json", description),
+            ("t.manifest.json", r#"{"format": "entire-timings-1"}"#),
+            ("t.csv", ""),
+            ("c.zraw", ""),
+        ]) {
+            std::fs::write(data.path().join(name), text).unwrap();
+        }
+        assert_eq!(volumes_in(data.path()).unwrap(), wanted.map(|name| data.path().join(name)));
     }
 }

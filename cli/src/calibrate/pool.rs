@@ -11,7 +11,7 @@ use entire_io::identity::{self, Identity};
 use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
 use entire_io::volume::Reading;
 use entire_steer::calibrate::PriorModel;
-use entire_steer::features::PROBE_SIDE;
+use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_steer::numeric::dot;
 use entire_steer::predict::{COST_QUANTITIES, COSTS};
 use entire_train::inputs::{Layout, measure, work_of};
@@ -26,46 +26,56 @@ const PER_VOLUME: u64 = 36;
 /// without regard to their information, and if there are enough, the error is measured on them alone.
 const RANDOM_EVERY: u64 = 3;
 
-/// Volumes of fewer voxels are also rendered enlarged by 2 along every axis: the cost of a frame depends on
-/// the share of the volume that fits in the caches.
-const SMALL_VOLUME: u64 = 160 * 160 * 160;
+/// Number of voxels below which a volume is also rendered enlarged by 2 along every axis: the cost of a frame
+/// depends on the share of the volume that fits in the caches.
+pub(crate) const SMALL_VOLUME: u64 = 160 * 160 * 160;
 
 /// A candidate frame.
 #[derive(Clone, Debug)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// The volume's index.
-    pub volume: usize,
+    pub(crate) volume: usize,
     /// Its enlargement.
-    pub factor: usize,
+    pub(crate) factor: usize,
     /// Scene of the frame.
-    pub scene: Scene,
+    pub(crate) scene: Scene,
     /// Inputs of the prior's learned factor, in its order; empty if the prior has no factor.
-    pub row: Vec<f32>,
+    pub(crate) row: Vec<f32>,
     /// Estimated work: 1, then the values of [`COST_QUANTITIES`].
-    pub work: [f64; COSTS],
+    pub(crate) work: [f64; COSTS],
     /// True for every third candidate, which stands for a typical frame.
-    pub random: bool,
+    pub(crate) random: bool,
+}
+
+impl Candidate {
+    /// Mean number of samples of a pixel: over 1 where the volume is visible.
+    pub(crate) fn samples_per_pixel(&self) -> f64 {
+        let count = |quantity: SceneQuantity| -> f64 {
+            COST_QUANTITIES.iter().zip(&self.work[1..]).filter(|(q, _)| **q == quantity).map(|(_, n)| n).sum()
+        };
+        count(SceneQuantity::Samples) / count(SceneQuantity::Pixels).max(1.0)
+    }
 }
 
 /// All candidates, and the prior.
-pub struct Pool {
+pub(crate) struct Pool {
     /// The volume files.
-    pub volumes: Vec<PathBuf>,
+    pub(crate) volumes: Vec<PathBuf>,
     /// Identities of their files.
-    pub files: Vec<Vec<Identity>>,
+    pub(crate) files: Vec<Vec<Identity>>,
     /// Options of reading them.
-    pub reading: Reading,
+    pub(crate) reading: Reading,
     /// The candidates; a frame's number is its index.
-    pub candidates: Vec<Candidate>,
+    pub(crate) candidates: Vec<Candidate>,
     /// The prior.
-    pub prior: PriorModel,
+    pub(crate) prior: PriorModel,
     /// Seconds of each candidate that the prior predicts, for the prior's own machine.
-    pub expected: Vec<f64>,
+    pub(crate) expected: Vec<f64>,
 }
 
 impl Pool {
     /// Identities of the volumes' files, by the volumes' names in frames.
-    pub fn named_files(&self) -> BTreeMap<String, Vec<Identity>> {
+    pub(crate) fn named_files(&self) -> BTreeMap<String, Vec<Identity>> {
         let name = |path: &PathBuf| path.to_string_lossy().into_owned();
         self.volumes.iter().map(name).zip(self.files.iter().cloned()).collect()
     }
@@ -74,7 +84,11 @@ impl Pool {
     ///
     /// # Errors
     /// When a volume cannot be read, or the priors do not fit together.
-    pub fn draw(settings: &Settings, priors: &[ModelFile], threads: &rayon::ThreadPool) -> Result<Self> {
+    pub(crate) fn draw(
+        settings: &Settings,
+        priors: &[ModelFile],
+        threads: &rayon::ThreadPool,
+    ) -> Result<Self> {
         ensure!(!settings.volumes.is_empty(), "there is no volume to calibrate with; name some");
         let scenes = SceneDistribution {
             radii: DEFAULT_RADII.to_vec(),
@@ -94,7 +108,8 @@ impl Pool {
             let job = Job::from_path(path);
             for &factor in factors {
                 for index in 0..PER_VOLUME {
-                    let drawn = scenes.draw(settings.seed + factor as u64, &job.seed_name(), index);
+                    let drawn =
+                        scenes.draw(settings.seed.wrapping_add(factor as u64), &job.seed_name(), index);
                     let scene = Scene {
                         volume: path.to_string_lossy().into_owned(),
                         member: job.member.clone(),
@@ -143,8 +158,7 @@ impl Pool {
                 row.resize(layout.width(), 0.0);
                 layout.write(inputs, &mut row)?;
             }
-            let work = inputs.features.work(&inputs.setting);
-            let count = |q| inputs.features.quantity(q, &inputs.setting, &work) as f32;
+            let count = |q| inputs.features.quantity(q, &inputs.setting) as f32;
             Ok((row, COST_QUANTITIES.map(count)))
         })?;
         let candidates: Vec<Candidate> = frames
@@ -165,5 +179,25 @@ impl Pool {
         };
         let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
         Ok(Self { volumes, files, reading, candidates, prior, expected })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_seed_draws_candidates() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("v.nrrd");
+        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 6 6 6\nencoding: raw\n\n".to_vec();
+        bytes.extend(0..216);
+        std::fs::write(&path, bytes).unwrap();
+        let threads = entire_io::options::thread_pool(Some(1)).unwrap();
+        for seed in [0, u64::MAX] {
+            let settings = Settings { seed, ..Settings::brief(vec![path.clone()]) };
+            let pool = Pool::draw(&settings, &[], &threads).unwrap();
+            assert_eq!(pool.candidates.len() as u64, 2 * PER_VOLUME);
+        }
     }
 }

@@ -5,7 +5,7 @@ use super::others::BackgroundLoad;
 use anyhow::{Context, Result};
 use entire_core::model::{Key, ModelFile};
 use entire_core::scene::Shading;
-use entire_io::dataset::{Clock, NoiseFloor};
+use entire_io::dataset::{Clock, NoiseFloor, STEP_REFERENCE};
 use entire_io::identity::Identity;
 use entire_io::machine;
 use entire_io::metrics::{Metrics, bootstrap_by_group};
@@ -75,14 +75,14 @@ pub struct Pictures {
 impl Report {
     /// Adds the fit to compared pictures.
     #[must_use]
-    pub fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
+    pub(crate) fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
         let pictures = fitted.map(|fitted| Pictures { error, fitted });
         Self { pictures, ..self }
     }
 
     /// Adds the identities of the volumes' files, by the volumes' names.
     #[must_use]
-    pub fn with_files(self, files: BTreeMap<String, Vec<Identity>>) -> Self {
+    pub(crate) fn with_files(self, files: BTreeMap<String, Vec<Identity>>) -> Self {
         Self { files, ..self }
     }
 
@@ -91,7 +91,7 @@ impl Report {
     /// # Errors
     /// When there are no such frames.
     #[expect(clippy::too_many_arguments, reason = "everything that a calibration knows of itself, once")]
-    pub fn new(
+    pub(crate) fn new(
         (shading, clock): (Shading, Clock),
         prior: Option<String>,
         observed: &[Observed],
@@ -133,7 +133,7 @@ impl Report {
 
     /// Reasons why the measured times or the error may not be typical of this machine; empty if there are
     /// none.
-    pub fn warnings(&self) -> Vec<String> {
+    pub(crate) fn warnings(&self) -> Vec<String> {
         let mut out = Vec::new();
         if self.others.busy() {
             out.push(format!(
@@ -164,7 +164,7 @@ impl Report {
     }
 
     /// The report as a few lines of text.
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         let mut out = String::new();
         let line = |out: &mut String, name: &str, value: String| {
             let _ = writeln!(out, "{name:<11}{value}");
@@ -227,7 +227,7 @@ impl Report {
     ///
     /// # Errors
     /// When the file's content is damaged.
-    pub fn write_into(
+    pub(crate) fn write_into(
         &self,
         file: &mut ModelFile,
         (renderer, device): (&str, &str),
@@ -251,7 +251,7 @@ impl Report {
         file.metadata.insert(Key::Clock.into(), self.clock.into());
         file.metadata.insert(Key::Renderer.into(), renderer.into());
         file.metadata.insert(Key::Device.into(), device.into());
-        file.metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
+        file.metadata.insert(Key::StepReference.into(), STEP_REFERENCE.into());
         let provenance = json!({
             "what": "Calibrated to a machine",
             "clock": self.clock,
@@ -272,7 +272,7 @@ impl Report {
 
 /// The picture quality law that was fitted to compared pictures, in one line; `error` names the error
 /// measure.
-pub fn law_text(fitted: &FittedQuality, error: &str) -> String {
+pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(
         "{} scenes at {} steps and sizes: {error} in proportion to (s - 1)^{step_exponent:.2} + \

@@ -10,7 +10,8 @@ mod protocol;
 #[cfg(test)]
 mod tests;
 
-pub use passes::{collect_passes, pass_files};
+pub(crate) use passes::{collect_passes, pass_files};
+pub(crate) use protocol::manifest_of;
 pub use protocol::{Job, Protocol, differences};
 
 use anyhow::{Context, Result};
@@ -22,15 +23,15 @@ use std::path::Path;
 
 /// Result of a collection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Outcome {
+pub(crate) struct Outcome {
     /// Frames in the table; with several passes, those of all passes together.
-    pub done: u64,
+    pub(crate) done: u64,
     /// Frames to collect.
-    pub total: u64,
+    pub(crate) total: u64,
     /// Warm-up renderings that were discarded in this run.
-    pub discarded: u64,
+    pub(crate) discarded: u64,
     /// True if it was stopped before the end.
-    pub interrupted: bool,
+    pub(crate) interrupted: bool,
 }
 
 /// A scene's repeats.
@@ -83,7 +84,7 @@ pub fn time_scene(
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, a table that cannot be written; names the volume and
 /// frame.
-pub fn collect(
+pub(crate) fn collect(
     jobs: &[Job],
     protocol: &Protocol,
     renderer: &mut dyn Renderer,

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Files in which each pass over the volumes keeps its frames until all are done; none for a single pass.
-pub fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
+pub(crate) fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
     let count = if passes > 1 { passes } else { 0 };
     (1..=count).map(|pass| out.with_extension(format!("pass{pass}.csv"))).collect()
 }
@@ -22,7 +22,7 @@ pub fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
 /// # Errors
 /// Those of [`collect`], and pass tables that cannot be read or removed.
 #[expect(clippy::too_many_arguments, reason = "those of collect, and where the passes go")]
-pub fn collect_passes(
+pub(crate) fn collect_passes(
     jobs: &[Job],
     protocol: &Protocol,
     renderer: &mut dyn Renderer,

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
-use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, parse_shading, parse_skipping};
+use entire_io::dataset::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE, Scene, parse_shading, parse_skipping};
 use entire_io::enlarge::{enlarge, resample};
 use entire_io::identity::{self, Identity};
 use entire_io::machine;
@@ -50,7 +50,7 @@ impl Job {
 
     /// The name that seeds its random scenes: the file's name, for a time step with the two folders above it.
     /// It does not depend on the working directory or the place of the data.
-    pub fn seed_name(&self) -> String {
+    pub(crate) fn seed_name(&self) -> String {
         let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
         let parts: Vec<String> =
             absolute.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
@@ -96,7 +96,7 @@ impl Protocol {
     ///
     /// # Errors
     /// When a setting is missing or unknown to this version; names it.
-    pub fn of_manifest(manifest: &Manifest) -> Result<(Self, Vec<Job>)> {
+    pub(crate) fn of_manifest(manifest: &Manifest) -> Result<(Self, Vec<Job>)> {
         #[derive(Deserialize)]
         struct Settings {
             frames_per_volume: u32,
@@ -202,25 +202,11 @@ impl Protocol {
             .repeats
             .checked_mul(self.passes)
             .with_context(|| format!("{} repeats in {} passes are too many", self.repeats, self.passes))?;
-        Ok(Manifest {
-            format: MANIFEST_FORMAT.into(),
-            created: machine::now(),
-            machine: machine::machine(),
-            renderer: renderer.backend().into(),
-            device: renderer.device(),
-            driver: driver_of(renderer),
-            commit: machine::version(),
-            seed: self.seed,
-            repeats,
-            step_reference: "smallest voxel spacing".into(),
-            settings: self.settings(jobs),
-            files: BTreeMap::new(),
-            other: BTreeMap::new(),
-        })
+        Ok(manifest_of(renderer, self.seed, repeats, self.settings(jobs)))
     }
 
     /// The settings of these jobs for the manifest.
-    pub fn settings(&self, jobs: &[Job]) -> serde_json::Value {
+    pub(crate) fn settings(&self, jobs: &[Job]) -> serde_json::Value {
         let mut settings = json!({
             "frames_per_volume": self.frames,
             "warm_up_frames_discarded_per_volume": self.warm_up,
@@ -251,8 +237,32 @@ impl Protocol {
     }
 
     /// Unit that [`super::Outcome`] counts in.
-    pub fn counted(&self) -> &'static str {
+    pub(crate) fn counted(&self) -> &'static str {
         if self.passes > 1 { "frames of all passes" } else { "frames" }
+    }
+}
+
+/// The manifest of a table that is begun now, without the volumes' files.
+pub(crate) fn manifest_of(
+    renderer: &dyn Renderer,
+    seed: u64,
+    repeats: u32,
+    settings: serde_json::Value,
+) -> Manifest {
+    Manifest {
+        format: MANIFEST_FORMAT.into(),
+        created: machine::now(),
+        machine: machine::machine(),
+        renderer: renderer.backend().into(),
+        device: renderer.device(),
+        driver: driver_of(renderer),
+        commit: machine::version(),
+        seed,
+        repeats,
+        step_reference: STEP_REFERENCE.into(),
+        settings,
+        files: BTreeMap::new(),
+        other: BTreeMap::new(),
     }
 }
 

@@ -4,20 +4,19 @@ use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
+use crate::collection::manifest_of;
 use crate::shipped::shipped_models;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::scene::Shading;
-use entire_io::dataset::{Clock, MANIFEST_FORMAT, Manifest, Writer, left_out, read_tables};
+use entire_io::dataset::{Clock, Manifest, Writer, left_out, read_tables};
 use entire_io::device::{self, Device};
 use entire_io::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
 use entire_io::interrupt;
-use entire_io::machine;
-use entire_io::options::{SkipOption, VolumeArgs, thread_pool};
+use entire_io::options::{SkipOption, VolumeArgs, check_termination, thread_pool};
 use entire_io::progress::templated_bar;
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Fit a model to this machine in a minute and a half.
@@ -37,10 +36,10 @@ use std::path::{Path, PathBuf};
   entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
         frames that a renderer of your own logged: nothing is rendered")]
-pub struct Options {
+pub(crate) struct Options {
     /// Volume files; default: those in data/, and of its ensembles only the training members.
     #[arg(value_name = "VOLUME")]
-    pub volumes: Vec<PathBuf>,
+    pub(crate) volumes: Vec<PathBuf>,
     /// Timing tables logged by your own renderer: nothing is rendered, and the model is fitted to their
     /// frames of --shade and --clock. Needs --out.
     #[arg(
@@ -51,70 +50,70 @@ pub struct Options {
         conflicts_with_all = ["volumes", "table", "seconds", "frames", "skip", "termination", "min_size",
             "max_size", "steps", "device", "picture_error", "seed", "array", "fill", "range"]
     )]
-    pub data: Vec<PathBuf>,
+    pub(crate) data: Vec<PathBuf>,
     /// Shading of each sample, or all modes one after another.
     #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOrAll,
+    pub(crate) shade: ShadeOrAll,
     /// Clock of the predicted seconds: processor time of all threads, wall time, or the device's timestamps;
     /// auto: the device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Default:
     /// machine-MODE.safetensors in the folder entire of the user's data folder.
     #[arg(long, value_name = "FILE.safetensors")]
-    pub out: Option<PathBuf>,
+    pub(crate) out: Option<PathBuf>,
     /// Also write the measured frames, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
-    pub table: Option<PathBuf>,
+    pub(crate) table: Option<PathBuf>,
     /// Prior model, of kind analytic or residual; default: the shipped models of the shading mode.
     #[arg(long, value_name = "SAFETENSORS")]
-    pub prior: Option<PathBuf>,
+    pub(crate) prior: Option<PathBuf>,
     /// Wall seconds that each mode may take.
     #[arg(long, default_value_t = 85.0, value_name = "SECONDS", value_parser = parse_seconds)]
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Maximum number of frames.
     #[arg(long, default_value_t = 500, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=100_000))]
-    pub frames: u32,
+    pub(crate) frames: u32,
     /// Reading of the volumes.
     #[command(flatten)]
-    pub volume_args: VolumeArgs,
+    pub(crate) volume_args: VolumeArgs,
     /// Skipping of empty space.
     #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
+    pub(crate) skip: SkipOption,
     /// Accumulated opacity at which a ray stops; 1 for never.
     #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
-    pub termination: f32,
+    pub(crate) termination: f32,
     /// Shortest image side, pixels.
     #[arg(long, default_value_t = 32, value_name = "PIXELS")]
-    pub min_size: u32,
+    pub(crate) min_size: u32,
     /// Longest image side, pixels.
     #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
-    pub max_size: u32,
+    pub(crate) max_size: u32,
     /// Ray steps, in reference steps; each frame gets one of them at random. A step that is listed twice is
     /// chosen twice as often.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0, 1.0, 1.0, 2.0, 4.0], value_name = "STEP,…")]
-    pub steps: Vec<f32>,
+    pub(crate) steps: Vec<f32>,
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    pub(crate) device: Device,
     /// Error measure that compares pictures at coarser ray steps and smaller image sizes with full quality;
     /// steering then coarsens step or image size, whichever adds less error.
     #[arg(long, value_enum, default_value_t)]
-    pub picture_error: PictureError,
+    pub(crate) picture_error: PictureError,
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
     #[arg(long, value_name = "FOLDER", requires = "data")]
-    pub root: Option<PathBuf>,
+    pub(crate) root: Option<PathBuf>,
     /// Threads that compute scene features; default: all logical processors.
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
 }
 
 /// A shading mode, or all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum ShadeOrAll {
+pub(crate) enum ShadeOrAll {
     /// Color and opacity only.
     #[default]
     None,
@@ -163,7 +162,7 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
 /// # Errors
 /// Volumes or models that cannot be read, a renderer that fails or lacks the clock, a file that cannot be
 /// written, interruption before enough frames for a fit.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     if !options.data.is_empty() {
         return from_tables(options);
     }
@@ -177,11 +176,7 @@ pub fn run(options: &Options) -> Result<()> {
     } else {
         options.volumes.clone()
     };
-    ensure!(
-        options.termination > 0.0 && options.termination <= 1.0,
-        "--termination is {}; it must lie in (0, 1], 1 for never",
-        options.termination
-    );
+    check_termination(options.termination)?;
     let outs: Vec<PathBuf> =
         options.shade.modes().iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
     for out in &outs {
@@ -241,22 +236,9 @@ pub fn run(options: &Options) -> Result<()> {
 
 /// The manifest of the measured frames' table.
 fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
-    Manifest {
-        format: MANIFEST_FORMAT.into(),
-        created: machine::now(),
-        machine: machine::machine(),
-        renderer: renderer.backend().into(),
-        device: renderer.device(),
-        driver: String::new(),
-        commit: machine::version(),
-        seed: options.seed,
-        // The number of repeats differs between frames.
-        repeats: 0,
-        step_reference: "smallest voxel spacing".into(),
-        settings: json!({ "calibration": true, "reading": options.volume_args.reading() }),
-        files: report.files.clone(),
-        other: BTreeMap::new(),
-    }
+    let settings = json!({ "calibration": true, "reading": options.volume_args.reading() });
+    // The number of repeats differs between frames.
+    Manifest { files: report.files.clone(), ..manifest_of(renderer, options.seed, 0, settings) }
 }
 
 /// The priors with their names: the given one, else the shipped ones.

@@ -9,7 +9,7 @@ use entire_io::files::{open_volume, read_model_file};
 use entire_io::identity::{self, Identity};
 use entire_io::interrupt;
 use entire_io::machine;
-use entire_io::options::{RenderArgs, VolumeArgs};
+use entire_io::options::{RenderArgs, VolumeArgs, check_termination};
 use entire_io::progress::progress_bar;
 use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
 use entire_train::teacher::Teacher;
@@ -30,13 +30,13 @@ use std::path::{Path, PathBuf};
   entire collect castro_blast/m0?/t00*.nrrd --out castro.csv --frames 100 --shade local
   entire collect skull.nii.gz --out skull.csv --steps 0.5,1,2,4 --max-size 512 --resume
   entire collect --like data/timings/none-train.csv.gz --out again.csv")]
-pub struct Options {
+pub(crate) struct Options {
     /// Volume files. Files named like `t0012.nrrd` are time steps; their folder is their ensemble member.
     #[arg(required_unless_present = "like", value_name = "VOLUME")]
-    pub volumes: Vec<PathBuf>,
+    pub(crate) volumes: Vec<PathBuf>,
     /// The table to write; its manifest goes beside it as NAME.manifest.json.
     #[arg(long, value_name = "FILE.csv")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Collect the frames of this table again: volumes, frames and settings come from its manifest, except
     /// --repeats, --passes and --warm-up-repeats if given. Its volume names are relative to the working
     /// folder.
@@ -44,65 +44,65 @@ pub struct Options {
         "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",
         "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy", "array", "fill", "range",
     ])]
-    pub like: Option<PathBuf>,
+    pub(crate) like: Option<PathBuf>,
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
-    pub frames: u32,
+    pub(crate) frames: u32,
     /// Timed renderings of each frame [default: 5].
     #[arg(long, value_name = "R")]
-    pub repeats: Option<u32>,
+    pub(crate) repeats: Option<u32>,
     /// Passes over all volumes, each with --repeats renderings of every frame: repeats that are minutes apart
     /// show the machine's drift [default: 1].
     #[arg(long, value_name = "P")]
-    pub passes: Option<u32>,
+    pub(crate) passes: Option<u32>,
     /// Renderings of each frame that are discarded before the timed ones: the first one, with a new image
     /// size and transfer function, is slower [default: 1].
     #[arg(long, value_name = "N")]
-    pub warm_up_repeats: Option<u32>,
+    pub(crate) warm_up_repeats: Option<u32>,
     /// Renderings that are discarded after each volume is loaded, so that first-use work is not timed.
     #[arg(long, default_value_t = 2, value_name = "N")]
-    pub warm_up: u32,
+    pub(crate) warm_up: u32,
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Rendering options.
     #[command(flatten)]
-    pub render: RenderArgs,
+    pub(crate) render: RenderArgs,
     /// Reading of the volumes.
     #[command(flatten)]
-    pub volume_args: VolumeArgs,
+    pub(crate) volume_args: VolumeArgs,
     /// Write this model's predicted times instead of rendering the frames, to distill another model from it;
     /// every clock gets the predicted time.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
-    pub teacher: Option<PathBuf>,
+    pub(crate) teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
     #[arg(long, default_value_t = 32, value_name = "PIXELS")]
-    pub min_size: u32,
+    pub(crate) min_size: u32,
     /// Longest image side, pixels.
     #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
-    pub max_size: u32,
+    pub(crate) max_size: u32,
     /// Radii of the semi-spheres on which cameras lie, in bounding-sphere radii.
     #[arg(long, value_delimiter = ',', default_values_t = DEFAULT_RADII, value_name = "R,…")]
-    pub radii: Vec<f32>,
+    pub(crate) radii: Vec<f32>,
     /// Gaussian lobes per transfer function: a number, or a range such as `2-4`.
     #[arg(long, default_value = "3", value_name = "N[-M]", value_parser = parse_lobe_range)]
-    pub lobes: (u32, u32),
+    pub(crate) lobes: (u32, u32),
     /// Ray steps, in reference steps; each frame gets one of them at random.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
-    pub steps: Vec<f32>,
+    pub(crate) steps: Vec<f32>,
     /// Ensemble member of the volumes: one for all, or one for each. Default: the folder's name.
     #[arg(long, num_args = 1.., value_name = "NAME")]
-    pub member: Vec<String>,
+    pub(crate) member: Vec<String>,
     /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost as much as large
     /// ones.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
-    pub enlarge: usize,
+    pub(crate) enlarge: usize,
     /// Render every volume resampled to EDGE voxels per side: the low-resolution proxy of the same frames.
     #[arg(long, value_name = "EDGE", conflicts_with = "enlarge")]
-    pub proxy: Option<usize>,
+    pub(crate) proxy: Option<usize>,
     /// Continue an interrupted table. Settings, machine and volume files must be those of its manifest.
     #[arg(long)]
-    pub resume: bool,
+    pub(crate) resume: bool,
 }
 
 fn parse_lobe_range(text: &str) -> std::result::Result<(u32, u32), String> {
@@ -171,7 +171,7 @@ fn check(jobs: &[Job], remedy: &str) -> Result<()> {
 ///
 /// # Errors
 /// Bad options or files, a device that fails, and interruption; the message names the command that continues.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let (protocol, jobs) = match &options.like {
         Some(table) => {
             let shown = table.display();
@@ -205,11 +205,7 @@ pub fn run(options: &Options) -> Result<()> {
         protocol.frames > 0 && protocol.repeats > 0 && protocol.passes > 0,
         "--frames, --repeats and --passes must be at least 1"
     );
-    ensure!(
-        protocol.termination > 0.0 && protocol.termination <= 1.0,
-        "--termination is {}; it must lie in (0, 1], 1 for never",
-        protocol.termination
-    );
+    check_termination(protocol.termination)?;
     protocol.scenes.check()?;
     let stop = interrupt::flag()?;
     let mut renderer: Box<dyn Renderer> = match &options.teacher {

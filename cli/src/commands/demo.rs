@@ -2,9 +2,10 @@
 
 use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, volumes_in};
+use crate::calibrate::pool::SMALL_VOLUME;
 use crate::calibrate::{Calibrated, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
-use crate::commands::steer::describe;
+use crate::commands::steer::{INTERRUPTED, describe};
 use crate::shipped::shipped_models;
 use crate::steering::calibrate::CALIBRATION_STEPS;
 use crate::steering::contenders::ControllerKind;
@@ -31,10 +32,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Default volume, relative to the project's root.
-pub const DEFAULT_VOLUME: &str = "data/nyx_cosmology/m04/t0010.nrrd";
-
-/// Volumes with fewer voxels are enlarged by 2 along every axis, so that their frames are not too cheap.
-const SMALL_VOLUME: u64 = 160 * 160 * 160;
+const DEFAULT_VOLUME: &str = "data/nyx_cosmology/m04/t0010.nrrd";
 
 /// Time limit of all rendering, seconds; images are reduced to meet it.
 const RENDERING_BUDGET: f64 = 150.0;
@@ -60,46 +58,46 @@ const CONTROLLERS: [ControllerKind; 5] = [
 #[command(after_help = "Examples:
   entire demo
   entire demo skull.nii.gz --out out/skull")]
-pub struct Options {
+pub(crate) struct Options {
     /// The volume file; default: a time step of a cosmology simulation.
     #[arg(value_name = "VOLUME")]
-    pub volume: Option<PathBuf>,
+    pub(crate) volume: Option<PathBuf>,
     /// Folder for report.html, frames.csv, summary.json, path.json and model.safetensors.
     #[arg(long, default_value = "out/demo", value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Image size, pixels; reduced if rendering would take too long.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Frames of the path.
     #[arg(long, default_value_t = 120, value_name = "N")]
-    pub frames: u32,
+    pub(crate) frames: u32,
     /// Wall seconds for the calibration, if the machine has no model.
     #[arg(long, default_value_t = 25.0, value_name = "SECONDS", value_parser = parse_seconds)]
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
     /// coarser steps.
     #[arg(long, default_value_t = 16, value_name = "N")]
-    pub scenes: usize,
+    pub(crate) scenes: usize,
     /// Reading of the volume.
     #[command(flatten)]
-    pub volume_args: VolumeArgs,
+    pub(crate) volume_args: VolumeArgs,
     /// Rendering options.
     #[command(flatten)]
-    pub render: RenderArgs,
+    pub(crate) render: RenderArgs,
     /// The clock of frame times. `auto`: the clock of the machine's model (`entire calibrate`), else the
     /// device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t)]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Enlarge the volume by this factor at load, trilinearly; default: 2 for small volumes, 1 for others.
     #[arg(long, value_name = "FACTOR")]
-    pub enlarge: Option<usize>,
+    pub(crate) enlarge: Option<usize>,
     /// Coarsest image of entire's controller, in pixels between rays along each side; it coarsens step or
     /// image, whichever adds less error. 1 keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
-    pub max_image_sample_distance: f32,
+    pub(crate) max_image_sample_distance: f32,
     /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
 }
 
 /// A model of this machine, calibrated with other volumes than the played one: those in data/, and of its
@@ -201,7 +199,7 @@ fn verdict(names: &[String], metrics: &[Metrics]) -> String {
 ///
 /// # Errors
 /// A volume that cannot be read, a device that fails, interruption.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let begin = Instant::now();
     let file = match &options.volume {
         Some(file) => file.clone(),
@@ -217,6 +215,7 @@ pub fn run(options: &Options) -> Result<()> {
     ensure!(options.scenes >= 4, "--scenes is {}; at least 4 scenes are needed", options.scenes);
     let shown = file.display().to_string();
     let volume = open_volume(&file, &options.volume_args.reading())?;
+    // So that its frames are not too cheap.
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
     let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
     let view = volume.view();
@@ -243,7 +242,6 @@ pub fn run(options: &Options) -> Result<()> {
         if shrunk { ", made smaller so that the demo ends in time" } else { "" }
     );
     let seed_name = volume.name().to_owned();
-    const INTERRUPTED: &str = "interrupted; nothing was written";
     let machines = match machines {
         None => calibrated(options, &draw, &file, renderer.as_mut(), &stop).context("cannot calibrate")?,
         some => some,

@@ -23,10 +23,10 @@ use std::time::Duration;
 #[command(after_help = "Examples:
   entire doctor
   entire doctor --python venv/bin/python")]
-pub struct Options {
+pub(crate) struct Options {
     /// The Python that is asked for VTK, PyVista and the package entire.
     #[arg(long, default_value = "python3", value_name = "PROGRAM")]
-    pub python: String,
+    pub(crate) python: String,
 }
 
 /// The Python for which distributions package VTK.
@@ -56,7 +56,7 @@ enum Finding {
 ///
 /// # Errors
 /// When a model of this machine cannot be read.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     println!("entire {}", machine::version());
     heading("Machine");
     found("processor", &machine::machine());

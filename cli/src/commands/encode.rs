@@ -17,25 +17,25 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   entire encode --model volumenet.safetensors data/mr_banana.nrrd
   entire encode --model volumenet.safetensors --range -1024,3071 ct.nii.gz")]
-pub struct Options {
+pub(crate) struct Options {
     /// Model file with a VolumeNet.
     #[arg(long, value_name = "M.safetensors")]
-    pub model: PathBuf,
+    pub(crate) model: PathBuf,
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
-    pub volume: PathBuf,
+    pub(crate) volume: PathBuf,
     /// Reading of the volume.
     #[command(flatten)]
-    pub volume_args: VolumeArgs,
+    pub(crate) volume_args: VolumeArgs,
     /// Threads; default: all logical processors.
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// When the model or the volume cannot be read, the model has no VolumeNet, or a feature is not finite.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let model = open_model(&options.model)?;
     let Some(parts) = model.volumenet() else {
         bail!(

@@ -4,8 +4,8 @@
 mod host;
 
 use crate::steering::contenders::ControllerKind;
-use anyhow::{Context, Result, bail};
-use entire_io::options::{ShadeOption, SkipOption, VolumeArgs, parse_size};
+use anyhow::{Context, Result};
+use entire_io::options::{ShadeOption, SkipOption, VolumeArgs, check_termination, parse_size};
 use entire_io::path::parse_target;
 use std::path::PathBuf;
 
@@ -64,16 +64,14 @@ pub struct Options {
 /// Without a display or a Vulkan device that shows pictures on it; a model that cannot be read.
 pub fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
-    if !(options.termination > 0.0 && options.termination <= 1.0) {
-        bail!("--termination is {}; it must lie in (0, 1], 1 for never", options.termination);
-    }
+    check_termination(options.termination)?;
     open(options, target)
 }
 
 /// Refuses, since a build without the feature `explore` has no window.
 #[cfg(not(feature = "explore"))]
 fn open(_: &Options, _: f64) -> Result<()> {
-    bail!(
+    anyhow::bail!(
         "this `entire` was built without its window; build it with `make explore`, or with `cargo install --path cli \
          --features explore`"
     )

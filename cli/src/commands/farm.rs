@@ -257,9 +257,9 @@ fn setting(options: &Options, slots: usize) -> Setting {
         slots,
         bound: options.engine == EngineOption::Local,
         overhead: options.overhead.unwrap_or(match options.engine {
-            EngineOption::Local => 0.005,
-            EngineOption::Hyperqueue => 0.05,
-            EngineOption::Slurm => 0.6,
+            EngineOption::Local => Local::OVERHEAD,
+            EngineOption::Hyperqueue => HyperQueue::OVERHEAD,
+            EngineOption::Slurm => Slurm::OVERHEAD,
         }),
         limit: options.time_limit,
         order: order(options.order),
@@ -281,7 +281,7 @@ fn dry_run(job: &Job, base: Vec<f32>, options: &Options) -> Result<()> {
         planner
     };
     let setting = setting(options, slots(options));
-    print!("{}", survey::text(job, &plan, setting, options.deadline, options.price)?);
+    print!("{}", survey::text(job, &plan, setting, options.deadline, options.price));
     if let Some(file) = &options.save_tasks {
         save_tasks(job, &plan(setting.slots), file)?;
     }

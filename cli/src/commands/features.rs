@@ -69,10 +69,9 @@ pub fn run(options: &Options) -> Result<()> {
         let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.to_string()).collect();
         let bar = templated_bar(INPUTS_BAR);
         let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
-            let work = inputs.features.work(&inputs.setting);
             Ok(SceneQuantity::ALL
                 .iter()
-                .map(|&q| inputs.features.quantity(q, &inputs.setting, &work) as f32)
+                .map(|&q| inputs.features.quantity(q, &inputs.setting) as f32)
                 .collect::<Vec<f32>>())
         })?;
         for &side in &further {
@@ -80,10 +79,9 @@ pub fn run(options: &Options) -> Result<()> {
                 SceneQuantity::ALL.iter().copied().filter(|q| q.needs_probe()).collect();
             bar.reset();
             let more = measure(&tables, &frames, Some(side), None, &pool, &bar, |_, inputs| {
-                let work = inputs.features.work(&inputs.setting);
                 Ok(probed
                     .iter()
-                    .map(|&q| inputs.features.quantity(q, &inputs.setting, &work) as f32)
+                    .map(|&q| inputs.features.quantity(q, &inputs.setting) as f32)
                     .collect::<Vec<f32>>())
             })?;
             columns.extend(probed.iter().map(|&q| quantity_column(q, side)));

@@ -1,17 +1,17 @@
 //! One module per subcommand: its options and its execution.
 
-pub mod calibrate;
-pub mod collect;
-pub mod demo;
-pub mod doctor;
-pub mod encode;
-pub mod evaluate;
+pub(crate) mod calibrate;
+pub(crate) mod collect;
+pub(crate) mod demo;
+pub(crate) mod doctor;
+pub(crate) mod encode;
+pub(crate) mod evaluate;
 pub mod explore;
 pub mod farm;
 pub mod features;
-pub mod predict;
-pub mod probe;
-pub mod render;
-pub mod schedule;
-pub mod steer;
+pub(crate) mod predict;
+pub(crate) mod probe;
+pub(crate) mod render;
+pub(crate) mod schedule;
+pub(crate) mod steer;
 pub mod train;

@@ -13,8 +13,9 @@ use std::path::{Path, PathBuf};
 /// Predict seconds for rows of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. If any row is
-/// invalid, nothing is printed. The clock of the seconds, if the model states it, goes to standard error.
+/// model's order. Inputs are taken as they are: sessions and `entire evaluate` clamp them to the range of the
+/// model's training frames. Prints one line per row: seconds, at least 1e-6, 9 significant digits. If any row
+/// is invalid, nothing is printed. The clock of the seconds, if the model states it, goes to standard error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs inputs.csv
@@ -23,16 +24,16 @@ use std::path::{Path, PathBuf};
 The inputs are those of the model's metadata key entire.inputs, as entire_model_predict() takes them; the
 error for a wrong number of columns names their groups. `entire evaluate` predicts the frames of timing
 tables.")]
-pub struct Options {
+pub(crate) struct Options {
     /// Model file with a PredNet; default: the machine's model of --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
-    pub model: Option<PathBuf>,
+    pub(crate) model: Option<PathBuf>,
     /// Shading mode of the machine's model, without --model.
     #[arg(long, value_enum, default_value_t, conflicts_with = "model")]
-    pub shade: ShadeOption,
+    pub(crate) shade: ShadeOption,
     /// Table of inputs; `-` for standard input.
     #[arg(long, value_name = "X.csv")]
-    pub inputs: PathBuf,
+    pub(crate) inputs: PathBuf,
 }
 
 /// Runs the command.
@@ -40,7 +41,7 @@ pub struct Options {
 /// # Errors
 /// When the model or the table cannot be read, the model has no PredNet, or a row or its prediction is
 /// invalid.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let path = match &options.model {
         Some(path) => path.clone(),
         None => machine_file(options.shade.into())?,

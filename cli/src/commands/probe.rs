@@ -19,13 +19,13 @@ use std::io::Write;
   entire probe
   entire probe --device cpu --json
   ENTIRE_DEVICE=llvmpipe entire probe --device vulkan --repeats 21")]
-pub struct Options {
+pub(crate) struct Options {
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    pub(crate) device: Device,
     /// Images grow until a frame takes this many milliseconds, so that the clock is precise enough.
     #[arg(long, default_value_t = 20.0, value_name = "MS", value_parser = parse_milliseconds)]
-    pub frame_ms: f64,
+    pub(crate) frame_ms: f64,
     /// Number of frames whose median is taken.
     #[arg(
         long,
@@ -33,10 +33,10 @@ pub struct Options {
         value_name = "N",
         value_parser = clap::value_parser!(u32).range(1..=1000)
     )]
-    pub repeats: u32,
+    pub(crate) repeats: u32,
     /// Print a JSON object.
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }
 
 fn parse_milliseconds(text: &str) -> Result<f64, String> {
@@ -56,7 +56,7 @@ const MEAN: f64 = 0.1;
 ///
 /// # Errors
 /// When the renderer fails, its clock is too noisy, or its picture differs from the CPU version's.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.device)?;
     let options_of_probe =
         ProbeOptions { frame_seconds: options.frame_ms * 1e-3, repeats: options.repeats as usize };

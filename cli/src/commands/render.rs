@@ -27,36 +27,36 @@ use std::path::PathBuf;
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
   entire render ct.nii.gz --camera -10,120,3 --tf 0.2,0.002,0.1,0.7,0.01,0.8 --size 1280x720 --step 2 \\
       --shade local --skip distance --device vulkan --repeats 5 --out ct.png --json")]
-pub struct Options {
+pub(crate) struct Options {
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
-    pub volume: PathBuf,
+    pub(crate) volume: PathBuf,
     /// Rotation about x and y in degrees, and the eye's distance in bounding-sphere radii.
     #[arg(long, value_name = "RX,RY,DZ", value_parser = parse_camera, allow_hyphen_values = true)]
-    pub camera: Arcball,
+    pub(crate) camera: Arcball,
     /// Opacity lobes: center and width over [0, 1], and height, of each; O(s) = Σ h·exp(−(s − c)²/w).
     #[arg(long, value_name = "c,w,h[,c,w,h…]", value_parser = parse_lobes, allow_hyphen_values = true)]
-    pub tf: Lobes,
+    pub(crate) tf: Lobes,
     /// Image size in pixels.
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Ray step in reference steps (the smallest voxel spacing).
     #[arg(long, default_value_t = 1.0, value_name = "S", allow_hyphen_values = true)]
-    pub step: f32,
+    pub(crate) step: f32,
     /// Rendering options.
     #[command(flatten)]
-    pub render: RenderArgs,
+    pub(crate) render: RenderArgs,
     /// Edge of the blocks that are skipped, in cells: 4, 8 or 16.
     #[arg(long, default_value_t = entire_vk_raycaster::BLOCK_EDGE, value_name = "CELLS")]
-    pub block_edge: usize,
+    pub(crate) block_edge: usize,
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
-    pub fov: f32,
+    pub(crate) fov: f32,
     /// Parallel (orthographic) projection: half of the height that is seen, in bounding-sphere radii.
     #[arg(long, value_name = "RADII", conflicts_with = "fov", allow_hyphen_values = true)]
-    pub parallel_scale: Option<f32>,
+    pub(crate) parallel_scale: Option<f32>,
     /// Reading of the volume.
     #[command(flatten)]
-    pub volume_args: VolumeArgs,
+    pub(crate) volume_args: VolumeArgs,
     /// Renderings of the frame.
     #[arg(
         long,
@@ -64,18 +64,18 @@ pub struct Options {
         value_name = "N",
         value_parser = clap::value_parser!(u32).range(1..=100_000)
     )]
-    pub repeats: u32,
+    pub(crate) repeats: u32,
     /// The picture to write.
     #[arg(long, value_name = "IMG.png")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Print a JSON object instead of a line.
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }
 
 /// The lobes of `--tf`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Lobes(pub Vec<GaussianLobe>);
+pub(crate) struct Lobes(Vec<GaussianLobe>);
 
 fn parse_camera(text: &str) -> Result<Arcball, String> {
     let [rx, ry, dz] = parse_numbers(text)?;
@@ -98,7 +98,7 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
 ///
 /// # Errors
 /// When an option or the volume is invalid, the renderer fails, or the picture cannot be written.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     // All options are checked before the volume is loaded.
     ensure_not_input(&options.out, [options.volume.as_path()])?;
     make_folder_of(&options.out)?;

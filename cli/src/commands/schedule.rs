@@ -1,6 +1,6 @@
 //! `entire schedule`: assignment of tasks to nodes, in order, and the predicted end.
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use entire_farm::list::lower_bound;
 use entire_farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
 use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole};
@@ -19,38 +19,38 @@ use std::path::PathBuf;
   entire schedule tasks.csv --nodes 16 --out assignment.csv
   entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out order.json
   entire schedule tasks.csv --nodes 8 --method affinity --window 32 --out order.csv")]
-pub struct Options {
+pub(crate) struct Options {
     /// The task list.
     #[arg(value_name = "TASKS")]
-    pub tasks: PathBuf,
+    pub(crate) tasks: PathBuf,
     /// Nodes of equal speed.
     #[arg(long, value_name = "N", conflicts_with = "speeds")]
-    pub nodes: Option<usize>,
+    pub(crate) nodes: Option<usize>,
     /// Nodes by speed; a node of speed 2 takes half of a task's seconds.
     #[arg(long, value_delimiter = ',', value_name = "SPEED,…")]
-    pub speeds: Vec<f64>,
+    pub(crate) speeds: Vec<f64>,
     /// Assignment method.
     #[arg(long, value_enum, default_value_t)]
-    pub method: Method,
+    pub(crate) method: Method,
     /// Task times that the schedule uses.
     #[arg(long, value_enum, default_value_t)]
-    pub by: By,
-    /// Seconds that a node spends on each dispatch from a queue.
-    #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
-    pub dispatch: f64,
-    /// Queue entries that a node searches for a task on its loaded volume (--method affinity).
-    #[arg(long, default_value_t = 64, value_name = "TASKS")]
-    pub window: usize,
+    pub(crate) by: By,
+    /// Seconds that a node spends on each dispatch from a queue [default: 0].
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) dispatch: Option<f64>,
+    /// Queue entries that a node searches for a task on its loaded volume (--method affinity) [default: 64].
+    #[arg(long, value_name = "TASKS")]
+    pub(crate) window: Option<usize>,
     /// File for the assignment or order (.csv or .json).
     #[arg(long, value_name = "FILE")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// Bad options or tasks, a file that cannot be written.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let tasks = read_tasks(&options.tasks)?;
     let speeds = match (options.nodes, options.speeds.is_empty()) {
         (Some(0), _) => bail!("--nodes is 0; at least one is needed"),
@@ -58,7 +58,19 @@ pub fn run(options: &Options) -> Result<()> {
         (None, false) => options.speeds.clone(),
         (None, true) => bail!("say how many nodes there are (--nodes N, or --speeds S,…)"),
     };
-    let farm = Farm { speeds, dispatch: options.dispatch, window: options.window };
+    let name = options.method.name();
+    ensure!(
+        options.dispatch.is_none() || !matches!(options.method, Method::Static | Method::Longest),
+        "--dispatch is the cost of a queue; --method {name} has none: leave it out, or choose queue, arrival \
+         or affinity"
+    );
+    ensure!(
+        options.window.is_none() || options.method == Method::Affinity,
+        "--window is for --method affinity; --method {name} searches no queue: leave it out, or choose \
+         affinity"
+    );
+    let farm =
+        Farm { speeds, dispatch: options.dispatch.unwrap_or(0.0), window: options.window.unwrap_or(64) };
     write(&tasks, &farm, options)
 }
 

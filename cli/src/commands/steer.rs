@@ -1,6 +1,5 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
-use crate::pictures::scaled_size;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
@@ -37,42 +36,42 @@ use std::path::{Path, PathBuf};
   30:60fps,60:15fps --out out/series
   entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 1 --table observed.csv \
   --out out/skull")]
-pub struct Options {
+pub(crate) struct Options {
     /// The volume file; several files are a series of volumes (see --hold).
     #[arg(value_name = "VOLUME", required = true)]
-    pub volumes: Vec<PathBuf>,
+    pub(crate) volumes: Vec<PathBuf>,
     /// Frames per volume of a series.
     #[arg(long, value_name = "N")]
-    pub hold: Option<u32>,
+    pub(crate) hold: Option<u32>,
     /// The path file to play (JSON; the format is documented with the examples in examples/paths).
     #[arg(long, value_name = "FILE.json", conflicts_with = "generate", required_unless_present = "generate")]
-    pub path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
     /// Generate a path of this kind for the volume, instead of --path.
     #[arg(long, value_enum)]
-    pub generate: Option<Generated>,
+    pub(crate) generate: Option<Generated>,
     /// Frames of a generated path.
     #[arg(long, default_value_t = 120, value_name = "N", conflicts_with = "path")]
-    pub frames: u32,
+    pub(crate) frames: u32,
     /// Also write the generated path to a file.
     #[arg(long, value_name = "FILE.json", requires = "generate")]
-    pub save_path: Option<PathBuf>,
+    pub(crate) save_path: Option<PathBuf>,
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
-    pub target: String,
+    pub(crate) target: String,
     /// Other targets, each from a frame on, as FRAME:TIME, comma-separated.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:TIME,…")]
-    pub retarget: Vec<String>,
+    pub(crate) retarget: Vec<String>,
     /// Image scales, each from a frame on, as FRAME:SCALE, comma-separated: as if a window were resized.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
-    pub scales: Vec<(u32, f32)>,
+    pub(crate) scales: Vec<(u32, f32)>,
     /// Coarsest image of the hybrid controller, in pixels between rays along each side; the hybrid coarsens
     /// step or image, whichever adds less error. Smaller images are enlarged to full size before pictures are
     /// compared. 1 keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
-    pub max_image_sample_distance: f32,
+    pub(crate) max_image_sample_distance: f32,
     /// Write every drawn frame into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
-    pub table: Option<PathBuf>,
+    pub(crate) table: Option<PathBuf>,
     /// Controllers to compare. Rules that act on image resolution draw smaller images at the reference step.
     #[arg(
         long,
@@ -84,48 +83,51 @@ pub struct Options {
         ],
         value_name = "NAME,…"
     )]
-    pub controllers: Vec<ControllerKind>,
+    pub(crate) controllers: Vec<ControllerKind>,
     /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
     /// coarser steps.
     #[arg(long, alias = "calibrate", default_value_t = 16, value_name = "N")]
-    pub scenes: usize,
+    pub(crate) scenes: usize,
     /// Renderings of each random scene at each step; their median time counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
-    pub repeats: usize,
+    pub(crate) repeats: usize,
     /// Model file; default: the machine's model (`entire calibrate`), else the shipped one, corrected by
     /// every frame.
     #[arg(long, value_name = "M.safetensors")]
-    pub model: Option<PathBuf>,
+    pub(crate) model: Option<PathBuf>,
     /// Folder for the results.
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Rendering options.
     #[command(flatten)]
-    pub render: RenderArgs,
+    pub(crate) render: RenderArgs,
     /// Reading of the volumes.
     #[command(flatten)]
-    pub volume_args: VolumeArgs,
+    pub(crate) volume_args: VolumeArgs,
     /// The clock of frame times; `auto`: the clock of --model or of the machine's model (`entire calibrate`),
     /// else the device's. A model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Finest and coarsest allowed step, reference steps. Rules that act on image resolution have their own
     /// ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
-    pub limits: (f32, f32),
+    pub(crate) limits: (f32, f32),
     /// Enlarge the volume by this factor at load, trilinearly.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
-    pub enlarge: usize,
+    pub(crate) enlarge: usize,
     /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Frames whose pictures are added to the report, besides those of switches.
     #[arg(long, value_delimiter = ',', value_name = "FRAME,…")]
-    pub pictures: Vec<usize>,
+    pub(crate) pictures: Vec<usize>,
 }
+
+/// Message after Ctrl-C.
+pub(super) const INTERRUPTED: &str = "interrupted; nothing was written";
 
 fn parse_retarget(text: &str) -> Result<(u32, f64)> {
     let (frame, time) = text
@@ -136,15 +138,15 @@ fn parse_retarget(text: &str) -> Result<(u32, f64)> {
         .parse()
         .ok()
         .with_context(|| format!("--retarget {text:?} names no frame; give FRAME:TIME like 40:60fps"))?;
-    Ok((frame, parse_target(time)?))
+    Ok((frame, parse_target(time).with_context(|| format!("--retarget {text:?}"))?))
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// Bad options or files, a device that fails, interruption.
-pub fn run(options: &Options) -> Result<()> {
-    let target = parse_target(&options.target)?;
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let target = parse_target(&options.target).context("--target")?;
     let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };
     limits.check()?;
     ensure!(!options.controllers.is_empty(), "--controllers names no controller");
@@ -222,7 +224,6 @@ pub fn run(options: &Options) -> Result<()> {
         model: &steers,
         prior,
     };
-    const INTERRUPTED: &str = "interrupted; nothing was written";
     let frames = path.frames.len();
     for &(frame, _) in &retargets {
         ensure!(
@@ -300,7 +301,6 @@ fn write_table(
         let volume = playback.volumes[i];
         for records in &playback.records {
             let r = &records[i];
-            let (width, height) = scaled_size(playback.sizes[i], 1.0 / r.image_sample_distance);
             let scene = Scene {
                 volume: options.volumes[volume].display().to_string(),
                 member: String::new(),
@@ -308,8 +308,8 @@ fn write_table(
                 dims: volumes[volume].dims().map(|n| n as u32),
                 camera: at.camera,
                 fov_y_degrees: path.fov_y_degrees,
-                width,
-                height,
+                width: r.size.0,
+                height: r.size.1,
                 step: r.step,
                 shading: draw.shading,
                 skipping: draw.skipping,
@@ -325,7 +325,7 @@ fn write_table(
 }
 
 /// Description of a volume: file, sizes, enlargement.
-pub fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
+pub(super) fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
     let [x, y, z] = volume.dims();
     let enlarged =
         if factor == 1 { String::new() } else { format!(", enlarged trilinearly x{factor} at load") };

@@ -92,7 +92,7 @@ pub struct Options {
     pub scene_features: Vec<String>,
     /// Sort the Gaussian lobes of `transfer_function` by center: their sum does not depend on the order, and
     /// a network on sorted lobes need not learn that.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "fine_tune")]
     pub sorted_lobes: bool,
     /// Rays along each side of the probe behind scene features, 1 to 24; default: the standard 11. Fewer rays
     /// make every prediction faster.
@@ -182,6 +182,8 @@ const NOISY: f64 = 0.2;
 pub fn run(options: &Options) -> Result<()> {
     let started = Instant::now();
     check_model_out(&options.out)?;
+    let recipe = options.recipe();
+    check_used(&recipe)?;
     let pool = thread_pool(options.threads)?;
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
@@ -238,7 +240,7 @@ pub fn run(options: &Options) -> Result<()> {
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };
-    let fitted = options.recipe().make(&context, training, validation)?;
+    let fitted = recipe.make(&context, training, validation)?;
     bar.finish_and_clear();
     let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
 
@@ -406,6 +408,34 @@ impl Options {
     }
 }
 
+/// Refuses the options of networks for unit costs, which are fitted without them.
+fn check_used(recipe: &Recipe) -> Result<()> {
+    let usual = Recipe::default();
+    let options = [
+        ("--layers", recipe.layers != usual.layers),
+        ("--preset", recipe.preset.is_some()),
+        ("--inputs", recipe.inputs != usual.inputs),
+        ("--scene-features", !recipe.scene_features.is_empty()),
+        ("--sorted-lobes", recipe.sorted_lobes),
+        ("--ensemble", recipe.ensemble != usual.ensemble),
+        ("--target", recipe.target != usual.target),
+        ("--loss", recipe.loss != usual.loss),
+        ("--epochs", recipe.epochs != usual.epochs),
+        ("--batch", recipe.batch != usual.batch),
+        ("--learning-rate", recipe.learning_rate.is_some()),
+        ("--patience", recipe.patience != usual.patience),
+        ("--volumenet", recipe.volumenet.is_some()),
+        ("--dtype", recipe.dtype != usual.dtype),
+    ];
+    let given: Vec<&str> = options.into_iter().filter(|o| o.1).map(|o| o.0).collect();
+    ensure!(
+        recipe.kind != Kind::Analytic || given.is_empty(),
+        "{} is for networks; --model-kind analytic has none: leave it out, or choose another kind",
+        given.join(", ")
+    );
+    Ok(())
+}
+
 fn names(layout: &Layout) -> Vec<String> {
     layout.scene_features().iter().map(ToString::to_string).collect()
 }
@@ -491,8 +521,13 @@ fn card(
     if let (Some(first), Some(last)) = (trained.fitted.history.first(), trained.fitted.history.last()) {
         let _ = writeln!(
             md,
-            "Loss (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.\n",
-            first.training_loss, first.validation_loss, last.training_loss, last.validation_loss, last.epoch
+            "Loss{} (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.\n",
+            if options.ensemble > 1 { " of network 1" } else { "" },
+            first.training_loss,
+            first.validation_loss,
+            last.training_loss,
+            last.validation_loss,
+            last.epoch
         );
     }
     let _ = writeln!(

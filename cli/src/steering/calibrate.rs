@@ -15,7 +15,7 @@ use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 
 /// Ray steps at which every random scene is rendered, reference steps. The first is the reference.
-pub const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
+pub(crate) const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
 
 /// One rendering of a random scene.
 #[derive(Clone, Debug)]
@@ -58,9 +58,9 @@ impl Sample {
     }
 }
 
-/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times, and keeps the
-/// median time. Scenes come from `distribution` (its sizes and steps are not used) with `seed` and `name`;
-/// their transfer functions are random and differ from those of a path.
+/// Renders `scenes` random scenes at six ray steps, each `repeats` times, and keeps the median time. Scenes
+/// come from `distribution` (its sizes and steps are not used) with `seed` and `name`; their transfer
+/// functions are random and differ from those of a path.
 ///
 /// Returns `None` when `stop` returned true.
 ///
@@ -132,7 +132,7 @@ pub fn response(samples: &[Sample]) -> Result<StepResponse> {
 }
 
 /// The (step, time ratio) pairs that [`response`] uses, scene after scene.
-pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
+pub(crate) fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
     samples
         .iter()
         .filter_map(|s| {

@@ -5,37 +5,37 @@ use serde::Serialize;
 
 /// Number of frames from a switch on (the switch's own frame first) over which the error at switches is
 /// taken.
-pub const SWITCH_FRAMES: usize = 3;
+pub(crate) const SWITCH_FRAMES: usize = 3;
 
 /// One frame under one controller, for the metrics.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Played {
+pub(crate) struct Played {
     /// Measured seconds.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Target of the frame, seconds.
-    pub target: f64,
+    pub(crate) target: f64,
     /// Ray step, reference steps; for a controller that acts on image resolution, pixels of the full image
     /// per pixel drawn.
-    pub step: f64,
+    pub(crate) step: f64,
     /// Finest allowed value.
-    pub finest: f64,
+    pub(crate) finest: f64,
     /// Coarsest allowed value.
-    pub coarsest: f64,
+    pub(crate) coarsest: f64,
     /// PSNR against the picture at the reference step, decibels; `None` where no reference was drawn.
-    pub psnr: Option<f64>,
+    pub(crate) psnr: Option<f64>,
     /// True if something switched abruptly at this frame.
-    pub switched: bool,
+    pub(crate) switched: bool,
 }
 
 impl Played {
     /// (t − target) / target.
-    pub fn error(&self) -> f64 {
+    pub(crate) fn error(&self) -> f64 {
         (self.seconds - self.target) / self.target
     }
 
     /// True if the frame is on target: within a quarter of it, or faster with the finest step, or slower with
     /// the coarsest.
-    pub fn on_target(&self) -> bool {
+    pub(crate) fn on_target(&self) -> bool {
         let (finest, coarsest) = (self.step <= self.finest * 1.001, self.step >= self.coarsest * 0.999);
         (self.error() <= 0.25 || coarsest) && (self.error() >= -0.25 || finest)
     }
@@ -43,38 +43,38 @@ impl Played {
 
 /// A controller's figures over a path. Shares are 0 to 1, times seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Metrics {
+pub(crate) struct Metrics {
     /// Frames played.
-    pub frames: usize,
+    pub(crate) frames: usize,
     /// Share of frames that took over 1.1 times the target.
-    pub missed_by_10_percent: f64,
+    pub(crate) missed_by_10_percent: f64,
     /// Share of frames that took over 1.25 times the target.
-    pub missed_by_25_percent: f64,
+    pub(crate) missed_by_25_percent: f64,
     /// Mean of |t − target| / target.
-    pub mean_error: f64,
+    pub(crate) mean_error: f64,
     /// The same over the first [`SWITCH_FRAMES`] frames from each switch on; `None` without switches.
-    pub mean_error_at_switches: Option<f64>,
+    pub(crate) mean_error_at_switches: Option<f64>,
     /// The same over all other frames but the path's first [`SWITCH_FRAMES`].
-    pub mean_error_in_calm: Option<f64>,
+    pub(crate) mean_error_in_calm: Option<f64>,
     /// Frames from each switch on until two in a row are on target (see [`Played::on_target`]); 0 when the
     /// switch's own frame is the first of them. Where that never happens, frames to the next switch or the
     /// end.
-    pub recovery_frames: Vec<usize>,
+    pub(crate) recovery_frames: Vec<usize>,
     /// 95th percentile of the frame time (nearest rank).
-    pub p95_seconds: f64,
+    pub(crate) p95_seconds: f64,
     /// Longest frame time.
-    pub worst_seconds: f64,
+    pub(crate) worst_seconds: f64,
     /// Mean PSNR against the reference step's pictures, decibels, each at most [`BEST_PSNR`].
-    pub mean_psnr: Option<f64>,
+    pub(crate) mean_psnr: Option<f64>,
     /// Mean of [`Played::step`].
-    pub mean_step: f64,
+    pub(crate) mean_step: f64,
     /// Share of calm frames whose step differs by over 20 % from that of the frame before.
-    pub step_jumps_in_calm: f64,
+    pub(crate) step_jumps_in_calm: f64,
 }
 
 impl Metrics {
     /// Metrics of the frames of a path, in order; `None` for no frames.
-    pub fn of(frames: &[Played]) -> Option<Self> {
+    pub(crate) fn of(frames: &[Played]) -> Option<Self> {
         if frames.is_empty() {
             return None;
         }

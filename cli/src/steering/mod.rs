@@ -3,7 +3,7 @@
 
 pub mod calibrate;
 pub mod contenders;
-pub mod metrics;
+pub(crate) mod metrics;
 pub mod model;
 pub mod play;
 pub mod race;

@@ -76,16 +76,16 @@ impl SteeringModel {
 
 /// The predictor of a comparison, for output.
 #[derive(Clone, Debug, Serialize)]
-pub struct Steers {
+pub(crate) struct Steers {
     /// Name of the predictor.
-    pub title: String,
+    pub(crate) title: String,
     /// Its errors on the random frames of the volume, which it was not fitted to.
-    pub on_this_volume: Quality,
+    pub(crate) on_this_volume: Quality,
 }
 
 impl Steers {
     /// The predictor and its errors, in a sentence.
-    pub fn sentence(&self) -> String {
+    pub(crate) fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         format!(
             "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this \

@@ -122,65 +122,67 @@ pub struct Contender {
 
 /// One frame under one controller.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Record {
+pub(crate) struct Record {
     /// Ray step, reference steps.
-    pub step: f32,
+    pub(crate) step: f32,
     /// Pixels between rays along each side; 1 where the controller does not choose it.
-    pub image_sample_distance: f32,
+    pub(crate) image_sample_distance: f32,
+    /// Size (width, height) of the drawn image, pixels.
+    pub(crate) size: (u32, u32),
     /// Predicted seconds; NaN from controllers that predict nothing.
-    pub predicted: f32,
+    pub(crate) predicted: f32,
     /// Upper bound, seconds; NaN where there is none.
-    pub upper: f32,
+    pub(crate) upper: f32,
     /// Out-of-range score: 0 inside the predictor's training range, beyond 1 not to be trusted; NaN where
     /// unknown.
-    pub out_of_range: f32,
+    pub(crate) out_of_range: f32,
     /// Reason for this step.
-    pub reason: Reason,
+    pub(crate) reason: Reason,
     /// Seconds by all clocks.
-    pub measured: Timing,
+    pub(crate) measured: Timing,
     /// Seconds by the chosen clock.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// PSNR against the reference picture, decibels.
-    pub psnr: f64,
+    pub(crate) psnr: f64,
     /// The picture, at the selected frames.
-    pub image: Option<Image>,
+    pub(crate) image: Option<Image>,
 }
 
 /// The reference rendering of a frame.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Reference {
+pub(crate) struct Reference {
     /// Seconds at the reference step by the chosen clock.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// The picture, at the selected frames.
-    pub image: Option<Image>,
+    pub(crate) image: Option<Image>,
 }
 
 /// Results of a played path.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Playback {
+pub(crate) struct Playback {
     /// The controllers' names.
-    pub names: Vec<String>,
+    pub(crate) names: Vec<String>,
     /// Quantity that each controller sets.
-    pub acts_on: Vec<ActsOn>,
+    pub(crate) acts_on: Vec<ActsOn>,
     /// Records by controller and frame.
-    pub records: Vec<Vec<Record>>,
+    pub(crate) records: Vec<Vec<Record>>,
     /// Reference rendering of each frame.
-    pub references: Vec<Reference>,
+    pub(crate) references: Vec<Reference>,
     /// Frames at which something switched: the path, the volume or the image size.
-    pub switches: Vec<usize>,
+    pub(crate) switches: Vec<usize>,
     /// Target of each frame, seconds.
-    pub targets: Vec<f64>,
+    pub(crate) targets: Vec<f64>,
     /// Full image size (width, height) of each frame, pixels.
-    pub sizes: Vec<(u32, u32)>,
+    pub(crate) sizes: Vec<(u32, u32)>,
     /// Index of each frame's volume.
-    pub volumes: Vec<usize>,
+    pub(crate) volumes: Vec<usize>,
     /// The allowed steps.
-    pub limits: StepLimits,
+    pub(crate) limits: StepLimits,
 }
 
 impl Playback {
     /// A controller's frames, as the metrics need them.
-    pub fn played(&self, controller: usize) -> Vec<Played> {
+    pub(crate) fn played(&self, controller: usize) -> Vec<Played> {
         let acts_on = self.acts_on[controller];
         let limits = acts_on.limits(self.limits);
         let chosen = |r: &Record| match acts_on {
@@ -203,56 +205,56 @@ impl Playback {
     }
 
     /// Every controller's figures, in the order of the names.
-    pub fn metrics(&self) -> Vec<Metrics> {
+    pub(crate) fn metrics(&self) -> Vec<Metrics> {
         (0..self.names.len()).filter_map(|c| Metrics::of(&self.played(c))).collect()
     }
 }
 
 /// A volume of the path.
 #[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
+pub(crate) struct Shown<'a> {
     /// Its voxels.
-    pub view: &'a VolumeView<'a>,
+    pub(crate) view: &'a VolumeView<'a>,
     /// Its summary.
-    pub summary: &'a VolumeSummary,
+    pub(crate) summary: &'a VolumeSummary,
 }
 
 /// A path, with the target and limits that it is played with.
 #[derive(Clone, Copy, Debug)]
-pub struct Task<'a> {
+pub(crate) struct Task<'a> {
     /// The volume, or those of a series in order.
-    pub volumes: &'a [Shown<'a>],
+    pub(crate) volumes: &'a [Shown<'a>],
     /// Frames per volume of a series; 0 for a single volume.
-    pub hold: u32,
+    pub(crate) hold: u32,
     /// VolumeNet's output for the volume, if a model uses it.
-    pub volume_features: Option<&'a [f32]>,
+    pub(crate) volume_features: Option<&'a [f32]>,
     /// The path.
-    pub path: &'a FlightPath,
+    pub(crate) path: &'a FlightPath,
     /// Target, seconds.
-    pub target: f64,
+    pub(crate) target: f64,
     /// Other targets from a frame on, ascending.
-    pub retargets: &'a [(u32, f64)],
+    pub(crate) retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
-    pub scales: &'a [(u32, f32)],
+    pub(crate) scales: &'a [(u32, f32)],
     /// Largest image sample distance (pixels between rays along each side) of contenders that choose it; 1
     /// keeps the full image.
-    pub max_image_sample_distance: f32,
+    pub(crate) max_image_sample_distance: f32,
     /// Allowed steps.
-    pub limits: StepLimits,
+    pub(crate) limits: StepLimits,
     /// Frames whose pictures are kept.
-    pub keep: &'a [usize],
+    pub(crate) keep: &'a [usize],
 }
 
 impl Task<'_> {
     /// The target of a frame.
-    pub fn target_at(&self, frame: usize) -> f64 {
+    fn target_at(&self, frame: usize) -> f64 {
         self.retargets.iter().rev().find(|(from, _)| *from as usize <= frame).map_or(self.target, |(_, t)| *t)
     }
 }
 
 /// Quality law of the raycaster's pictures, for models that state none: as `entire calibrate` fits it to the
 /// volumes in data/, unshaded.
-pub const RAYCASTER: Quality =
+pub(crate) const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
 /// Plays a path under all contenders. Each frame is drawn at the reference step first, then under every
@@ -263,7 +265,7 @@ pub const RAYCASTER: Quality =
 ///
 /// # Errors
 /// When the renderer or a prediction fails; names the frame.
-pub fn play(
+pub(crate) fn play(
     task: &Task<'_>,
     draw: &DrawSettings,
     renderer: &mut dyn Renderer,
@@ -346,14 +348,14 @@ pub fn play(
             let target = playback.targets[index] as f32;
             let plan = session.plan(&frame, target).with_context(place)?;
             let full = (frame.width, frame.height);
-            let (step, image_sample_distance, (width, height)) = if chooses {
+            let (step, image_sample_distance, size) = if chooses {
                 let distance = plan.image_sample_distance;
                 (plan.step, distance, sampled_size(full, distance))
             } else {
                 let (step, distance) = acts_on.drawn(plan.step);
                 (step, distance, scaled_size(full, 1.0 / distance))
             };
-            let drawn = DrawSettings { width, height, ..*draw }.frame(camera)?;
+            let drawn = DrawSettings { width: size.0, height: size.1, ..*draw }.frame(camera)?;
             let rendered = renderer.render(&Frame { step, ..drawn }.checked()?).with_context(place)?;
             let picture =
                 resized(&rendered.image, frame.width, frame.height).context("an image without pixels")?;
@@ -363,6 +365,7 @@ pub fn play(
             playback.records[c].push(Record {
                 step,
                 image_sample_distance,
+                size,
                 predicted: plan.seconds,
                 upper: plan.upper,
                 out_of_range: plan.out_of_range,
@@ -389,7 +392,6 @@ mod tests {
     use entire_core::scene::{Scalars, TransferFunction};
     use entire_io::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
     use entire_steer::control::Prior;
-    use entire_steer::features::SummaryOptions;
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
     /// A predictor that knows the law of the scripted renderer up to a factor.
@@ -451,7 +453,7 @@ mod tests {
     ) -> Option<Playback> {
         let voxels = vec![128u8; 32 * 32 * 32];
         let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
-        let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+        let summary = VolumeSummary::new(&view).unwrap();
         let law = ScriptedRenderer::default();
         // G of the law at a medium opacity, as samples of several scenes would give it.
         let at = |step: f64| law.fixed + 1e4 * 0.1 * law.per_sample * 100.0 / step;

@@ -18,43 +18,43 @@ use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
 use entire_steer::control::Prior;
 use entire_steer::control::StepLimits;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::Renderer;
 
 /// Settings of a comparison of controllers.
 #[derive(Clone, Debug)]
-pub struct Race<'a> {
+pub(crate) struct Race<'a> {
     /// The volume.
-    pub volume: &'a VolumeView<'a>,
+    pub(crate) volume: &'a VolumeView<'a>,
     /// The further volumes of a series; random scenes are of the first volume only.
-    pub series: &'a [VolumeView<'a>],
+    pub(crate) series: &'a [VolumeView<'a>],
     /// Frames per volume of a series; 0 for a single volume.
-    pub hold: u32,
+    pub(crate) hold: u32,
     /// Other targets from a frame on, ascending.
-    pub retargets: &'a [(u32, f64)],
+    pub(crate) retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
-    pub scales: &'a [(u32, f32)],
+    pub(crate) scales: &'a [(u32, f32)],
     /// Largest image sample distance (pixels between rays along each side) of the hybrid; 1 keeps the full
     /// image.
-    pub max_image_sample_distance: f32,
+    pub(crate) max_image_sample_distance: f32,
     /// The name that seeds random scenes.
-    pub seed_name: &'a str,
+    pub(crate) seed_name: &'a str,
     /// Seed of the random scenes.
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Settings of drawing.
-    pub draw: DrawSettings,
+    pub(crate) draw: DrawSettings,
     /// Number of random scenes, and of their renderings at each step.
-    pub scenes: (usize, usize),
+    pub(crate) scenes: (usize, usize),
     /// Allowed steps.
-    pub limits: StepLimits,
+    pub(crate) limits: StepLimits,
     /// The controllers to compare.
-    pub controllers: &'a [ControllerKind],
+    pub(crate) controllers: &'a [ControllerKind],
     /// Target, seconds; `None` to choose it by [`sane_target`].
-    pub target: Option<f64>,
+    pub(crate) target: Option<f64>,
     /// The predictor, for controllers that use one.
-    pub model: &'a SteeringModel,
+    pub(crate) model: &'a SteeringModel,
     /// Prior knowledge of the predictor's errors, for controllers that correct it.
-    pub prior: Prior,
+    pub(crate) prior: Prior,
 }
 
 /// Chooses the predictor: the given model, else the machine's, else the shipped one, whose scale every frame
@@ -62,7 +62,7 @@ pub struct Race<'a> {
 ///
 /// # Errors
 /// When a model cannot be read, or holds no predictor.
-pub fn steering_model(
+pub(crate) fn steering_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,
     shading: Shading,
@@ -94,47 +94,62 @@ pub fn steering_model(
 ///
 /// # Errors
 /// When the file of the machine's model holds no model.
-pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(String, ModelFile)>, Clock)> {
+pub(crate) fn machine_model_for(
+    shading: Shading,
+    asked: Clock,
+) -> Result<(Option<(String, ModelFile)>, Clock)> {
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
     let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
-        entire_io::files::note(&format!(
-            "{} is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
-             --shade {} --clock {}` makes a model of that clock)",
-            path.display(),
-            stated.map_or("unspecified", Clock::name),
-            asked.name(),
-            shading,
-            asked.name()
-        ));
+        entire_io::files::note(&format!("{} {}", path.display(), ignored(shading, stated, asked)));
         return Ok((None, asked));
     };
     Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
 }
 
+/// Reason why the machine's model is ignored, and the remedy.
+fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
+    let remedy = match asked {
+        Clock::Auto => String::new(),
+        named => format!(" --clock {}", named.name()),
+    };
+    match stated {
+        None => format!(
+            "is ignored: it states no clock (`entire calibrate --shade {shading}{remedy}` makes a model that \
+             does)"
+        ),
+        Some(stated) => format!(
+            "is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
+             --shade {shading}{remedy}` makes a model of that clock)",
+            stated.name(),
+            asked.name()
+        ),
+    }
+}
+
 /// Results of the random scenes.
 #[derive(Clone, Debug)]
-pub struct Prepared {
+pub(crate) struct Prepared {
     /// The volume's summary.
-    pub summary: VolumeSummary,
+    pub(crate) summary: VolumeSummary,
     /// One sample per random scene and step.
-    pub samples: Vec<Sample>,
+    pub(crate) samples: Vec<Sample>,
     /// G: relative frame time over ray step.
-    pub response: StepResponse,
+    pub(crate) response: StepResponse,
     /// The predictor and its errors.
-    pub predictor: Steers,
+    pub(crate) predictor: Steers,
     /// Target, seconds.
-    pub target: f64,
+    pub(crate) target: f64,
     /// Median seconds of the random scenes at the reference step.
-    pub full_quality: f64,
+    pub(crate) full_quality: f64,
     /// Origin of the target; empty where it was given.
-    pub target_reason: String,
+    pub(crate) target_reason: String,
     /// The fixed controller's step.
-    pub fixed_step: f32,
+    pub(crate) fixed_step: f32,
 }
 
 impl Prepared {
     /// G, and its samples.
-    pub fn response_curve(&self) -> ResponseCurve {
+    pub(crate) fn response_curve(&self) -> ResponseCurve {
         ResponseCurve::new(&self.samples, &self.response)
     }
 }
@@ -148,11 +163,11 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
 
 /// Share of the median time of random scenes at the reference step that is the default target. Most scenes
 /// must then be drawn coarser, few of them at the coarsest step.
-pub const TARGET_SHARE: f64 = 0.5;
+pub(crate) const TARGET_SHARE: f64 = 0.5;
 
 /// [`TARGET_SHARE`] of the median time at the reference step, seconds, rounded to a tenth of a millisecond if
 /// it is over a millisecond; `None` without samples.
-pub fn sane_target(samples: &[Sample]) -> Option<f64> {
+pub(crate) fn sane_target(samples: &[Sample]) -> Option<f64> {
     let target = TARGET_SHARE * median(&mut times_at(samples, 1.0))?;
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
@@ -170,12 +185,12 @@ pub fn calibration_scenes() -> SceneDistribution {
 ///
 /// # Errors
 /// When the renderer fails or there are too few scenes.
-pub fn prepare(
+pub(crate) fn prepare(
     race: &Race<'_>,
     renderer: &mut dyn Renderer,
     stop: &dyn Fn() -> bool,
 ) -> Result<Option<Prepared>> {
-    let summary = VolumeSummary::new(race.volume, SummaryOptions::default())?;
+    let summary = VolumeSummary::new(race.volume)?;
     let bar = progress_bar("measure");
     let samples = measure(
         race.volume,
@@ -225,7 +240,7 @@ pub fn prepare(
 ///
 /// # Errors
 /// When the renderer or a prediction fails.
-pub fn run(
+pub(crate) fn run(
     race: &Race<'_>,
     prepared: &Prepared,
     path: &FlightPath,
@@ -241,11 +256,8 @@ pub fn run(
             Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, race.prior))
         })
         .collect::<Result<_>>()?;
-    let summaries: Vec<VolumeSummary> = race
-        .series
-        .iter()
-        .map(|v| Ok(VolumeSummary::new(v, SummaryOptions::default())?))
-        .collect::<Result<_>>()?;
+    let summaries: Vec<VolumeSummary> =
+        race.series.iter().map(|v| Ok(VolumeSummary::new(v)?)).collect::<Result<_>>()?;
     let mut shown = vec![Shown { view: race.volume, summary: &prepared.summary }];
     shown.extend(race.series.iter().zip(&summaries).map(|(view, summary)| Shown { view, summary }));
     let task = Task {
@@ -264,4 +276,22 @@ pub fn run(
     let playback = play(&task, &race.draw, renderer, &mut contenders, stop, &bar);
     bar.finish_and_clear();
     playback
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_that_is_ignored_can_be_made_again_by_the_command_in_the_note() {
+        let said = ignored(Shading::None, Some(Clock::Cpu), Clock::Wall);
+        assert!(said.contains("predicts cpu time") && said.contains("--shade none --clock wall`"), "{said}");
+        for (asked, command) in [
+            (Clock::Auto, "`entire calibrate --shade local`"),
+            (Clock::Wall, "`entire calibrate --shade local --clock wall`"),
+        ] {
+            let said = ignored(Shading::Local, None, asked);
+            assert!(said.contains("states no clock") && said.contains(command), "{said}");
+        }
+    }
 }

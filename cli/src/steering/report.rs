@@ -47,25 +47,25 @@ impl ResponseCurve {
 
 /// Contents of a report besides the playback.
 #[derive(Clone, Debug)]
-pub struct Story {
+pub(crate) struct Story {
     /// The page's title.
-    pub title: String,
+    pub(crate) title: String,
     /// The sentence below the title.
-    pub lead: String,
+    pub(crate) lead: String,
     /// Origin of the target.
-    pub target: String,
+    pub(crate) target: String,
     /// Description of the volume.
-    pub volume: String,
+    pub(crate) volume: String,
     /// Description of the path.
-    pub path: String,
+    pub(crate) path: String,
     /// The predictor and its errors.
-    pub predictor: Steers,
+    pub(crate) predictor: Steers,
     /// G: relative frame time over ray step.
-    pub response: ResponseCurve,
+    pub(crate) response: ResponseCurve,
     /// Further remarks, a paragraph each.
-    pub remarks: Vec<String>,
+    pub(crate) remarks: Vec<String>,
     /// Provenance of the numbers.
-    pub provenance: Provenance,
+    pub(crate) provenance: Provenance,
 }
 
 fn title(name: &str) -> String {
@@ -102,7 +102,7 @@ fn percent(v: f64) -> String {
 }
 
 /// The table of figures, best values marked.
-pub fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
+pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     let mut table = Table::new(vec![
         Column::text("controller"),
         Column::text("acts on"),
@@ -161,7 +161,7 @@ fn setting(r: &Record) -> String {
 }
 
 /// Legend of the table's columns.
-pub fn table_caption() -> String {
+fn table_caption() -> String {
     format!(
         "T is the target, t a frame time. \"> 1.1 T\" and \"> 1.25 T\": shares of frames that took longer. \
          |t - T| / T: mean over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames of each \
@@ -296,7 +296,7 @@ fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) ->
 ///
 /// # Errors
 /// When a picture cannot be encoded.
-pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Result<Page> {
+fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Result<Page> {
     let frames = playback.references.len();
     let numbered = |c: usize, f: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
         (0..playback.records[c].len()).map(|i| (i as f64, f(i))).collect()
@@ -473,7 +473,12 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
 ///
 /// # Errors
 /// When a file cannot be written; names it.
-pub fn write(folder: &Path, story: &Story, draw: &DrawSettings, playback: &Playback) -> Result<Vec<Metrics>> {
+pub(crate) fn write(
+    folder: &Path,
+    story: &Story,
+    draw: &DrawSettings,
+    playback: &Playback,
+) -> Result<Vec<Metrics>> {
     make_folder(folder)?;
     let metrics = playback.metrics();
     write_csv(&folder.join("frames.csv"), playback)?;

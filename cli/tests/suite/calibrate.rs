@@ -5,7 +5,7 @@ use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
 use entire_core::model::{Model, ModelFile};
 use entire_core::scene::Shading;
 use entire_io::dataset::{Clock, read_tables};
-use entire_steer::predict::{Quality, load};
+use entire_steer::predict::load;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -134,7 +134,7 @@ fn a_model_states_what_coarser_pictures_cost() {
         let made = run(at, &[&arguments[..], &more, &last].concat());
         assert!(made.status.success(), "{}", stderr(&made));
         let model = Model::from_bytes(&std::fs::read(at.join(&out)).unwrap()).unwrap();
-        let quality = Quality::of(&model).unwrap().unwrap_or_else(|| panic!("{}", stdout(&made)));
+        let quality = load(&model).unwrap().quality("").unwrap_or_else(|| panic!("{}", stdout(&made)));
         assert_eq!(load(&model).unwrap().quality("cpu"), Some(quality));
         assert_eq!(load(&model).unwrap().quality("vulkan"), None);
         let said = stdout(&made);

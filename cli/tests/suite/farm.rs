@@ -260,7 +260,19 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     succeeds(dir.path(), &["farm", "job.toml", "--dry-run", "--save-tasks", "tasks.csv"]);
     let list = std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap();
     assert_eq!(list.lines().count(), 41);
-    succeeds(dir.path(), &["schedule", "tasks.csv", "--nodes", "4", "--out", "a.csv"]);
+    let schedule = ["schedule", "tasks.csv", "--nodes", "4", "--out", "a.csv"];
+    succeeds(dir.path(), &schedule);
+    succeeds(
+        dir.path(),
+        &[&schedule[..], &["--method", "affinity", "--dispatch", "1", "--window", "2"]].concat(),
+    );
+    // Options that would have no effect.
+    for (more, parts) in [
+        (&["--dispatch", "1"][..], ["--dispatch", "--method static"]),
+        (&["--method", "queue", "--window", "2"], ["--window", "--method queue"]),
+    ] {
+        refuses(dir.path(), &[&schedule[..], more].concat(), &parts);
+    }
     // With the list as the source of the tasks' expected times.
     let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
     std::fs::write(dir.path().join("told.toml"), text + "\n[predict]\nlist = \"tasks.csv\"\n").unwrap();

@@ -95,13 +95,13 @@ fn steer_chooses_image_sizes_and_logs_them() {
         "--device",
         "cpu",
         "--size",
-        "120x96",
+        "121x97",
         "--scenes",
         "4",
         "--controllers",
         "olp,hybrid",
         "--max-image-sample-distance",
-        "2",
+        "1.9",
         "--table",
         log_text,
         "--out",
@@ -112,21 +112,26 @@ fn steer_chooses_image_sizes_and_logs_them() {
     let at = |name: &str| frames.lines().next().unwrap().split(',').position(|c| c == name).unwrap();
     let (who, distance) = (at("controller"), at("image_sample_distance"));
     let mut chosen = BTreeSet::new();
+    let mut drawn = Vec::new();
     for row in frames.lines().skip(1).map(|l| l.split(',').collect::<Vec<_>>()) {
         assert!(row[who] == "hybrid" || row[distance] == "1", "{row:?}");
         chosen.insert(row[distance].to_owned());
+        // Rounded down, as a plan states it.
+        drawn.push((121.0 / row[distance].parse::<f64>().unwrap()) as u32);
     }
     assert!(
-        chosen.len() > 1 && chosen.iter().all(|s| (1.0..=2.0).contains(&s.parse::<f32>().unwrap())),
+        chosen.len() > 1 && chosen.iter().all(|s| (1.0..=1.9).contains(&s.parse::<f32>().unwrap())),
         "{chosen:?}"
     );
-    // The log holds the drawn sizes.
+    // The log holds the drawn sizes, row by row.
     let table = std::fs::read_to_string(&log).unwrap();
     let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
     let width = columns.iter().position(|c| c.starts_with("width")).unwrap();
-    let widths: BTreeSet<&str> = table.lines().skip(1).map(|l| l.split(',').nth(width).unwrap()).collect();
-    assert!(widths.contains("120") && widths.iter().any(|w| w.parse::<u32>().unwrap() < 101), "{widths:?}");
-    assert_eq!(table.lines().count(), 1 + 2 * 12);
+    let widths: Vec<u32> =
+        table.lines().skip(1).map(|l| l.split(',').nth(width).unwrap().parse().unwrap()).collect();
+    assert!(widths.contains(&121) && widths.iter().any(|w| *w < 101), "{widths:?}");
+    assert_eq!(widths, drawn);
+    assert_eq!(widths.len(), 2 * 12);
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
@@ -207,11 +212,13 @@ fn bad_input_is_one_line_and_status_1() {
         (output.status.code(), text)
     };
     for (more, expected) in [
-        (&["--target", "33"][..], "no known unit"),
+        (&["--target", "33"][..], "--target: "),
+        (&["--target", "33"], "no known unit"),
         (&["--target", "0ms"], "finite positive"),
         (&["--target", "-1"], "no known unit"),
         (&["--target", "-5ms"], "finite positive"),
         (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
+        (&["--target", "9ms", "--retarget", "5:8"], "--retarget \"5:8\""),
         (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),
         (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
         (&["--target", "9ms", "--hold", "3"], "several volumes"),

@@ -4,7 +4,7 @@ use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
 use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
 use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
-use entire_steer::predict::Quality;
+use entire_steer::predict::{Quality, load};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::{Path, PathBuf};
@@ -312,7 +312,8 @@ fn compared_pictures_put_their_law_into_the_model() {
     for scene in ["near", "far", "inside"] {
         for distance in [1.0, 1.2, 1.44, 2.0] {
             for step in [1.0, 1.5, 2.2, 3.2, 4.5] {
-                let (seconds, error) = (0.02 * truth.time_share(step, distance), truth.error(step, distance));
+                let share = (0.2 + 0.8 / step) / (distance * distance);
+                let (seconds, error) = (0.02 * share, truth.error(step, distance));
                 text += &format!("{scene},{step},{distance},{seconds},{error}\n");
             }
         }
@@ -322,7 +323,7 @@ fn compared_pictures_put_their_law_into_the_model() {
     arguments.extend(["--pictures", &pictures]);
     let said = works(&arguments);
     assert!(said.contains("pictures: 3 scenes at 20 steps and sizes"), "{said}");
-    let found = Quality::of(&model(&out)).unwrap().unwrap();
+    let found = load(&model(&out)).unwrap().quality("").unwrap();
     for (own, wanted) in [
         (found.image_weight, truth.image_weight),
         (found.step_exponent, truth.step_exponent),
@@ -416,6 +417,14 @@ fn what_cannot_be_done_is_said() {
         1,
         "takes scene_features alone",
     );
+    // Options that would have no effect.
+    train(&["--model-kind", "residual", "--preset", "4C64"], 1, "--preset is for --model-kind prednet");
+    train(
+        &["--model-kind", "analytic", "--epochs", "9"],
+        1,
+        "--epochs is for networks; --model-kind analytic",
+    );
+    train(&["--sorted-lobes", "--fine-tune", &out], 2, "--sorted-lobes");
     fails(&["train", "--data", data.csv(), "--out", "m.bin"], 1, ".safetensors");
     fails(&["train", "--data", "nowhere.csv", "--out", &out], 1, "cannot read nowhere.csv");
     fails(&["train", "--out", &out], 2, "--data");

@@ -9,7 +9,8 @@
 //! as columns `volumenet_ID_I` where ID identifies the encoder's weights and I is the feature's index.
 
 use super::TimedFrame;
-use crate::files::{fnv1a, gzip, read_decompressed, without_mark, write_whole};
+use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
+use crate::volume::without_mark;
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::nn::VolumeNetParts;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
@@ -190,11 +191,11 @@ impl FeatureTable {
             table.display()
         );
         let pixels = found.column(SceneQuantity::Pixels.into());
-        let rays = found.column(SceneQuantity::Step.into());
+        let step = found.column(SceneQuantity::Step.into());
         for f in frames {
             let fits = found.row(f.number).is_some_and(|row| {
                 let is = |column: Option<usize>, value: f32| column.is_none_or(|c| row[c] == value);
-                is(pixels, f.scene.width as f32 * f.scene.height as f32) && is(rays, f.scene.step)
+                is(pixels, f.scene.width as f32 * f.scene.height as f32) && is(step, f.scene.step)
             });
             ensure!(
                 fits,
@@ -305,16 +306,15 @@ mod tests {
     /// the stored tables again with `entire features`, and put the new hash here.
     #[test]
     fn this_version_stands_for_these_values() {
+        use crate::files::fnv1a_text;
         use crate::volume::{Volume, VolumeData};
         use entire_core::scene::{Arcball, Camera, Frame, Shading, TransferFunction};
-        use entire_steer::features::{
-            FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-        };
+        use entire_steer::features::{FrameFeatures, Setting, TransferSummary, VolumeSummary};
         // Half of the volume is empty.
         let value = |i: u32| if i % 24 < 12 { 0 } else { (i * i / 97 % 251) as u8 };
         let values: Vec<u8> = (0..24 * 20 * 18).map(value).collect();
         let volume = Volume::new(VolumeData::U8(values), [24, 20, 18], [1.0, 1.0, 1.5], "v").unwrap();
-        let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
+        let summary = VolumeSummary::new(&volume.view()).unwrap();
         let lobes = crate::dataset::parse_lobes("0.3 0.0005 0.4;0.8 0.0003 0.9").unwrap();
         let table = TransferFunction::Gaussian(lobes).to_table().unwrap();
         let mut transfer = TransferSummary::new(&summary, &table).unwrap();
@@ -325,17 +325,12 @@ mod tests {
             let mut features = FrameFeatures::with_probe_side(PROBE_SIDE);
             features.measure(&summary, &mut transfer, &frame).unwrap();
             let setting = Setting::from(&frame);
-            let work = features.work(&setting);
             for q in SceneQuantity::ALL {
-                let value = features.quantity(*q, &setting, &work);
+                let value = features.quantity(*q, &setting);
                 text += &format!("{q} {value:.3e}\n");
             }
         }
-        assert_eq!(
-            (VERSION, format!("{:016x}", fnv1a(text.as_bytes()))),
-            (4, "c3cd9e8c9eb0434f".into()),
-            "{text}"
-        );
+        assert_eq!((VERSION, fnv1a_text(text.as_bytes())), (4, "c3cd9e8c9eb0434f".into()), "{text}");
     }
 
     #[test]

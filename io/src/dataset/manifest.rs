@@ -1,7 +1,7 @@
 //! Manifest of a table: machine, renderer and settings of its measurement.
 
 use super::feature_table::stem;
-use crate::files::{read_text, write_whole};
+use crate::files::{read_text, write_json};
 use crate::identity::{self, Identity};
 use crate::volume::Reading;
 use anyhow::{Context, Result, ensure};
@@ -11,6 +11,9 @@ use std::path::{Path, PathBuf};
 
 /// The manifest's `format` value.
 pub const MANIFEST_FORMAT: &str = "entire-timings-1";
+
+/// Definition of the reference step, in words.
+pub const STEP_REFERENCE: &str = "smallest voxel spacing";
 
 /// Largest manifest that is read, in bytes.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
@@ -37,7 +40,7 @@ pub struct Manifest {
     pub seed: u64,
     /// Repeats per frame.
     pub repeats: u32,
-    /// Definition of the reference step, in words: "smallest voxel spacing".
+    /// [`STEP_REFERENCE`].
     pub step_reference: String,
     /// All other settings of the collector, free form.
     #[serde(default)]
@@ -63,10 +66,7 @@ impl Manifest {
     /// # Errors
     /// When the file cannot be written.
     pub fn write(&self, table: &Path) -> Result<()> {
-        let path = Self::path_for(table);
-        let mut text = serde_json::to_string_pretty(self)?;
-        text.push('\n');
-        write_whole(&path, text.as_bytes())
+        write_json(&Self::path_for(table), self)
     }
 
     /// Difference between a volume's files and those that the frames were measured with; `None` for the same

@@ -132,7 +132,7 @@ pub fn parse_lobes(text: &str) -> Result<Vec<GaussianLobe>> {
 }
 
 /// Writes Gaussian lobes; [`parse_lobes`] returns the same bits.
-pub fn format_lobes(lobes: &[GaussianLobe]) -> String {
+pub(crate) fn format_lobes(lobes: &[GaussianLobe]) -> String {
     let mut text = String::new();
     for (i, l) in lobes.iter().enumerate() {
         let separator = if i == 0 { "" } else { ";" };

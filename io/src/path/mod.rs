@@ -56,7 +56,7 @@ pub const PATH_FORMAT: &str = "entire-path-1";
 pub const MAX_FRAMES: u32 = 1_000_000;
 
 /// Maximum number of lobes or points of a transfer function: four for each entry of its table.
-pub const MAX_TRANSFER_PARTS: usize = 1024;
+const MAX_TRANSFER_PARTS: usize = 1024;
 
 /// Largest path file, in bytes.
 const MAX_PATH_BYTES: u64 = 64 << 20;
@@ -226,7 +226,7 @@ impl CameraPose {
     }
 
     /// The core's camera position.
-    pub fn arcball(self) -> Arcball {
+    fn arcball(self) -> Arcball {
         Arcball { rx: self.rx_deg, ry: self.ry_deg, dz: self.dz_radii }
     }
 }

@@ -7,7 +7,7 @@ use std::io::{self, Read};
 
 /// The scalar types that files hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Element {
+pub(crate) enum Element {
     /// Signed bytes.
     I8,
     /// Unsigned bytes.
@@ -32,7 +32,7 @@ pub enum Element {
 
 impl Element {
     /// Bytes per element in the file.
-    pub const fn bytes(self) -> usize {
+    pub(crate) const fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -44,7 +44,7 @@ impl Element {
 
 /// Byte order of stored numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Endian {
+pub(crate) enum Endian {
     /// Least significant byte first.
     Little,
     /// Most significant byte first.

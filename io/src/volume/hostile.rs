@@ -28,7 +28,7 @@ impl Companions for AnyName<'_> {
 /// content of any other file that the format asks for.
 ///
 /// # Errors
-/// As [`Volume::read`].
+/// As [`Volume::open`], without the file's name.
 pub fn read_any(format: Format, input: &[u8]) -> Result<Volume> {
     let at = input.windows(SEPARATOR.len()).position(|window| window == SEPARATOR);
     let (head, data) = match at {

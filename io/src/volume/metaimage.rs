@@ -6,13 +6,13 @@
 //! which is the header's own file with `LOCAL`; -1 says that the voxels are the last bytes of the file, or
 //! that it holds compressed voxels only. Of the two fields of byte order, `BinaryDataByteOrderMSB` counts.
 //!
-//! The project has its own reader, since the crate that reads MetaImage, `bioformats`, supports neither
-//! voxels in text nor 64-bit integers (`lab/scripts/readers`).
+//! The project has its own reader, since the crate that reads MetaImage, `bioformats` 0.1, supports neither
+//! voxels in text nor 64-bit integers.
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::several::Several;
 use super::stream::{Companions, Remaining, Stream};
-use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
+use super::{Element, Endian, Parts, VolumeData, checked_dims, number, numbers, three_axes};
 use anyhow::{Context, Result, bail};
 
 const MAX_LINE: usize = 1 << 16;
@@ -172,9 +172,9 @@ impl Header {
                 }
                 self.axes = Some(axes);
             }
-            "DimSize" => self.sizes = Some(numbers(key, value)?),
-            "ElementSpacing" => self.spacing = Some(numbers(key, value)?),
-            "ElementSize" => self.element_size = Some(numbers(key, value)?),
+            "DimSize" => self.sizes = Some(numbers(key, value, MAX_AXES)?),
+            "ElementSpacing" => self.spacing = Some(numbers(key, value, MAX_AXES)?),
+            "ElementSize" => self.element_size = Some(numbers(key, value, MAX_AXES)?),
             "ElementNumberOfChannels" => self.channels = number(key, value)?,
             "ElementType" => {
                 self.element = Some(match value {
@@ -216,22 +216,6 @@ impl Header {
         }
         Ok(false)
     }
-}
-
-fn number<T: std::str::FromStr>(key: &str, value: &str) -> Result<T> {
-    match value.parse() {
-        Ok(number) => Ok(number),
-        Err(_) => bail!("{key} has {value:?} where a number is expected"),
-    }
-}
-
-fn numbers<T: std::str::FromStr>(key: &str, value: &str) -> Result<Vec<T>> {
-    let found: Vec<T> =
-        value.split_whitespace().take(MAX_AXES + 1).map(|word| number(key, word)).collect::<Result<_>>()?;
-    if found.len() > MAX_AXES {
-        bail!("{key} has more than {MAX_AXES} entries");
-    }
-    Ok(found)
 }
 
 fn flag(key: &str, value: &str) -> Result<bool> {

@@ -39,14 +39,17 @@ mod several;
 mod stream;
 mod vti;
 
-pub use element::{Element, Endian};
+pub(crate) use element::{Element, Endian};
+pub(crate) use reading::numbers_in;
 pub use reading::{Fill, Range, Reading};
-pub use stream::{Companions, Folder, NoCompanions, Stream, Watcher, without_mark};
+pub(crate) use stream::{Companions, Folder, without_mark};
+pub use stream::{Stream, Watcher};
 
 use anyhow::{Context, Result, bail};
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
 use reading::{hide_fill, narrow, non_finite};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::Arc;
 
 /// Owned voxels in one of the types that the core takes.
@@ -128,11 +131,10 @@ pub enum Format {
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 6] =
-        [Self::Nrrd, Self::MetaImage, Self::VtkImage, Self::Nifti, Self::Json, Self::Raw];
+    const ALL: [Self; 6] = [Self::Nrrd, Self::MetaImage, Self::VtkImage, Self::Nifti, Self::Json, Self::Raw];
 
     /// The endings of file names that stand for the format.
-    pub const fn endings(self) -> &'static [&'static str] {
+    const fn endings(self) -> &'static [&'static str] {
         match self {
             Self::Nrrd => &[".nrrd", ".nhdr"],
             Self::MetaImage => &[".mhd", ".mha"],
@@ -144,13 +146,13 @@ impl Format {
     }
 
     /// The format of a file name's ending.
-    pub fn of_name(name: &str) -> Option<Self> {
+    pub(crate) fn of_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         Self::ALL.into_iter().find(|format| format.endings().iter().any(|ending| name.ends_with(ending)))
     }
 
     /// The format of a file's first bytes (512 are enough).
-    pub fn of_content(head: &[u8]) -> Option<Self> {
+    pub(crate) fn of_content(head: &[u8]) -> Option<Self> {
         let head = without_mark(head);
         let text = head.trim_ascii_start();
         if head.starts_with(b"NRRD") {
@@ -272,7 +274,7 @@ impl Volume {
     ///
     /// # Errors
     /// As [`Volume::open`], without the file's name.
-    pub fn read(
+    pub(crate) fn read(
         format: Format,
         stream: Stream<'_>,
         file_name: &str,
@@ -331,7 +333,7 @@ impl Volume {
     ///
     /// # Errors
     /// When an end is not finite, or the low end is above the high one.
-    pub fn set_range(&mut self, range: Option<(f32, f32)>) -> Result<()> {
+    pub(crate) fn set_range(&mut self, range: Option<(f32, f32)>) -> Result<()> {
         self.checked_view(range)?;
         self.range = range;
         Ok(())
@@ -445,6 +447,24 @@ pub(crate) fn three_axes<T: Copy>(
         return Err(not_a_volume(sizes, spatial));
     }
     Ok(([0, 1, 2].map(|i| sizes[keep[i]]), [0, 1, 2].map(|i| values[keep[i]])))
+}
+
+/// Parses the number of a header's field.
+pub(crate) fn number<T: FromStr>(field: &str, value: &str) -> Result<T> {
+    match value.parse() {
+        Ok(number) => Ok(number),
+        Err(_) => bail!("{field:?} has {value:?} where a number is expected"),
+    }
+}
+
+/// Parses the numbers of a header's field, at most `most`, with blanks between them.
+pub(crate) fn numbers<T: FromStr>(field: &str, value: &str, most: usize) -> Result<Vec<T>> {
+    let found: Vec<T> =
+        value.split_whitespace().take(most + 1).map(|word| number(field, word)).collect::<Result<_>>()?;
+    if found.len() > most {
+        bail!("{field:?} has more than {most} entries");
+    }
+    Ok(found)
 }
 
 fn not_a_volume(sizes: &[u64], spatial: &[bool]) -> anyhow::Error {

@@ -5,8 +5,8 @@
 //! is not finite counts as 0, and a size of 0 after the third axis as 1. A spacing that is not finite is
 //! unknown: 1 is taken, with a note.
 //!
-//! The project has its own reader, since the crate `nifti` reads only NIfTI-1 and panics where a header's
-//! sizes contradict each other (`lab/scripts/readers`).
+//! The project has its own reader, since the crate `nifti` 0.18 reads only NIfTI-1 and panics where a
+//! header's sizes contradict each other.
 
 use super::element::{expect_end, read_scaled_voxels, read_voxels};
 use super::stream::Stream;

@@ -6,13 +6,13 @@
 //! is unknown too, 1 is taken, with a note. A direction of `none` beside directions of other axes marks an
 //! axis that is not spatial.
 //!
-//! The project has its own reader, since the crate that reads NRRD, `bioformats`, reserves as much memory as
-//! a header claims, and has no 64-bit integers (`lab/scripts/readers`).
+//! The project has its own reader, since the crate that reads NRRD, `bioformats` 0.1, reserves as much memory
+//! as a header claims, and has no 64-bit integers.
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::several::Several;
 use super::stream::{Companions, Stream};
-use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
+use super::{Element, Endian, Parts, VolumeData, checked_dims, number, numbers, three_axes};
 use anyhow::{Context, Result, bail};
 
 const MAX_LINE: usize = 1 << 16;
@@ -220,7 +220,7 @@ impl Header {
                 }
                 self.dimension = Some(dimension);
             }
-            "sizes" => self.sizes = Some(numbers(field, value)?),
+            "sizes" => self.sizes = Some(numbers(field, value, MAX_AXES)?),
             "encoding" => {
                 self.encoding = Some(match value.to_ascii_lowercase().as_str() {
                     "raw" => Encoding::Raw,
@@ -238,7 +238,7 @@ impl Header {
                     other => bail!("endian {other:?} is not known; accepted are little and big"),
                 });
             }
-            "spacings" => self.spacings = Some(numbers(field, value)?),
+            "spacings" => self.spacings = Some(numbers(field, value, MAX_AXES)?),
             "space directions" => self.directions = Some(directions(value)?),
             "kinds" => {
                 self.kinds = Some(value.split_whitespace().map(str::to_ascii_lowercase).collect());
@@ -285,22 +285,6 @@ fn element(value: &str) -> Result<Element> {
     })
 }
 
-fn number<T: std::str::FromStr>(field: &str, value: &str) -> Result<T> {
-    match value.parse() {
-        Ok(number) => Ok(number),
-        Err(_) => bail!("\"{field}\" has {value:?} where a number is expected"),
-    }
-}
-
-fn numbers<T: std::str::FromStr>(field: &str, value: &str) -> Result<Vec<T>> {
-    let found: Vec<T> =
-        value.split_whitespace().take(MAX_AXES + 1).map(|word| number(field, word)).collect::<Result<_>>()?;
-    if found.len() > MAX_AXES {
-        bail!("\"{field}\" has more than {MAX_AXES} entries");
-    }
-    Ok(found)
-}
-
 /// The lengths of the vectors of "space directions": `(x,y,z)`, or `none` or one of NaN, per axis.
 fn directions(value: &str) -> Result<Vec<Option<f64>>> {
     let mut found = Vec::new();
@@ -333,7 +317,8 @@ fn text(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Format, NoCompanions, Volume, VolumeData};
+    use super::super::stream::NoCompanions;
+    use super::super::{Format, Volume, VolumeData};
     use super::*;
     use flate2::{Compression, write::GzEncoder};
     use std::io::Write;

@@ -69,7 +69,11 @@ pub enum Range {
     Given(f32, f32),
 }
 
-fn numbers(text: &str) -> Result<Vec<f32>, String> {
+/// Parses numbers separated by commas.
+///
+/// # Errors
+/// When one is not a number.
+pub(crate) fn numbers_in(text: &str) -> Result<Vec<f32>, String> {
     text.split(',')
         .map(|word| word.trim().parse().map_err(|_| format!("{:?} is not a number", word.trim())))
         .collect()
@@ -82,7 +86,9 @@ impl FromStr for Fill {
         match text.trim() {
             "auto" => Ok(Self::Found),
             "none" => Ok(Self::None),
-            list => numbers(list).map(Self::Values).map_err(|e| format!("{e}; give auto, none, or numbers")),
+            list => {
+                numbers_in(list).map(Self::Values).map_err(|e| format!("{e}; give auto, none, or numbers"))
+            }
         }
     }
 }
@@ -94,7 +100,7 @@ impl FromStr for Range {
         match text.trim() {
             "auto" => Ok(Self::Default),
             "data" => Ok(Self::Data),
-            pair => match numbers(pair)?[..] {
+            pair => match numbers_in(pair)?[..] {
                 [low, high] => Ok(Self::Given(low, high)),
                 _ => Err("two numbers separated by a comma are expected, or data".to_owned()),
             },

@@ -21,7 +21,7 @@ const BZIP2_GROWTH: u64 = 1 << 22;
 const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
 
 /// Text without its byte order mark, if it has one.
-pub fn without_mark(text: &[u8]) -> &[u8] {
+pub(crate) fn without_mark(text: &[u8]) -> &[u8] {
     text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
 }
 
@@ -87,7 +87,7 @@ impl<'a> Stream<'a> {
     ///
     /// # Errors
     /// As [`Stream::open`].
-    pub fn open_watched(path: &Path, watcher: Option<&Arc<dyn Watcher>>) -> Result<Stream<'static>> {
+    pub(crate) fn open_watched(path: &Path, watcher: Option<&Arc<dyn Watcher>>) -> Result<Stream<'static>> {
         let shown = path.display();
         let refused = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
@@ -112,7 +112,7 @@ impl<'a> Stream<'a> {
     }
 
     /// Reads from memory.
-    pub fn from_bytes(bytes: &'a [u8]) -> Self {
+    pub(crate) fn from_bytes(bytes: &'a [u8]) -> Self {
         Self {
             reader: Box::new(bytes),
             remaining: Remaining::Exact(bytes.len() as u64),
@@ -134,7 +134,7 @@ impl<'a> Stream<'a> {
     }
 
     /// Sets the stream's name in messages, for a file other than the given one.
-    pub fn labeled(mut self, label: impl Into<String>) -> Self {
+    pub(crate) fn labeled(mut self, label: impl Into<String>) -> Self {
         self.label = label.into();
         self
     }
@@ -245,7 +245,7 @@ impl<'a> Stream<'a> {
     ///
     /// # Errors
     /// When the stream cannot be read.
-    pub fn inflate(mut self) -> Result<Stream<'a>> {
+    pub(crate) fn inflate(mut self) -> Result<Stream<'a>> {
         if self.peek()?.starts_with(&[0x1f, 0x8b]) {
             return Ok(self.gunzip());
         }
@@ -442,7 +442,7 @@ impl Stream<'_> {
 }
 
 /// Access to the data files that a header names.
-pub trait Companions {
+pub(crate) trait Companions {
     /// Opens a file by its name in the header.
     ///
     /// # Errors
@@ -462,7 +462,7 @@ pub trait Companions {
 
 /// Files in the folder of a header.
 #[derive(Clone)]
-pub struct Folder {
+pub(crate) struct Folder {
     path: PathBuf,
     watcher: Option<Arc<dyn Watcher>>,
 }
@@ -475,12 +475,12 @@ impl fmt::Debug for Folder {
 
 impl Folder {
     /// The folder of relative names.
-    pub fn new(path: impl Into<PathBuf>) -> Self {
+    pub(crate) fn new(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), watcher: None }
     }
 
     /// The same, with a watcher of its files.
-    pub fn watched(self, watcher: Option<Arc<dyn Watcher>>) -> Self {
+    pub(crate) fn watched(self, watcher: Option<Arc<dyn Watcher>>) -> Self {
         Self { watcher, ..self }
     }
 }
@@ -512,9 +512,10 @@ impl Companions for Folder {
 }
 
 /// No data files: everything must be in the stream itself.
-#[derive(Clone, Copy, Debug)]
-pub struct NoCompanions;
+#[cfg(test)]
+pub(crate) struct NoCompanions;
 
+#[cfg(test)]
 impl Companions for NoCompanions {
     fn open(&self, name: &str) -> Result<Stream<'_>> {
         bail!("the header names the data file {name:?}, and there are no files beside it")

@@ -6,8 +6,8 @@
 //! component of numbers. VTK's own arrays (`vtkGhostType` and the like) are read by name only. Direction and
 //! origin are not used.
 //!
-//! The project has its own reader, since the crate `vtkio` does not read appended raw data, VTK's default
-//! (`lab/scripts/readers`).
+//! The project has its own reader, since the crate `vtkio` 0.7 does not read appended raw data, which is VTK's
+//! default.
 
 use super::element::{byte_count, grow, parse_voxels, read_voxels};
 use super::stream::{Stream, without_mark};

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 /// Scale of an axis.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Scale {
+pub(super) enum Scale {
     /// Linear.
     Linear,
     /// Logarithmic; values that are not positive are left out.

@@ -9,9 +9,9 @@ mod draw;
 mod labels;
 mod palette;
 
-pub use axis::{Axis, Scale};
+pub use axis::Axis;
 
-use axis::Span;
+use axis::{Scale, Span};
 use palette::PALETTE;
 
 /// Mark that a series draws.
@@ -104,7 +104,7 @@ impl Chart {
     }
 
     /// The SVG element for an HTML page.
-    pub fn to_svg(&self) -> String {
+    pub(crate) fn to_svg(&self) -> String {
         self.draw(false)
     }
 

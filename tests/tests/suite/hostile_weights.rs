@@ -121,7 +121,7 @@ fn shipped_models_give_times_for_ten_thousand_random_inputs() {
                 .flat_map(|_| norm.mean.iter().zip(&norm.std))
                 .map(|(mean, std)| mean + 3.0 * std * uniform())
                 .collect(),
-            // Unit costs take counts.
+            // The inputs of a unit-cost model are counts.
             None => (0..ROWS * net.inputs()).map(|_| 1e8 * (1.0 + uniform())).collect(),
         };
         let mut seconds = vec![0.0; ROWS];

@@ -6,7 +6,7 @@ use entire_core::kernels::{Executor, Helper, Storage};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use entire_steer::control::{ObserveFlags, Session};
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -134,7 +134,7 @@ fn a_session_that_records_what_it_observes_allocates_nothing() {
     let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.5 };
     let table = TransferFunction::Gaussian(vec![lobe]).to_table().expect("a table");
     let mut session = Session::untrained();
-    session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary"), None);
+    session.set_volume(VolumeSummary::new(&view).expect("a summary"), None);
     session.set_transfer(&table, None).expect("a transfer function");
     session.record(None, 50).expect("a recording");
     let mut draw = |i: u32| {

@@ -3,7 +3,7 @@
 use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Volume;
-use entire_steer::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
+use entire_steer::features::{FrameFeatures, SceneQuantity, Setting, TransferSummary, VolumeSummary};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::path::{Path, PathBuf};
 
@@ -67,7 +67,7 @@ fn estimated_work_is_the_counted_work() {
         for path in &shipped() {
             let volume = Volume::open(path).expect("a shipped volume");
             let view = volume.view();
-            let summary = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
+            let summary = VolumeSummary::new(&view).expect("a summary");
             let mut renderer = CpuRaycaster::new();
             renderer.set_volume(&view).expect("the volume");
             for index in 0..6 {
@@ -92,12 +92,14 @@ fn estimated_work_is_the_counted_work() {
                 transfer.prepare_distance();
                 let mut features = FrameFeatures::default();
                 features.measure(&summary, &mut transfer, &frame).expect("a frame");
-                let work = features.work(&Setting::from(&frame));
+                let of = |q| features.quantity(q, &Setting::from(&frame));
+                let samples = of(SceneQuantity::Samples) + of(SceneQuantity::ShadowSamples);
+                let shaded = of(SceneQuantity::LocalSamples) + of(SceneQuantity::ScatterSamples);
                 let pairs = [
-                    (work.rays, counts.rays),
-                    (work.samples + work.shadow_samples, counts.samples),
-                    (work.skips, counts.skips),
-                    (work.shaded, counts.shaded),
+                    (of(SceneQuantity::Rays), counts.rays),
+                    (samples, counts.samples),
+                    (of(SceneQuantity::Skips), counts.skips),
+                    (shaded, counts.shaded),
                 ];
                 for (errors, (estimate, count)) in errors.iter_mut().zip(pairs) {
                     // Less than half an event per ray is negligible.

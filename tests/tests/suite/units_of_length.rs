@@ -5,7 +5,7 @@ use entire_core::scene::{
     VolumeOptions, VolumeView,
 };
 use entire_steer::control::Session;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use glam::Vec3;
 
 const DIMS: [usize; 3] = [24, 20, 36];
@@ -64,7 +64,7 @@ fn a_volume_of_voxels_costs_the_same_in_any_unit() {
     let of = |unit: f32| {
         let options = VolumeOptions { spacing: SPACING.map(|s| s * unit), ..VolumeOptions::default() };
         let view = VolumeView::with(Scalars::U8(&voxels), DIMS, options).expect("a volume");
-        predicted(VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary"))
+        predicted(VolumeSummary::new(&view).expect("a summary"))
     };
     let expected = of(1.0);
     assert!(expected.iter().all(|s| *s > 0.0 && s.is_finite()) && expected[0] != expected[1]);

@@ -253,6 +253,10 @@ impl Recipe {
                 || self.inputs.iter().map(|g| g.trim()).eq([<&str>::from(GroupKind::SceneFeatures)]),
             "a residual model takes scene_features alone; leave out other --inputs"
         );
+        ensure!(
+            self.kind != Kind::Residual || self.preset.is_none(),
+            "--preset is for --model-kind prednet; give the widths of a residual model's network by --layers"
+        );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, context, training, validation);
         }
@@ -448,7 +452,8 @@ impl Recipe {
         })
     }
 
-    /// Trains the ensemble's networks, with consecutive seeds, and combines them.
+    /// Trains the ensemble's networks, with consecutive seeds, and combines them. Returns also the epochs of
+    /// the first one, and the results of all.
     fn ensemble(
         &self,
         context: &FitContext<'_>,
@@ -457,6 +462,7 @@ impl Recipe {
         settings: &Settings,
     ) -> Result<(PredNetParts, Vec<EpochRecord>, String)> {
         let mut members = Vec::with_capacity(self.ensemble);
+        let mut outcomes = Vec::with_capacity(self.ensemble);
         let mut first = None;
         for seed in (self.seed..).take(self.ensemble) {
             let network = Network::random(widths, seed)?;
@@ -464,10 +470,14 @@ impl Recipe {
             settings.seed = seed;
             let (parts, history, outcome) = run_training(context, network, None, samples, &settings)?;
             members.push(parts);
-            first.get_or_insert((history, outcome));
+            outcomes.push(outcome);
+            first.get_or_insert(history);
         }
-        let (history, outcome) = first.context("an ensemble of no network")?;
-        Ok((side_by_side(members)?, history, outcome))
+        let history = first.context("an ensemble of no network")?;
+        if outcomes.len() > 1 {
+            outcomes.iter_mut().enumerate().for_each(|(i, o)| *o = format!("network {}: {o}", i + 1));
+        }
+        Ok((side_by_side(members)?, history, outcomes.join("; ")))
     }
 
     fn fine_tune(

@@ -85,15 +85,13 @@ fn in_context<T>(run: impl FnOnce(&FitContext<'_>) -> T) -> T {
 #[test]
 fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() {
     use entire_core::scene::{Camera, Frame, TransferFunction};
-    use entire_steer::features::{
-        Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-    };
+    use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
     use entire_steer::predict::{InputRange, Inputs, ModelPredictor, Predictor};
 
     let values: Vec<u8> = (0..16 * 12 * 10).map(|i| (i * 7 % 251) as u8).collect();
     let data = entire_io::volume::VolumeData::U8(values);
     let volume = entire_io::volume::Volume::new(data, [16, 12, 10], [1.0; 3], "v").unwrap();
-    let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
+    let summary = VolumeSummary::new(&volume.view()).unwrap();
     let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
     let costs = analytic.costs();
     let inputs = [
@@ -142,8 +140,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
                 volume_features: None,
                 lobes: Some(&lobes),
             };
-            let work = measured.work(&setting);
-            let quantity = |q| measured.quantity(q, &setting, &work);
+            let quantity = |q| measured.quantity(q, &setting);
             let x = [
                 (quantity(SceneQuantity::Pixels) + 1.0).ln() as f32,
                 quantity(SceneQuantity::MeanChord) as f32,
@@ -190,4 +187,27 @@ fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
     assert!(says(Recipe { loss: "cosine".into(), ..residual.clone() }).contains("pinball"));
     assert!(says(Recipe { scene_features: vec!["warp".into()], ..residual.clone() }).contains("warp"));
     assert!(says(residual).contains("nowhere.nrrd"));
+}
+
+#[test]
+fn an_ensemble_says_how_each_of_its_networks_ended() {
+    let frames = tables_of_no_volume(6);
+    let frames: Vec<&TimedFrame> = frames.iter().collect();
+    let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
+    let made = |ensemble: usize| {
+        let recipe = Recipe {
+            inputs: vec!["camera".into()],
+            layers: vec![4],
+            epochs: 2,
+            ensemble,
+            ..Recipe::default()
+        };
+        in_context(|context| recipe.make(context, part, part).unwrap())
+    };
+    assert!(made(1).outcome.starts_with("all 2 epochs done, "));
+    let two = made(2);
+    let each: Vec<&str> = two.outcome.split("; ").collect();
+    assert_eq!((each.len(), two.history.len()), (2, 2));
+    assert!(each[0].starts_with("network 1: all 2 epochs done, "), "{each:?}");
+    assert!(each[1].starts_with("network 2: all 2 epochs done, "), "{each:?}");
 }

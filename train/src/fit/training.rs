@@ -1,7 +1,9 @@
 //! Training of a network by gradient descent, with a progress bar.
 
 use super::FitContext;
-use crate::gradient::{EpochRecord, Network, Progress, Samples, Settings, Standardization, Stop, train};
+use crate::gradient::{
+    EpochRecord, Network, Progress, Samples, Settings, Standardization, Stop, Trained, train,
+};
 use anyhow::{Result, bail};
 use entire_core::nn::PredNetParts;
 use std::ops::ControlFlow;
@@ -15,7 +17,9 @@ pub(super) fn run_training(
     settings: &Settings,
 ) -> Result<(PredNetParts, Vec<EpochRecord>, String)> {
     let started = Instant::now();
+    let mut steps = 0;
     let show = |p: &Progress| {
+        steps = p.steps;
         context.bar.set_length(p.total_steps);
         if let Some(e) = p.ended
             && (e.epoch == 1 || e.epoch % 5 == 0)
@@ -39,6 +43,13 @@ pub(super) fn run_training(
             _ => bail!("stopped before anything was learned; nothing was written"),
         }
     }
+    let frames = passed(training.seconds.len(), settings.batch, steps);
+    let outcome = format!("{}, {:.0} frames/s", ending(&trained), frames as f64 / taken);
+    Ok((trained.to_parts(), trained.history, outcome))
+}
+
+/// The end of a run, and the epoch that its weights are from.
+fn ending(trained: &Trained<f32>) -> String {
     let ran = trained.history.len();
     let why = match trained.stop {
         Stop::Finished => format!("all {ran} epochs done"),
@@ -46,12 +57,47 @@ pub(super) fn run_training(
         Stop::Interrupted => format!("interrupted after {ran} whole epochs"),
         Stop::Diverged => format!("diverged after {ran} epochs (the weights before are kept)"),
     };
-    let frames = training.seconds.len() as f64 * ran as f64;
-    let outcome = format!(
-        "{why}, best epoch {} with loss {:.4e}, {:.0} frames/s",
-        trained.best_epoch,
-        trained.best_loss,
-        frames / taken
-    );
-    Ok((trained.to_parts(), trained.history, outcome))
+    let best = match trained.best_epoch {
+        unfinished if unfinished > ran => "weights of the unfinished epoch".to_owned(),
+        epoch => format!("best epoch {epoch}"),
+    };
+    format!("{why}, {best} with loss {:.4e}", trained.best_loss)
+}
+
+/// Frames of all `steps`, where every epoch takes `frames` frames in batches of `batch`.
+fn passed(frames: usize, batch: usize, steps: u64) -> u64 {
+    let (frames, batch) = (frames as u64, batch.min(frames).max(1) as u64);
+    let per_epoch = frames.div_ceil(batch).max(1);
+    steps / per_epoch * frames + steps % per_epoch * batch
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_that_ends_in_its_first_epoch_says_what_it_has() {
+        let inputs: Vec<f32> = (0..20).map(|i| i as f32).collect();
+        let seconds: Vec<f64> = (1..=10).map(f64::from).collect();
+        let training = Samples { inputs: &inputs, seconds: &seconds };
+        let none = Samples { inputs: &[], seconds: &[] };
+        let pool = entire_io::options::thread_pool(Some(1)).unwrap();
+        let bar = indicatif::ProgressBar::hidden();
+        let settings = Settings { batch: 4, ..Settings::default() };
+        let run = |stop: &dyn Fn() -> bool| {
+            let context = FitContext { tables: &[], pool: &pool, bar: &bar, stop };
+            let network = Network::random(&[2, 3, 1], 1).unwrap();
+            run_training(&context, network, None, (training, none), &settings).unwrap().2
+        };
+        let said = run(&|| true);
+        let start = "interrupted after 0 whole epochs, weights of the unfinished epoch with loss ";
+        assert!(said.starts_with(start) && !said.ends_with(" 0 frames/s"), "{said}");
+    }
+
+    #[test]
+    fn frames_are_counted_in_whole_and_unfinished_epochs() {
+        // Ten frames in batches of 4, 4 and 2.
+        assert_eq!([0, 1, 2, 3, 4, 7].map(|steps| passed(10, 4, steps)), [0, 4, 8, 10, 14, 24]);
+        assert_eq!(passed(3, 256, 5), 15);
+    }
 }

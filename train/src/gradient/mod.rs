@@ -12,8 +12,8 @@ mod real;
 mod run;
 
 pub use loss::Loss;
-pub use network::{MAX_LAYERS, MAX_WIDTH, Network};
-pub use optimizer::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, Step, Trainer, cosine_learning_rate};
+pub use network::Network;
+pub use optimizer::{Step, Trainer, cosine_learning_rate};
 pub use real::Real;
 pub use run::{
     EpochRecord, Progress, Samples, Settings, Standardization, Stop, Trained, preset_widths, train,

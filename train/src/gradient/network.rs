@@ -10,9 +10,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Largest number of layers that [`Network`] takes.
-pub const MAX_LAYERS: usize = 1024;
+const MAX_LAYERS: usize = 1024;
 /// Largest layer width that [`Network`] takes.
-pub const MAX_WIDTH: usize = 65_536;
+const MAX_WIDTH: usize = 65_536;
 
 /// Dense layers, SELU after every one but the last (paper, section "PredNet: Rendering Time Prediction").
 #[derive(Clone, Debug, PartialEq)]
@@ -45,8 +45,7 @@ impl<T: Real> Network<T> {
     /// 0. `widths` runs from the input's to the output's.
     ///
     /// # Errors
-    /// For fewer than two widths, a width of 0 or over [`MAX_WIDTH`],
-    /// or too many layers.
+    /// For fewer than two widths, a width of 0 or over 65 536, or over 1024 layers.
     pub fn random(widths: &[usize], seed: u64) -> Result<Self> {
         check_widths(widths)?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -137,19 +136,6 @@ impl<T: Real> Network<T> {
         let weight = self.widths.windows(2).take(index).map(|w| w[0] * w[1] + w[1]).sum();
         Span { inputs: self.widths[index], outputs: self.widths[index + 1], weight }
     }
-
-    /// Outputs for rows of inputs, [rows, output width] by rows, in one thread.
-    ///
-    /// # Errors
-    /// When the inputs are no whole number of rows.
-    pub fn forward(&self, inputs: &[T]) -> Result<Vec<T>> {
-        if !inputs.len().is_multiple_of(self.widths[0]) {
-            bail!("{} inputs are no whole number of rows of {}", inputs.len(), self.widths[0]);
-        }
-        let mut pass = Pass::new(self, inputs.len() / self.widths[0], false);
-        pass.forward(self, inputs);
-        Ok(pass.output().to_vec())
-    }
 }
 
 fn check_widths(widths: &[usize]) -> Result<()> {
@@ -194,6 +180,11 @@ impl<T: Real> Pass<T> {
             next_delta: vec![T::ZERO; delta],
             gradient: vec![T::ZERO; if backward { network.parameters.len() } else { 0 }],
         }
+    }
+
+    /// Number of rows that the buffers were made for.
+    pub(crate) fn rows(&self) -> usize {
+        self.rows
     }
 
     /// Outputs of the last forward pass.

@@ -8,11 +8,11 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 
 /// Adam's decay of the first moment (paper, supplement "Implementation").
-pub const ADAM_BETA1: f64 = 0.9;
+const ADAM_BETA1: f64 = 0.9;
 /// Adam's decay of the second moment (paper, supplement "Implementation").
-pub const ADAM_BETA2: f64 = 0.999;
+const ADAM_BETA2: f64 = 0.999;
 /// Number that is added to the root of Adam's second moment.
-pub const ADAM_EPSILON: f64 = 1e-8;
+const ADAM_EPSILON: f64 = 1e-8;
 
 /// Smallest number of rows of a task, if the batch has as many. Tasks do not depend on the number of threads,
 /// so results do not either.
@@ -44,7 +44,7 @@ pub struct Trainer<T> {
     first_moment: Vec<T>,
     second_moment: Vec<T>,
     steps: i32,
-    tasks: Vec<(Pass<T>, usize)>,
+    tasks: Vec<Pass<T>>,
     gradient: Vec<T>,
 }
 
@@ -58,7 +58,7 @@ impl<T: Real> Trainer<T> {
     pub fn new(network: Network<T>, loss: Loss, clip_norm: f64) -> Result<Self> {
         loss.check()?;
         if network.widths().last() != Some(&1) {
-            bail!("the network has {:?} widths; the last must be 1 (seconds)", network.widths());
+            bail!("the network's layer widths are {:?}; the last must be 1 (seconds)", network.widths());
         }
         if clip_norm.is_nan() || clip_norm <= 0.0 {
             bail!("gradient clipping norm is {clip_norm}; it must be positive (infinity for none)");
@@ -110,11 +110,9 @@ impl<T: Real> Trainer<T> {
         }
         let count = (rows / ROWS_PER_TASK).clamp(1, MAX_TASKS);
         let bounds = |task: usize| task * rows / count..(task + 1) * rows / count;
-        let same = self.tasks.len() == count && (0..count).all(|t| self.tasks[t].1 == bounds(t).len());
+        let same = self.tasks.len() == count && (0..count).all(|t| self.tasks[t].rows() == bounds(t).len());
         if !same {
-            self.tasks = (0..count)
-                .map(|t| (Pass::new(&self.network, bounds(t).len(), true), bounds(t).len()))
-                .collect();
+            self.tasks = (0..count).map(|t| Pass::new(&self.network, bounds(t).len(), true)).collect();
         }
         let (network, loss) = (&self.network, self.loss);
         let share = T::ONE / T::of(rows as f64);
@@ -124,7 +122,7 @@ impl<T: Real> Trainer<T> {
             let losses: Vec<f64> = tasks
                 .par_iter_mut()
                 .enumerate()
-                .map(|(t, (pass, _))| {
+                .map(|(t, pass)| {
                     let range = bounds(t);
                     let x = &inputs[range.start * width..range.end * width];
                     pass.forward(network, x);
@@ -150,9 +148,9 @@ impl<T: Real> Trainer<T> {
                 .map(|(block, out)| {
                     let start = block * PARAMETERS_PER_TASK;
                     let end = start + out.len();
-                    out.copy_from_slice(&tasks[0].0.gradient[start..end]);
+                    out.copy_from_slice(&tasks[0].gradient[start..end]);
                     vectorized(|| {
-                        for (pass, _) in &tasks[1..] {
+                        for pass in &tasks[1..] {
                             for (sum, g) in out.iter_mut().zip(&pass.gradient[start..end]) {
                                 *sum += *g;
                             }

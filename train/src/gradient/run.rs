@@ -346,11 +346,11 @@ impl<T: Real> Trained<T> {
     /// Seconds for rows of inputs (not standardized), in parallel.
     ///
     /// # Errors
-    /// When the inputs are no whole number of rows.
+    /// When the number of inputs is not a multiple of the row length.
     pub fn predict(&self, pool: &ThreadPool, inputs: &[f32]) -> Result<Vec<f64>> {
         let width = self.network.widths()[0];
         if !inputs.len().is_multiple_of(width) {
-            bail!("{} inputs are no whole number of rows of {width}", inputs.len());
+            bail!("the number of inputs, {}, is not a multiple of the row length {width}", inputs.len());
         }
         let s = &self.standardization;
         Ok(predict(pool, &self.network, &s.inputs::<T>(inputs))

@@ -1,6 +1,6 @@
 //! Frames with their seconds, and parts of them that share no ensemble member.
 
-use super::GroupBy;
+use super::{GroupBy, shuffled};
 use entire_io::dataset::{Clock, Timed, TimedFrame};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -8,7 +8,7 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::BTreeSet;
 
 /// Largest number of folds of a cross-validation.
-pub const FOLDS: usize = 5;
+const FOLDS: usize = 5;
 
 /// Frames with their seconds, owned.
 #[derive(Clone, Debug, Default)]
@@ -43,7 +43,7 @@ impl<'a> TimedFrames<'a> {
         self.divided(|i| wanted(self.frames[i]))
     }
 
-    /// Kind of the groups, and the groups in at most [`FOLDS`] folds for cross-validation. Groups are
+    /// Kind of the groups, and the groups in at most five folds for cross-validation. Groups are
     /// ensemble members, or volumes where there are fewer than three members; there are no folds for fewer
     /// than three volumes.
     pub fn folds(&self) -> (GroupBy, Vec<BTreeSet<String>>) {
@@ -93,15 +93,12 @@ impl<'a> TimedFrames<'a> {
     /// With fewer than three groups, all frames are for training.
     pub fn hold_out(&self, by: GroupBy, seed: u64) -> (Self, Self) {
         let of_frame: Vec<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
-        let mut groups: Vec<&String> = of_frame.iter().collect();
-        groups.sort_unstable();
-        groups.dedup();
+        let groups: BTreeSet<String> = of_frame.iter().cloned().collect();
         if groups.len() < 3 {
             return (Self { frames: vec![], seconds: vec![] }, self.divided(|_| true).0);
         }
-        groups.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
-        groups.truncate((groups.len() as f64 / 10.0).round().max(1.0) as usize);
-        self.divided(|i| groups.contains(&&of_frame[i]))
+        let (order, tenth) = shuffled(&groups, seed);
+        self.divided(|i| order[..tenth].contains(&&of_frame[i]))
     }
 
     /// `count` random frames, and all others.

@@ -2,7 +2,7 @@
 
 mod frames;
 
-pub use frames::{FOLDS, TimedFrames};
+pub use frames::TimedFrames;
 
 use anyhow::{Result, bail, ensure};
 use entire_io::dataset::{Scene, TimedFrame};
@@ -91,9 +91,7 @@ impl Split {
             ..Self::default()
         };
         if validation.is_empty() && test.is_empty() && groups.len() >= 3 {
-            let mut shuffled: Vec<&String> = groups.iter().collect();
-            shuffled.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
-            let tenth = ((groups.len() as f64 / 10.0).round() as usize).max(1);
+            let (shuffled, tenth) = shuffled(&groups, seed);
             split.test = shuffled[..tenth].iter().map(|g| (*g).clone()).collect();
             split.validation = shuffled[tenth..2 * tenth].iter().map(|g| (*g).clone()).collect();
         }
@@ -132,6 +130,13 @@ impl Split {
         }
         parts
     }
+}
+
+/// The groups in random order, and a tenth of their number, at least one.
+fn shuffled(groups: &BTreeSet<String>, seed: u64) -> (Vec<&String>, usize) {
+    let mut order: Vec<&String> = groups.iter().collect();
+    order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+    (order, ((groups.len() as f64 / 10.0).round() as usize).max(1))
 }
 
 /// A part of a split.

@@ -57,7 +57,7 @@ impl Measuring<'_> {
     ///
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
-    pub fn pictures(&mut self, deadline: Instant) -> Result<Vec<Picture>> {
+    pub(crate) fn pictures(&mut self, deadline: Instant) -> Result<Vec<Picture>> {
         self.deadline = deadline;
         let longest = self.left() / (SCENES * GRID);
         let mut out = Vec::new();
@@ -89,11 +89,8 @@ impl Measuring<'_> {
     fn scenes(&self, longest: f64) -> Vec<usize> {
         let candidates = &self.pool.candidates;
         let pixels = |c: &Candidate| u64::from(c.scene.width) * u64::from(c.scene.height);
-        let usable = |c: &Candidate| {
-            // Samples per pixel, which tell whether the volume is visible.
-            let samples = c.work[3] / c.work[1].max(1.0);
-            c.scene.width.min(c.scene.height) >= LEAST_SIDE && samples > 1.0
-        };
+        let usable =
+            |c: &Candidate| c.scene.width.min(c.scene.height) >= LEAST_SIDE && c.samples_per_pixel() > 1.0;
         let mut largest: Vec<usize> = (0..candidates.len())
             .filter(|&i| usable(&candidates[i]) && self.full_wall(i) <= longest)
             .collect();
@@ -142,5 +139,50 @@ impl Measuring<'_> {
             }
         }
         Ok(Some(out))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::Settings;
+    use crate::calibrate::pool::Pool;
+    use crate::scripted::ScriptedRenderer;
+    use entire_io::dataset::TimedFrame;
+    use entire_steer::calibrate::PriorModel;
+    use entire_steer::features::SceneQuantity;
+    use entire_steer::predict::{COST_QUANTITIES, COSTS};
+    use indicatif::ProgressBar;
+
+    #[test]
+    fn scenes_that_show_the_volume_are_compared_even_if_nothing_is_skipped() {
+        let candidate = |skips: f64, samples: f64| {
+            let mut scene = TimedFrame::of_no_volume("v", "").scene;
+            (scene.width, scene.height) = (100, 100);
+            let mut work = [1.0; COSTS];
+            for (slot, quantity) in work[1..].iter_mut().zip(COST_QUANTITIES) {
+                *slot = match quantity {
+                    SceneQuantity::Pixels => 1e4,
+                    SceneQuantity::Skips => 1e4 * skips,
+                    SceneQuantity::Samples => 1e4 * samples,
+                    _ => 0.0,
+                };
+            }
+            Candidate { volume: 0, factor: 1, scene, row: Vec::new(), work, random: false }
+        };
+        let candidates = vec![candidate(0.0, 40.0), candidate(40.0, 0.0)];
+        assert_eq!(candidates[0].samples_per_pixel(), 40.0);
+        let pool = Pool {
+            volumes: Vec::new(),
+            files: Vec::new(),
+            reading: Default::default(),
+            expected: vec![1e-3; candidates.len()],
+            candidates,
+            prior: PriorModel::default(),
+        };
+        let (settings, mut renderer) = (Settings::brief(Vec::new()), ScriptedRenderer::default());
+        let (now, bar) = (Instant::now(), ProgressBar::hidden());
+        let measuring = Measuring::new(&settings, &pool, &mut renderer, now, now, &|| false, &bar);
+        assert_eq!(measuring.scenes(1.0), [0]);
     }
 }

@@ -7,7 +7,7 @@ use entire_core::kernels::{Level, Storage};
 use entire_core::model::{Key, Model};
 use entire_core::nn::PredNet;
 use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
-use entire_io::files::{fnv1a, note, parse_model, read_model_bytes};
+use entire_io::files::{fnv1a_text, note, parse_model, read_model_bytes};
 use entire_io::machine;
 use entire_io::metrics::{Metrics, bootstrap_by_group};
 use entire_io::options::thread_pool;
@@ -35,45 +35,45 @@ Examples:
   entire evaluate --model models/unshaded-distilled.safetensors --data data/timings/none-members.csv.gz \
   --storage int8
         also the errors with weights of 8 bits")]
-pub struct Options {
+pub(crate) struct Options {
     /// Model files.
     #[arg(long, required = true, num_args = 1.., value_name = "SAFETENSORS")]
-    pub model: Vec<PathBuf>,
+    pub(crate) model: Vec<PathBuf>,
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
-    pub data: Vec<PathBuf>,
+    pub(crate) data: Vec<PathBuf>,
     /// Clock of the measured seconds; `auto`: the clock that the models state. Models of another clock are
     /// refused.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Only frames with this shading: none, local or scatter.
     #[arg(long, value_parser = entire_io::dataset::parse_shading)]
-    pub shade: Option<entire_core::scene::Shading>,
+    pub(crate) shade: Option<entire_core::scene::Shading>,
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
-    pub unseen: bool,
+    pub(crate) unseen: bool,
     /// Group that each row of the last table stands for.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
-    pub by: GroupBy,
+    pub(crate) by: GroupBy,
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
     #[arg(long, value_name = "FOLDER")]
-    pub out: Option<PathBuf>,
+    pub(crate) out: Option<PathBuf>,
     /// Also evaluate each model with its weights stored as f32, f16, bf16 or int8.
     #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
-    pub storage: Vec<Storage>,
+    pub(crate) storage: Vec<Storage>,
     /// Also evaluate each model in a session, which observes every frame after predicting it and so corrects
     /// itself. The first FRAMES frames are left out of these errors. Opens the volumes.
     #[arg(long, value_name = "FRAMES")]
-    pub observed: Option<usize>,
+    pub(crate) observed: Option<usize>,
     /// Seed of the choice of frames whose mean time is the constant baseline.
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
     #[arg(long, value_name = "FOLDER")]
-    pub root: Option<PathBuf>,
+    pub(crate) root: Option<PathBuf>,
     /// Threads; default: all logical processors.
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
 }
 
 fn parse_storage(text: &str) -> Result<Storage, String> {
@@ -88,7 +88,8 @@ fn parse_storage(text: &str) -> Result<Storage, String> {
 
 struct Loaded {
     name: String,
-    hash: u64,
+    /// FNV-1a hash of the file, hexadecimal.
+    hash: String,
     model: Model,
     layout: Layout,
     split: Option<Split>,
@@ -105,7 +106,7 @@ fn load(path: &Path) -> Result<Loaded> {
         .and_then(|p| serde_json::from_value(p.get("split")?.clone()).ok());
     let name =
         path.file_stem().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    Ok(Loaded { name, hash: fnv1a(&bytes), model, layout, split })
+    Ok(Loaded { name, hash: fnv1a_text(&bytes), model, layout, split })
 }
 
 impl Loaded {
@@ -118,7 +119,7 @@ impl Loaded {
 ///
 /// # Errors
 /// When a model or table cannot be read, a model's inputs cannot be computed, or no frame is left.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
     let mut tables = read_tables(&options.data)?;
@@ -160,7 +161,7 @@ pub fn run(options: &Options) -> Result<()> {
         let seen = refs.iter().filter(|f| m.has_seen(f)).count();
         predictors.push(assess(
             m.name.clone(),
-            Some(format!("{:016x}", m.hash)),
+            Some(m.hash.clone()),
             predicted,
             &measured,
             &groups,
@@ -189,7 +190,8 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let constant = probe_means(&refs, &measured, options.seed);
     let name = format!("mean of {:.0} % probes per volume", 100.0 * PROBE_SHARE);
-    predictors.push(assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?);
+    let constant = assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?;
+    predictors.push(Predictor { constant: true, ..constant });
 
     let mut sessions = BTreeMap::new();
     if let Some(heard) = options.observed {
@@ -282,6 +284,7 @@ fn assess(
         mdape_interval,
         by_kind,
         predicted,
+        constant: false,
     })
 }
 

@@ -24,7 +24,8 @@ pub(super) struct Predictor {
     pub(super) bound_coverage: Option<f64>,
     /// Further measures of the upper bound: coverage of the slowest tenth, and quantile (pinball) loss.
     pub(super) bound: Option<BoundMetrics>,
-    /// 95 % interval of RMSE/SD by bootstrap over ensemble members (over volumes that belong to none).
+    /// 95 % interval of RMSE/SD by bootstrap over ensemble members; a volume outside any ensemble counts as a
+    /// member of its own.
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
     /// 95 % interval of MdAPE by the same bootstrap.
     pub(super) mdape_interval: Option<(f64, f64)>,
@@ -32,6 +33,9 @@ pub(super) struct Predictor {
     pub(super) by_kind: Vec<(&'static str, Metrics)>,
     #[serde(skip)]
     pub(super) predicted: Vec<f64>,
+    /// True for the constant baseline.
+    #[serde(skip)]
+    pub(super) constant: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -232,9 +236,9 @@ fn bias_chart(predictors: &[Predictor]) -> Chart {
         Axis::linear("bias, %"),
     )
     .rule(Rule::Horizontal(0.0, String::new()));
-    // Predictors without a latency are left out, such as the constant baseline: its bias is hundreds of
-    // percent on fast frames, which would flatten all other lines.
-    for (i, p) in predictors.iter().enumerate().filter(|(_, p)| p.latency.is_some()) {
+    // The constant baseline is left out: its bias is hundreds of percent on fast frames, which would flatten
+    // all other lines.
+    for (i, p) in predictors.iter().enumerate().filter(|(_, p)| !p.constant) {
         let line =
             p.metrics.bias_by_decile.iter().enumerate().map(|(d, b)| ((d + 1) as f64, 100.0 * b)).collect();
         chart = chart.series(Series::new(p.name.clone(), Mark::Line(line)).color(i));
@@ -293,8 +297,7 @@ pub(super) fn write_report(
     write("bias.svg", &by_time.to_svg_file())?;
     page.chart(
         &by_time,
-        "Predictors without a measured latency are left out, among them the constant baseline, whose bias is \
-         hundreds of percent on fast frames.",
+        "The constant baseline is left out: its bias is hundreds of percent on fast frames.",
     );
     page.table(bias, "Median of predicted / measured - 1 by tenth of the frames, fastest first, %.");
     page.heading("Predicted against measured");
@@ -317,4 +320,33 @@ pub(super) fn write_report(
         ("Data", evaluation.data.join(", ")),
     ]);
     page.write(&out.join("report.html"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bias_chart_shows_every_predictor_but_the_constant_one() {
+        let seconds: Vec<f64> = (1..=20).map(f64::from).collect();
+        let predicted: Vec<f64> = seconds.iter().map(|t| t * (1.0 + 0.01 * t)).collect();
+        let predictor = |name: &str, constant: bool| Predictor {
+            name: name.into(),
+            fnv1a: None,
+            metrics: Metrics::new(&predicted, &seconds).unwrap(),
+            by_group: BTreeMap::new(),
+            latency: None,
+            frames_seen: 0,
+            bound_coverage: None,
+            bound: None,
+            rmse_over_sd_interval: None,
+            mdape_interval: None,
+            by_kind: Vec::new(),
+            predicted: predicted.clone(),
+            constant,
+        };
+        let all = [predictor("m", false), predictor("m, int8 weights", false), predictor("the mean", true)];
+        let svg = bias_chart(&all).to_svg_file();
+        assert!(svg.contains("m, int8 weights") && !svg.contains("the mean"), "{svg}");
+    }
 }

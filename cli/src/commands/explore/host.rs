@@ -67,6 +67,8 @@ impl Watcher for Follower {
 /// A predictor for one volume.
 struct Predicts {
     model: SteeringModel,
+    /// Hash of the model.
+    identity: u32,
     /// True if the model was calibrated to this machine, which a given model is assumed to be.
     calibrated: bool,
     /// The clock that the model states.
@@ -94,6 +96,10 @@ impl Steering for Predicts {
             out += &format!("; {why}");
         }
         out
+    }
+
+    fn identity(&self) -> u32 {
+        self.identity
     }
 
     fn volume_features(&self) -> Option<&[f32]> {
@@ -150,7 +156,8 @@ impl Host for ExplorerHost {
         };
         let clock = entire_io::clock::of(&model);
         let model = SteeringModel::new(title, model, volume)?;
-        Ok(Arc::new(Predicts { model, calibrated, clock, left_out }))
+        let identity = model.predictor()?.identity();
+        Ok(Arc::new(Predicts { model, identity, calibrated, clock, left_out }))
     }
 
     fn controllers(&self) -> Vec<(&'static str, &'static str)> {
@@ -294,6 +301,7 @@ mod tests {
         let mut predicts = Predicts {
             clock: entire_io::clock::of(&model),
             model: SteeringModel::new("m".into(), model, &view).unwrap(),
+            identity: 0,
             calibrated: false,
             left_out: Some(takes_no_part(Path::new("here.safetensors"), Some(Clock::Device))),
         };

@@ -10,13 +10,13 @@ fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decis
 
 /// Algorithm 1: δ = δ_ref · G⁻¹(t_target / t_predict), with t_predict the prediction at the reference step.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Algorithm1 {
+pub(crate) struct Algorithm1 {
     response: StepResponse,
 }
 
 impl Algorithm1 {
     /// With a measured response curve.
-    pub fn new(response: StepResponse) -> Self {
+    pub(crate) fn new(response: StepResponse) -> Self {
         Self { response }
     }
 }
@@ -55,7 +55,7 @@ enum Recent {
 /// that meets the target, for the mean of three frames (the paper's OLP), the last one, or the larger of the
 /// last two. The first frame is drawn at the reference step.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Olp {
+pub(crate) struct Olp {
     recent: Recent,
     response: StepResponse,
     window: [f32; 3],
@@ -64,17 +64,17 @@ pub struct Olp {
 
 impl Olp {
     /// With a measured response curve.
-    pub fn new(response: StepResponse) -> Self {
+    pub(crate) fn new(response: StepResponse) -> Self {
         Self { recent: Recent::MeanOfThree, response, window: [0.0; 3], seen: 0 }
     }
 
     /// From the last frame alone.
-    pub fn last(response: StepResponse) -> Self {
+    pub(crate) fn last(response: StepResponse) -> Self {
         Self { recent: Recent::Last, ..Self::new(response) }
     }
 
     /// From the larger of the last two frames.
-    pub fn larger_of_two(response: StepResponse) -> Self {
+    pub(crate) fn larger_of_two(response: StepResponse) -> Self {
         Self { recent: Recent::LargerOfTwo, ..Self::new(response) }
     }
 
@@ -123,7 +123,7 @@ impl Controller for Olp {
 /// step · (1 + P e) + I Σe + D Δe (gains P, I, D of 0.3, 0.05, 0.1 in the paper). Σe is reset to 0 when the
 /// limits clamp the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pid {
+pub(crate) struct Pid {
     gains: [f32; 3],
     step: f32,
     integral: f32,
@@ -132,10 +132,10 @@ pub struct Pid {
 
 impl Pid {
     /// The paper's gains.
-    pub const PAPER_GAINS: [f32; 3] = [0.3, 0.05, 0.1];
+    pub(crate) const PAPER_GAINS: [f32; 3] = [0.3, 0.05, 0.1];
 
     /// With proportional, integral and differential gain; starts at the reference step.
-    pub fn new(gains: [f32; 3]) -> Self {
+    pub(crate) fn new(gains: [f32; 3]) -> Self {
         Self { gains, step: 1.0, integral: 0.0, last: None }
     }
 }

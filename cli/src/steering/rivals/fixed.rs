@@ -4,13 +4,13 @@ use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason,
 
 /// Always the same step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Fixed {
+pub(crate) struct Fixed {
     step: f32,
 }
 
 impl Fixed {
     /// Draws every frame with `step`, clamped to the limits.
-    pub fn new(step: f32) -> Self {
+    pub(crate) fn new(step: f32) -> Self {
         Self { step }
     }
 }

@@ -9,7 +9,7 @@ mod response;
 #[cfg(test)]
 mod tests;
 
-pub use algorithm1::{Algorithm1, Olp, Pid};
-pub use fixed::Fixed;
-pub use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
+pub(crate) use algorithm1::{Algorithm1, Olp, Pid};
+pub(crate) use fixed::Fixed;
+pub(crate) use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 pub use response::StepResponse;

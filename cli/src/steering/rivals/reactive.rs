@@ -19,7 +19,7 @@ fn reactive(step: f32) -> Decision {
 /// full-quality time, quantized to 1, 0.5, 0.2 or 0.1; the ray step is its inverse, as there. The first frame
 /// is drawn at full quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VtkGpu {
+pub(crate) struct VtkGpu {
     factor: f32,
     /// Seconds of the last frame; 0 before the first.
     last: f32,
@@ -27,14 +27,8 @@ pub struct VtkGpu {
 
 impl VtkGpu {
     /// At full quality.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { factor: 1.0, last: 0.0 }
-    }
-}
-
-impl Default for VtkGpu {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -74,21 +68,15 @@ impl Controller for VtkGpu {
 /// the last frame alone; full time is the last time multiplied by its squared distance. The first frame is
 /// drawn at half the largest distance. s is the squared distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VtkFixedPoint {
+pub(crate) struct VtkFixedPoint {
     distance: f32,
     last: f32,
 }
 
 impl VtkFixedPoint {
     /// Before the first frame.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { distance: 5.0, last: 0.0 }
-    }
-}
-
-impl Default for VtkFixedPoint {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -121,23 +109,16 @@ impl Controller for VtkFixedPoint {
 /// frame rate when they differ by more than 15 %; 1…400. s is the scale: the image's sides are divided by its
 /// square root.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VtkJs {
+pub(crate) struct VtkJs {
     scale: f32,
     elapsed: f32,
     frames: f32,
-    target: f32,
 }
 
 impl VtkJs {
     /// At full resolution.
-    pub fn new() -> Self {
-        Self { scale: 1.0, elapsed: 0.0, frames: 0.0, target: 0.0 }
-    }
-}
-
-impl Default for VtkJs {
-    fn default() -> Self {
-        Self::new()
+    pub(crate) fn new() -> Self {
+        Self { scale: 1.0, elapsed: 0.0, frames: 0.0 }
     }
 }
 
@@ -163,7 +144,6 @@ impl Controller for VtkJs {
         // Browsers show a frame at the next refresh of the display, at most 60 times per second.
         self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
         self.frames += 1.0;
-        self.target = observed.target;
         Verdict::Learned
     }
 
@@ -180,7 +160,7 @@ const WINDOW: usize = 16;
 /// blended by 0.9; two frames over the budget in a row drop the history and react at once. s is 1 / f²; the
 /// caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Unreal {
+pub(crate) struct Unreal {
     work: f32,
     /// Seconds of past frames, converted to full resolution, newest last.
     times: [f32; WINDOW],
@@ -192,14 +172,8 @@ pub struct Unreal {
 
 impl Unreal {
     /// At full resolution.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { work: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 }
-    }
-}
-
-impl Default for Unreal {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -264,7 +238,7 @@ impl Controller for Unreal {
 /// integral while clamped. The controlled quantity is the share of work, s its inverse; the caller's limits
 /// keep the scale of each side in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Filament {
+pub(crate) struct Filament {
     work: f32,
     times: [f32; 15],
     len: usize,
@@ -274,14 +248,8 @@ pub struct Filament {
 
 impl Filament {
     /// At full resolution.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { work: 1.0, times: [0.0; 15], len: 0, integral: 0.0, clamped: false }
-    }
-}
-
-impl Default for Filament {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
