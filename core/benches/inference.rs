@@ -3,7 +3,6 @@
 //!
 //! ```text
 //! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
-//! cargo bench -p entire-core --bench inference -- --accuracy MODEL.safetensors INPUTS.csv [SECONDS.csv]
 //! ```
 //!
 //! | column | meaning |
@@ -17,15 +16,10 @@
 //!
 //! VolumeNet `vol A` has the channels 1-8-16-32-64-128-256, `vol B` 1-16-32-64-128-256-256 (kernel 3, stride
 //! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
-//!
-//! The second form measures the accuracy of storages on a trained model and real inputs (one row per frame,
-//! in the model's order, no header): their difference from f32 and, with measured seconds (one number per
-//! line), their error beside that of f32.
 #![allow(clippy::incompatible_msrv, reason = "needs the newest compiler, unlike the library")]
 
 use entire_core::kernels::{Executor, Storage};
 use entire_core::kernels::{Isa, Level};
-use entire_core::model::Model;
 use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Normalization, PredNet, PredNetParts, Resampler, Target, VolumeNet,
     VolumeNetParts,
@@ -414,18 +408,16 @@ struct Options {
     record: bool,
     only: String,
     calls: usize,
-    accuracy: Vec<String>,
 }
 
 fn options() -> Options {
-    let mut found = Options { record: false, only: String::new(), calls: 1_000_000, accuracy: Vec::new() };
+    let mut found = Options { record: false, only: String::new(), calls: 1_000_000 };
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--record" => found.record = true,
             "--only" => found.only = arguments.next().unwrap_or_default(),
             "--calls" => found.calls = arguments.next().and_then(|n| n.parse().ok()).unwrap_or(found.calls),
-            "--accuracy" => found.accuracy = arguments.by_ref().collect(),
             _ => {}
         }
     }
@@ -434,9 +426,6 @@ fn options() -> Options {
 
 fn main() {
     let options = options();
-    if !options.accuracy.is_empty() {
-        return accuracy(&options.accuracy);
-    }
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     let load = load.split(' ').next().unwrap_or("unknown").to_owned();
     let clock = (0..2000).map(|_| Instant::now().elapsed().as_nanos()).min().unwrap_or(0) as f64;
@@ -619,54 +608,5 @@ fn main() {
             .and_then(|()| std::fs::write(&path, head + &csv))
             .expect("a writable folder");
         println!("recorded in {path}");
-    }
-}
-
-/// Measures the accuracy of storages on a trained model and real inputs.
-fn accuracy(arguments: &[String]) {
-    let read = |path: &str| std::fs::read(path).unwrap_or_else(|e| panic!("{path}: {e}"));
-    let numbers = |path: &str| -> Vec<f32> {
-        let text = String::from_utf8(read(path)).unwrap_or_else(|e| panic!("{path}: {e}"));
-        let number = |n: &str| n.trim().parse().unwrap_or_else(|e| panic!("{path}: {n:?}: {e}"));
-        text.split([',', '\n']).filter(|n| !n.trim().is_empty()).map(number).collect()
-    };
-    let [model, inputs, rest @ ..] = arguments else {
-        panic!("usage: --accuracy MODEL.safetensors INPUTS.csv [SECONDS.csv]")
-    };
-    let model = Model::from_bytes(&read(model)).unwrap_or_else(|e| panic!("{model}: {e}"));
-    let parts = model.prednet().expect("a model with a PredNet");
-    let x = numbers(inputs);
-    let measured = rest.first().map(|path| numbers(path));
-    let predict = |storage| {
-        let net = PredNet::with(parts, Level::detect(), storage).expect("a network");
-        let mut scratch = net.scratch(1).expect("memory");
-        x.chunks_exact(net.inputs()).map(|row| f64::from(net.predict(row, &mut scratch))).collect::<Vec<_>>()
-    };
-    let exact = predict(Storage::F32);
-    println!(
-        "{} frames; relative to f32: median, 95th percentile, largest; against measured seconds: mean and median relative \
-         error, root of the mean square error in ms",
-        exact.len()
-    );
-    let mut reference = None;
-    for storage in Storage::ALL {
-        let found = predict(storage);
-        let mut difference: Vec<_> = found.iter().zip(&exact).map(|(f, e)| ((f - e) / e).abs()).collect();
-        difference.sort_by(f64::total_cmp);
-        let [p50, p95, p100] = [50, 95, 100].map(|p| percentile(&difference, p));
-        print!("{:4}  {p50:9.2e} {p95:9.2e} {p100:9.2e}", storage);
-        if let Some(measured) = &measured {
-            let pairs = || found.iter().zip(measured).map(|(&f, &m)| (f, f64::from(m)));
-            let count = pairs().count() as f64;
-            let mut relative: Vec<_> = pairs().map(|(f, m)| ((f - m) / m).abs()).collect();
-            relative.sort_by(f64::total_cmp);
-            let square = pairs().map(|(f, m)| (f - m) * (f - m)).sum::<f64>() / count;
-            let errors =
-                [relative.iter().sum::<f64>() / count, percentile(&relative, 50), 1e3 * square.sqrt()];
-            for (error, of_f32) in errors.into_iter().zip(*reference.get_or_insert(errors)) {
-                print!("  {error:9.5} ({:+.2} % of f32's)", 100.0 * (error / of_f32 - 1.0));
-            }
-        }
-        println!();
     }
 }

@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 
 /// The error of a failed allocation. Its message is static: there may be no memory for another.
 #[cold]
-pub fn no_memory() -> Error {
+pub(crate) fn no_memory() -> Error {
     Error::new(
         ErrorKind::OutOfMemory,
         "the model or the volume needs more memory than there is; give the process more memory, or use a \
@@ -45,7 +45,7 @@ pub fn chunks_mut<const N: usize, T: bytemuck::Pod>(all: &mut [T]) -> (&mut [[T;
 }
 
 /// A vector of `len` zeros from zeroed pages: untouched pages take no memory.
-pub fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
+pub(crate) fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
     bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())
 }
 
@@ -73,7 +73,7 @@ pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
 }
 
 /// Resizes a vector to `len`; new elements are `value`.
-pub fn resize<T: Clone>(vector: &mut Vec<T>, len: usize, value: T) -> Result<()> {
+pub(crate) fn resize<T: Clone>(vector: &mut Vec<T>, len: usize, value: T) -> Result<()> {
     reserve(vector, len)?;
     vector.resize(len, value);
     Ok(())

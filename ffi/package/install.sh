@@ -21,7 +21,7 @@ while (($#)); do
         --features) features=${2?--features needs a list}; shift 2 ;;
         --profile) profile=${2:?--profile needs a name}; shift 2 ;;
         --no-build) build=; shift ;;
-        -h | --help) sed -n '2,13p' "$0" | cut -c3-; exit 0 ;;
+        -h | --help) sed -n '2,12p' "$0" | cut -c3-; exit 0 ;;
         *) echo "install.sh: unknown option $1 (try --help)" >&2; exit 2 ;;
     esac
 done

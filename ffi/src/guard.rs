@@ -196,7 +196,7 @@ fn keep(text: &str, out: &mut [u8; TEXT_BYTES]) {
 
 #[cold]
 fn panicked(payload: Box<dyn Any + Send>) -> Failure {
-    // A payload whose drop panics leaves another payload, which is leaked: harmless after a bug.
+    // If dropping the payload panics, the second payload is leaked: this happens only after a bug.
     if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(second);
     }

@@ -16,7 +16,7 @@ use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::model::{GroupKind, Model, ModelFile};
 use entire_core::nn::{EncodeScratch, PredNet, PredNetParts, PredScratch, Target, VolumeNet};
-use entire_steer::predict::{AnalyticModel, ModelPredictor, Predictor};
+use entire_steer::predict::{Predictor, load_with};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
 use std::io::ErrorKind;
@@ -30,7 +30,7 @@ pub type entire_target = u32;
 pub const ENTIRE_TARGET_NONE: entire_target = 0;
 /// Seconds.
 pub const ENTIRE_TARGET_SECONDS: entire_target = 1;
-/// The natural logarithm of seconds; predictions are seconds all the same.
+/// The natural logarithm of seconds. Predictions are nevertheless returned in seconds.
 pub const ENTIRE_TARGET_LOG_SECONDS: entire_target = 2;
 
 /// Description of a model. Set struct_size before the call.
@@ -171,10 +171,7 @@ impl Loaded {
     /// A predictor that uses the model.
     pub(crate) fn predictor(&self) -> Result<Box<dyn Predictor + Send>, Failure> {
         let (net, _) = self.prednet()?;
-        Ok(match AnalyticModel::from_model(&self.model)? {
-            Some(analytic) => Box::new(analytic),
-            None => Box::new(ModelPredictor::with_net(net.clone(), &self.model)?),
-        })
+        Ok(load_with(net, &self.model)?)
     }
 
     /// The volume features for the model's predictions: the volume's precomputed ones, else the encoder's;

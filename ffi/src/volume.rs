@@ -16,7 +16,7 @@ use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied};
 use crate::sink;
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
-use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
+use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::ffi::{c_char, c_void};
 use std::mem::{MaybeUninit, size_of};
 use std::sync::OnceLock;
@@ -285,7 +285,7 @@ impl Volume {
         if let Some(summary) = self.summary.get() {
             return Ok(summary);
         }
-        let summary = VolumeSummary::new(self.view()?, SummaryOptions::default())?;
+        let summary = VolumeSummary::new(self.view()?)?;
         warn_of_non_finite(&summary);
         Ok(self.summary.get_or_init(|| summary))
     }

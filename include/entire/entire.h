@@ -858,8 +858,8 @@ typedef struct entire_plan {
      */
     float upper;
     /**
-     * 0 if the inputs are inside the model's training range, 1 at the limit up to which the prediction is
-     * trusted, larger beyond.
+     * 0 if the inputs are inside the model's training range, larger with the distance from it. Above the
+     * session's trust_limit, steps are chosen from recent frames.
      */
     float out_of_range;
     /**
@@ -964,7 +964,7 @@ typedef struct entire_pass {
 #define ENTIRE_TARGET_SECONDS 1
 
 /**
- * The natural logarithm of seconds; predictions are seconds all the same.
+ * The natural logarithm of seconds. Predictions are nevertheless returned in seconds.
  */
 #define ENTIRE_TARGET_LOG_SECONDS 2
 
@@ -1127,7 +1127,8 @@ typedef struct entire_pass {
 #define ENTIRE_VERDICT_IGNORED 2
 
 /**
- * The finest step whose upper bound fits the target.
+ * The finest step that is expected to meet the target, with an upper bound of at most the target plus the
+ * session's tolerance.
  */
 #define ENTIRE_REASON_FITS 1
 
@@ -1458,7 +1459,9 @@ void entire_volume_free(struct entire_volume *volume);
  * Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
  * ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
  * bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
- * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step.
+ * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step. After
+ * ENTIRE_OUT_OF_MEMORY the next use of the volume may scan it again: where the caller has overwritten
+ * borrowed voxels, it then finds the new ones.
  */
 entire_result entire_volume_update(struct entire_volume *volume, const struct entire_volume_desc *desc);
 
@@ -1695,9 +1698,9 @@ entire_result entire_session_predict(struct entire_session *session,
                                      struct entire_prediction *prediction);
 
 /**
- * Chooses the ray step of the next frame: the finest step for which the upper bound of the frame's time is
- * at most `target_seconds`. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
- * plan->struct_size first. Does not allocate.
+ * Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
+ * with an upper bound of at most (1 + tolerance) times that. Draw with plan->step, then pass the frame's
+ * time to entire_session_observe. Set plan->struct_size first. Does not allocate.
  *
  * Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
  * positive.
@@ -1708,10 +1711,11 @@ entire_result entire_session_plan(struct entire_session *session,
                                   struct entire_plan *plan);
 
 /**
- * Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else
- * the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen
- * settings, and `plan` their plan, to be observed like any other. The step, size and modes in the frame
- * itself are ignored. Does not allocate.
+ * Chooses among the caller's settings, best quality first: the first that is expected to meet the target,
+ * with an upper bound of at most the target plus the session's tolerance, else the one expected to be
+ * fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen settings, and `plan` their
+ * plan, to be observed like any other. The step, size and modes in the frame itself are ignored. Does not
+ * allocate.
  *
  * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
  * range, and with ENTIRE_SIZE_MISMATCH for too many.
@@ -1833,11 +1837,11 @@ entire_result entire_session_mark(struct entire_session *session, uint32_t chang
 /**
  * Names the renderer whose frames are observed and the clock that times them, such as
  * "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
- * another: saved states contain both names, and entire_session_load_state refuses states with other names.
- * Both names are empty in a new session, and states saved then load only into sessions with empty names.
- * Call it before loading and before saving. A clock named "cpu", "wall" or "device" is compared with the
- * model's (entire_session_clocks); if the result of the comparison changes, the learned correction is
- * forgotten.
+ * another: it is forgotten if a name that was not empty changes, saved states contain both names, and
+ * entire_session_load_state refuses states with other names. Both names are empty in a new session, and
+ * states saved then load only into sessions with empty names. Call it before loading and before saving. A
+ * clock named "cpu", "wall" or "device" is compared with the model's (entire_session_clocks); if the result
+ * of the comparison changes, the learned correction is forgotten, too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
  * ENTIRE_NULL_ARGUMENT.

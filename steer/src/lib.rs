@@ -20,7 +20,6 @@
 //! use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction};
 //! use entire_core::{Frame, GaussianLobe, VolumeView};
 //! use entire_steer::control::ObserveFlags;
-//! use entire_steer::features::SummaryOptions;
 //! use entire_steer::{Session, VolumeSummary};
 //!
 //! let voxels = vec![100u8; 32 * 32 * 32];
@@ -29,7 +28,7 @@
 //! let table = TransferFunction::Gaussian(vec![lobe]).to_table()?;
 //!
 //! let mut session = Session::untrained();
-//! session.set_volume(VolumeSummary::new(&view, SummaryOptions::default())?, None);
+//! session.set_volume(VolumeSummary::new(&view)?, None);
 //! session.set_transfer(&table, None)?;
 //!
 //! let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.0 })?;

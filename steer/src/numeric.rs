@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 /// Replaces a symmetric positive definite matrix of n rows, given by its lower half in row-major order, by
 /// its Cholesky factor. Returns false, and leaves the matrix in an unspecified state, where it is not
 /// positive definite.
-pub fn cholesky(a: &mut [f64], n: usize) -> bool {
+fn cholesky(a: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         for k in 0..j {
             let f = a[j * n + k];
@@ -68,7 +68,7 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// RMSE of (predicted, measured) pairs over the standard deviation of the measured values; `None` without
 /// pairs.
-pub fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
+pub(crate) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.is_empty() {
         return None;
     }

@@ -59,7 +59,7 @@ mod child {
     use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
     use entire_steer::control::ObserveFlags;
     use entire_steer::control::Session;
-    use entire_steer::features::{SummaryOptions, VolumeSummary};
+    use entire_steer::features::VolumeSummary;
 
     pub(crate) const CASES: [&str; 3] = ["predict", "plan_and_observe", "encode_again"];
 
@@ -157,7 +157,7 @@ mod child {
         let n = 32;
         let bytes: Vec<u8> = (0..n * n * n).map(|i| (i * 193 % 251) as u8).collect();
         let view = VolumeView::new(Scalars::U8(&bytes), [n; 3]).expect("a volume");
-        let summary = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
+        let summary = VolumeSummary::new(&view).expect("a summary");
         let lobe = GaussianLobe { center: 0.5, width: 0.02, height: 0.1 };
         let table = TransferFunction::Gaussian(vec![lobe]).to_table().expect("a table");
         let frames: Vec<Frame> = (0..40)

@@ -67,8 +67,6 @@ impl fmt::Display for Isa {
 const HAS_AVX2: u32 = 1 << 1;
 const HAS_AVX512: u32 = 1 << 2;
 const HAS_VNNI: u32 = 1 << 3;
-const HAS_BF16: u32 = 1 << 4;
-const HAS_FP16: u32 = 1 << 5;
 const PROBED: u32 = 1 << 31;
 
 /// Proof that the CPU has the instructions of one [`Isa`].
@@ -77,12 +75,13 @@ const PROBED: u32 = 1 << 31;
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Level {
     isa: Isa,
-    extras: u32,
+    /// True where the level includes AVX512_VNNI (8-bit integer dot products).
+    vnni: bool,
 }
 
 impl Level {
     /// The portable level, available on every machine.
-    pub(crate) const SCALAR: Level = Level { isa: Isa::Scalar, extras: 0 };
+    pub(crate) const SCALAR: Level = Level { isa: Isa::Scalar, vnni: false };
 
     /// The highest level of this CPU, capped by the environment variable `ENTIRE_LEVEL` (`scalar`, `avx2` or
     /// `avx512`) where the feature `std` is on. An unknown value there is ignored here and reported by
@@ -106,10 +105,10 @@ impl Level {
         let found = features();
         match isa {
             Isa::Scalar => Some(Self::SCALAR),
-            Isa::Avx2 => (found & HAS_AVX2 != 0).then_some(Level { isa, extras: 0 }),
+            Isa::Avx2 => (found & HAS_AVX2 != 0).then_some(Level { isa, vnni: false }),
             // Compilers before 1.89 have no such instructions.
             Isa::Avx512 => (cfg!(entire_avx512) && found & HAS_AVX512 != 0)
-                .then_some(Level { isa, extras: found & (HAS_VNNI | HAS_BF16 | HAS_FP16) }),
+                .then_some(Level { isa, vnni: found & HAS_VNNI != 0 }),
         }
     }
 
@@ -157,17 +156,7 @@ impl Level {
 
     /// True where the level includes AVX512_VNNI (8-bit integer dot products).
     pub(crate) const fn has_vnni(self) -> bool {
-        self.extras & HAS_VNNI != 0
-    }
-
-    /// True where the level includes AVX512_BF16.
-    pub(crate) const fn has_bf16(self) -> bool {
-        self.extras & HAS_BF16 != 0
-    }
-
-    /// True where the level includes AVX512_FP16.
-    pub(crate) const fn has_fp16(self) -> bool {
-        self.extras & HAS_FP16 != 0
+        self.vnni
     }
 }
 
@@ -180,12 +169,7 @@ impl fmt::Debug for Level {
 impl fmt::Display for Level {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.isa.name())?;
-        for (has, name) in [(self.has_vnni(), "vnni"), (self.has_bf16(), "bf16"), (self.has_fp16(), "fp16")] {
-            if has {
-                write!(f, "+{name}")?;
-            }
-        }
-        Ok(())
+        f.write_str(if self.has_vnni() { "+vnni" } else { "" })
     }
 }
 
@@ -223,16 +207,16 @@ fn probe() -> u32 {
 
     /// `cpuid` of a leaf.
     #[allow(unused_unsafe, reason = "compilers before 1.94 call it unsafe")]
-    fn cpuid(leaf: u32, part: u32) -> CpuidResult {
+    fn cpuid(leaf: u32) -> CpuidResult {
         // SAFETY: every CPU of this architecture has the instruction.
-        unsafe { __cpuid_count(leaf, part) }
+        unsafe { __cpuid_count(leaf, 0) }
     }
 
     let bit = |word: u32, n: u32| word >> n & 1 != 0;
-    if cpuid(0, 0).eax < 7 {
+    if cpuid(0).eax < 7 {
         return 0;
     }
-    let leaf1 = cpuid(1, 0);
+    let leaf1 = cpuid(1);
     let (fma, osxsave, avx, f16c) =
         (bit(leaf1.ecx, 12), bit(leaf1.ecx, 27), bit(leaf1.ecx, 28), bit(leaf1.ecx, 29));
     let popcnt = bit(leaf1.ecx, 23);
@@ -243,7 +227,7 @@ fn probe() -> u32 {
     let state = unsafe { enabled_state() };
     let ymm = state & 0b110 == 0b110;
     let zmm = state & 0b1110_0110 == 0b1110_0110;
-    let leaf7 = cpuid(7, 0);
+    let leaf7 = cpuid(7);
     let mut found = 0;
     if ymm && avx && fma && f16c && popcnt && bit(leaf7.ebx, 5) {
         found |= HAS_AVX2;
@@ -251,12 +235,6 @@ fn probe() -> u32 {
             found |= HAS_AVX512;
             if bit(leaf7.ecx, 11) {
                 found |= HAS_VNNI;
-            }
-            if bit(leaf7.edx, 23) {
-                found |= HAS_FP16;
-            }
-            if leaf7.eax >= 1 && bit(cpuid(7, 1).eax, 5) {
-                found |= HAS_BF16;
             }
         }
     }
@@ -311,8 +289,6 @@ mod tests {
         assert_eq!(Level::exactly(Isa::Avx512).is_some(), avx512);
         if let Some(level) = Level::exactly(Isa::Avx512) {
             assert_eq!(level.has_vnni(), std::is_x86_feature_detected!("avx512vnni"));
-            assert_eq!(level.has_bf16(), std::is_x86_feature_detected!("avx512bf16"));
-            assert_eq!(level.has_fp16(), std::is_x86_feature_detected!("avx512fp16"));
         }
     }
 }

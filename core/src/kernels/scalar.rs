@@ -26,7 +26,6 @@ impl Simd for Scalar {
     type I = Four<i32>;
     type M = Four<bool>;
     const LANES: usize = 4;
-    const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 2;
     const COUNTED: usize = 12;
 

@@ -34,8 +34,6 @@ pub trait Simd: Copy + 'static {
     type M: Copy;
     /// Number of lanes: 4, 8 or 16.
     const LANES: usize;
-    /// Rows of the accumulator tile that fits the register file.
-    const TILE_ROWS: usize;
     /// Vectors of the accumulator tile that fits the register file.
     const TILE_VECTORS: usize;
 

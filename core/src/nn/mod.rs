@@ -16,3 +16,15 @@ pub use prednet::{PredNet, PredScratch};
 pub use resample::Resampler;
 pub(crate) use volumenet::check as check_volumenet;
 pub use volumenet::{EncodeScratch, VOLUMENET_TOLERANCE, VolumeNet};
+
+/// Pseudo-random numbers of 53 bits, for tests.
+#[cfg(test)]
+fn random(seed: u64) -> impl FnMut() -> u64 {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state >> 11
+    }
+}

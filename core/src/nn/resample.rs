@@ -224,6 +224,7 @@ fn split(
 mod tests {
     use super::*;
     use crate::ErrorKind;
+    use crate::nn::random;
     use crate::scene::VolumeOptions;
     use alloc::vec;
 
@@ -269,16 +270,6 @@ mod tests {
         let (low, high) = (f64::from(view.range().0), f64::from(view.range().1));
         let v = f64::from(view.value(x, y, z));
         if v.is_nan() || high <= low { 0.0 } else { ((v - low) / (high - low)).clamp(0.0, 1.0) }
-    }
-
-    fn noise(seed: u64) -> impl FnMut() -> u64 {
-        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-        move || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            state >> 11
-        }
     }
 
     /// Resamples at every level and checks that all give the same bits within the tolerance of the
@@ -328,7 +319,7 @@ mod tests {
         for (dims, n) in
             [([556, 139, 139], 139), ([360, 90, 180], 90), ([300, 100, 100], 100), ([64, 32, 16], 16)]
         {
-            let mut next = noise(77);
+            let mut next = random(77);
             let bytes: Vec<u8> = (0..dims.iter().product()).map(|_| next() as u8).collect();
             let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
             let resampled = |level| {
@@ -353,7 +344,7 @@ mod tests {
     fn every_type_and_shape_meets_the_definition() {
         for (seed, (dims, n)) in SHAPES.into_iter().enumerate() {
             let voxels = dims.iter().product();
-            let mut next = noise(seed as u64 + 1);
+            let mut next = random(seed as u64 + 1);
             let bytes: Vec<u8> = (0..voxels).map(|_| next() as u8).collect();
             let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
             check(&view, n);
@@ -387,7 +378,7 @@ mod tests {
     #[test]
     fn ranges_without_a_reciprocal_meet_the_definition() {
         let dims = [5, 7, 11];
-        let mut next = noise(99);
+        let mut next = random(99);
         let huge: Vec<f32> = (0..385).map(|_| if next() % 2 == 0 { f32::MIN } else { f32::MAX }).collect();
         check(&VolumeView::new(Scalars::F32(&huge), dims).unwrap(), 8);
         let tiny: Vec<f32> = (0..385).map(|_| f32::from_bits((next() % 100) as u32)).collect();
@@ -401,7 +392,7 @@ mod tests {
 
     #[test]
     fn strided_views_read_the_right_voxels() {
-        let mut next = noise(5);
+        let mut next = random(5);
         let data: Vec<u8> = (0..40 * 40 * 40).map(|_| next() as u8).collect();
         let words: Vec<i16> = data.iter().map(|&b| i16::from(b) * 3 - 200).collect();
         // Padded rows, a transposed volume, every second voxel, a broadcast axis.
@@ -476,7 +467,7 @@ mod tests {
     #[test]
     fn threads_change_no_bit() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-        let mut next = noise(77);
+        let mut next = random(77);
         for (dims, n) in SHAPES {
             let voxels: usize = dims.iter().product();
             let bytes: Vec<u8> = (0..voxels).map(|_| next() as u8).collect();

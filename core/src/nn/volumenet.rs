@@ -284,18 +284,14 @@ mod tests {
     use super::*;
     use crate::ErrorKind;
     use crate::nn::conv3d::reference;
-    use crate::nn::{ConvBlockParts, DenseParts, Dtype};
+    use crate::nn::{ConvBlockParts, DenseParts, Dtype, random};
     use crate::scene::VolumeOptions;
     use alloc::vec;
 
+    /// Pseudo-random numbers from -1 to 1.
     fn noise(seed: u64) -> impl FnMut() -> f32 {
-        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-        move || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 40) as f32 / (1 << 23) as f32 - 1.0
-        }
+        let mut next = random(seed);
+        move || (next() >> 29) as f32 / (1 << 23) as f32 - 1.0
     }
 
     /// Channels, kernel edge, stride and padding of a block.

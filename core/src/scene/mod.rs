@@ -15,4 +15,4 @@ pub use transfer::{COLOR_RAMP, ControlPoint, GaussianLobe, TABLE_LEN, TransferFu
 pub use volume::{
     MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, Shape, VolumeOptions, VolumeView,
 };
-pub use volume::{check_edges, check_spacing, normalize, ratios};
+pub use volume::{normalize, ratios};

@@ -103,8 +103,19 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// Sizes of a volume without voxels in memory, such as one that is known by its bricks.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for a size of 0 or a spacing that [`VolumeView::with`] refuses,
+    /// [`ErrorKind::SizeMismatch`] for a size over [`MAX_VOLUME_EDGE`].
+    pub fn checked(dims: [usize; 3], spacing: [f32; 3]) -> Result<Self> {
+        check_not_empty(dims)?;
+        check_edges(dims)?;
+        Ok(Self::new(dims, check_spacing(spacing)?))
+    }
+
     /// Sizes of a grid of `dims` voxels with a spacing in world units.
-    pub fn new(dims: [usize; 3], spacing: Vec3) -> Self {
+    fn new(dims: [usize; 3], spacing: Vec3) -> Self {
         let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
         let bounding_radius = bounding_radius(extent);
         Self {
@@ -186,11 +197,7 @@ impl<'a> VolumeView<'a> {
     }
 
     fn unranged(scalars: Scalars<'a>, dims: [usize; 3], strides: [usize; 3]) -> Result<Self> {
-        for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
-            if n == 0 {
-                bail!(InvalidArgument, "volume size along {axis} is 0; every size must be at least 1");
-            }
-        }
+        check_not_empty(dims)?;
         let voxels = (dims[0] as u64).checked_mul(dims[1] as u64).and_then(|p| p.checked_mul(dims[2] as u64));
         let Some(voxels) = voxels else { return Err(overflow(dims)) };
         check_edges(dims)?;
@@ -253,11 +260,6 @@ impl<'a> VolumeView<'a> {
         self.strides == [1, self.dims[0], self.dims[0] * self.dims[1]]
     }
 
-    /// Voxel spacing along x, y, z.
-    pub fn spacing(&self) -> Vec3 {
-        self.spacing
-    }
-
     /// The scalar range that maps to [0, 1].
     pub fn range(&self) -> (f32, f32) {
         self.range
@@ -307,8 +309,7 @@ pub fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
     t.clamp(0.0, 1.0)
 }
 
-/// Checks a spacing as [`VolumeView::with`] does.
-pub fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
+fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
     if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
         bail!(
             InvalidArgument,
@@ -329,8 +330,17 @@ pub fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
     Ok(Vec3::from_array(spacing))
 }
 
+fn check_not_empty(dims: [usize; 3]) -> Result<()> {
+    for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
+        if n == 0 {
+            bail!(InvalidArgument, "volume size along {axis} is 0; every size must be at least 1");
+        }
+    }
+    Ok(())
+}
+
 /// Refuses sizes over [`MAX_VOLUME_EDGE`].
-pub fn check_edges(dims: [usize; 3]) -> Result<()> {
+fn check_edges(dims: [usize; 3]) -> Result<()> {
     if dims.iter().any(|&n| n > MAX_VOLUME_EDGE) {
         bail!(
             SizeMismatch,

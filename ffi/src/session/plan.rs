@@ -12,7 +12,8 @@ use std::mem::size_of;
 
 /// Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
 pub type entire_reason = u32;
-/// The finest step whose upper bound fits the target.
+/// The finest step that is expected to meet the target, with an upper bound of at most the target plus the
+/// session's tolerance.
 pub const ENTIRE_REASON_FITS: entire_reason = 1;
 /// As ENTIRE_REASON_FITS, but the step approaches that one slowly because nothing changed abruptly.
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
@@ -83,8 +84,8 @@ pub struct entire_plan {
     pub seconds: f32,
     /// Upper bound of the seconds.
     pub upper: f32,
-    /// 0 if the inputs are inside the model's training range, 1 at the limit up to which the prediction is
-    /// trusted, larger beyond.
+    /// 0 if the inputs are inside the model's training range, larger with the distance from it. Above the
+    /// session's trust_limit, steps are chosen from recent frames.
     pub out_of_range: f32,
     /// ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
     pub absent: u32,
@@ -237,9 +238,9 @@ pub unsafe extern "C" fn entire_session_predict(
     }
 }
 
-/// Chooses the ray step of the next frame: the finest step for which the upper bound of the frame's time is
-/// at most `target_seconds`. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
-/// plan->struct_size first. Does not allocate.
+/// Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
+/// with an upper bound of at most (1 + tolerance) times that. Draw with plan->step, then pass the frame's
+/// time to entire_session_observe. Set plan->struct_size first. Does not allocate.
 ///
 /// Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
 /// positive.
@@ -261,10 +262,11 @@ pub unsafe extern "C" fn entire_session_plan(
     }
 }
 
-/// Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else
-/// the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen
-/// settings, and `plan` their plan, to be observed like any other. The step, size and modes in the frame
-/// itself are ignored. Does not allocate.
+/// Chooses among the caller's settings, best quality first: the first that is expected to meet the target,
+/// with an upper bound of at most the target plus the session's tolerance, else the one expected to be
+/// fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen settings, and `plan` their
+/// plan, to be observed like any other. The step, size and modes in the frame itself are ignored. Does not
+/// allocate.
 ///
 /// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
 /// range, and with ENTIRE_SIZE_MISMATCH for too many.

@@ -7,7 +7,7 @@ use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_core::kernels::Executor;
-use entire_steer::features::{SummaryOptions, SummarySeries};
+use entire_steer::features::SummarySeries;
 use std::ops::Range;
 use std::sync::OnceLock;
 
@@ -24,7 +24,9 @@ use std::sync::OnceLock;
 /// Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
 /// ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
 /// bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
-/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step.
+/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step. After
+/// ENTIRE_OUT_OF_MEMORY the next use of the volume may scan it again: where the caller has overwritten
+/// borrowed voxels, it then finds the new ones.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_update(
     volume: *mut entire_volume,
@@ -100,17 +102,16 @@ unsafe fn update(
             ),
         ));
     }
-    let mut series = match volume.series.take() {
-        Some(series) => series,
-        None => Box::new(SummarySeries::new(&next, shape.dims[2], SummaryOptions::default())?),
+    let (mut series, first) = match volume.series.take() {
+        Some(series) => (series, false),
+        None => (Box::new(SummarySeries::new(&next)?), true),
     };
-    let first = series.summary().is_err();
-    // After an error the volume keeps the previous time step; a series without a valid summary is dropped.
     match series.update(&next, changed, Executor::Serial) {
         Ok(summary) if first => warn_of_non_finite(summary),
         Ok(_) => {}
         Err(error) => {
-            volume.series = series.summary().is_ok().then_some(series).filter(|_| !first);
+            // A series that ran out of memory has no summary; the next use makes one of the volume's voxels.
+            volume.series = series.summary().is_ok().then_some(series);
             return Err(error.into());
         }
     }

@@ -11,7 +11,7 @@ use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeOptions, VolumeView,
 };
 use entire_steer::control::{HybridOptions, Session};
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use entire_steer::predict;
 use std::io::Write;
 use std::process::{Command, Stdio};
@@ -87,7 +87,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
     let lobes = [GaussianLobe { center: 0.5, width: 0.05, height: 0.3 }];
     let table = TransferFunction::Gaussian(lobes.to_vec()).to_table().unwrap();
     let mut session = Session::new(predict::load(&model).unwrap(), HybridOptions::default());
-    session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), Some(features.clone()));
+    session.set_volume(VolumeSummary::new(&view).unwrap(), Some(features.clone()));
     session.set_transfer(&table, Some(&lobes)).unwrap();
     for i in 0..50u8 {
         let pose = Arcball { rx: f32::from(i), ry: 7.0 * f32::from(i), dz: 3.0 };

@@ -9,10 +9,7 @@ use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::kernels::Executor;
-use entire_core::scene::Skipping;
-use entire_steer::calibrate::{Calibrated, Calibration as Core, Picture, Shown};
-use entire_steer::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary};
-use entire_steer::predict::Inputs;
+use entire_steer::calibrate::{Calibrated, Calibration as Core, Picture};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
@@ -91,28 +88,7 @@ impl Calibration {
         let table = tf.0.table_for(&volume.0)?;
         let mut core = self.0.lock(py)?;
         let core: &mut Core = &mut core;
-        let added: entire_core::Result<()> = detached(py, || {
-            let mut transfer = TransferSummary::new(summary, &table)?;
-            if frame.skipping == Skipping::Distance {
-                transfer.prepare_distance();
-            }
-            let side = match core.prior().probe_side() {
-                0 => PROBE_SIDE,
-                side => side,
-            };
-            let mut features = FrameFeatures::with_probe_side(side);
-            features.measure(summary, &mut transfer, &frame)?;
-            let inputs = Inputs {
-                features: &features,
-                setting: Setting::from(&frame),
-                changes: Changes::default(),
-                camera: features.pose(),
-                volume_features: None,
-                lobes: None,
-            };
-            core.add(&inputs, Shown::of(summary, &table), seconds)
-        });
-        added.map_err(raise)
+        detached(py, || core.add(summary, &table, &frame, seconds)).map_err(raise)
     }
 
     /// Adds the error of a picture against the same view at full quality.
@@ -153,7 +129,7 @@ impl Calibration {
     }
 
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {
-        Ok(self.0.lock(py)?.len())
+        Ok(self.0.lock(py)?.frames())
     }
 
     /// Fits the model; returns the bytes of its file, and its report.

@@ -7,7 +7,7 @@ use crate::volume::{Data, Volume};
 use entire_core::kernels::Executor;
 use entire_core::model::{GroupKind, Model as File, ModelFile};
 use entire_core::nn::{EncodeScratch, PredNet, VolumeNet};
-use entire_steer::predict::{AnalyticModel, ModelPredictor, Predictor};
+use entire_steer::predict::{Predictor, load_with};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -24,16 +24,13 @@ pub(crate) struct Loaded {
 
 impl Loaded {
     pub(crate) fn predictor(&self) -> PyResult<Box<dyn Predictor + Send>> {
-        if let Some(analytic) = AnalyticModel::from_model(&self.file).map_err(raise)? {
-            return Ok(Box::new(analytic));
-        }
         let Some(net) = &self.net else {
             return Err(ModelError::new_err(
                 "the model has no prediction network; use a model such as \"unshaded-selected\", or a file \
                  from `entire train`",
             ));
         };
-        Ok(Box::new(ModelPredictor::with_net(net.clone(), &self.file).map_err(raise)?))
+        load_with(net, &self.file).map_err(raise)
     }
 
     /// The model as a file that can be modified.

@@ -19,8 +19,8 @@ pub(crate) struct Plan {
     seconds: f32,
     /// float : Upper bound of the seconds; NaN if there is none.
     upper: f32,
-    /// float : 0 inside the predictor's training range, 1 at the limit up to which it is trusted, larger
-    /// beyond; NaN if unknown.
+    /// float : 0 inside the predictor's training range, larger with the distance from it; NaN if unknown.
+    /// Above the session's `trust_limit`, steps are chosen from recent frames.
     out_of_range: f32,
     /// str : Reason for the step, in a word or two: "fits", "held", "damped", "finest allowed", ...
     reason: &'static str,

@@ -371,8 +371,8 @@ impl Session {
         Ok((plan, core.step, core.image_sample_distance))
     }
 
-    /// Chooses among settings, best picture first: the first whose upper bound meets the target, else the one
-    /// expected to be fastest.
+    /// Chooses among settings, best picture first: the first that is expected to meet the target, with an
+    /// upper bound of at most the target plus the tolerance, else the one expected to be fastest.
     ///
     /// For renderers that allow only a few steps or sizes.
     ///
@@ -608,8 +608,8 @@ impl Session {
     }
 
     /// Names the renderer of the observed frames and their clock. A learned correction is valid only for
-    /// them: saved states contain both names, and :meth:`load_state` refuses states with other names. Both
-    /// names are empty at first.
+    /// them: it is forgotten if a name that was not empty changes, saved states contain both names, and
+    /// :meth:`load_state` refuses states with other names. Both names are empty at first.
     ///
     /// A clock named "cpu", "wall" or "device" is compared with the model's (:attr:`model_clock`). If they
     /// differ, the session keeps the model's ratios between scenes and learns the factor between the clocks

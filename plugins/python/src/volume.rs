@@ -5,7 +5,7 @@ use crate::errors::raise;
 use crate::lock::Guarded;
 use entire_core::kernels::Executor;
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
-use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
+use entire_steer::features::{SummarySeries, VolumeSummary};
 use glam::Vec3;
 use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -48,8 +48,7 @@ impl Data {
         if let Some(summary) = self.summary.get() {
             return Ok(summary);
         }
-        let summary =
-            detached(py, || VolumeSummary::new(&self.view, SummaryOptions::default())).map_err(raise)?;
+        let summary = detached(py, || VolumeSummary::new(&self.view)).map_err(raise)?;
         Ok(self.summary.get_or_init(|| summary))
     }
 
@@ -468,10 +467,7 @@ impl Volume {
         let changed = changed.map(|axes| before.order.map(|axis| axes[axis].0..axes[axis].1));
         let mut kept = match series.kept.take() {
             Some(kept) => kept,
-            None => Box::new(
-                SummarySeries::new(&before.view, before.view.shape().dims[2], SummaryOptions::default())
-                    .map_err(raise)?,
-            ),
+            None => Box::new(SummarySeries::new(&before.view).map_err(raise)?),
         };
         let summary = detached(py, || {
             let summary = kept.update(&data.view, changed, Executor::Serial)?;

@@ -31,7 +31,7 @@ def test_extras_and_entry_points():
     assert (package / "_native.pyi").is_file()
 
 
-@pytest.mark.parametrize("name", ["build", "test", "oldest", "qt"])
+@pytest.mark.parametrize("name", ["build", "test", "oldest", "qt", "slicer", "trame-slicer"])
 def test_versions_are_locked(name):
     for line in (HERE / f"requirements-{name}.txt").read_text().split():
         assert re.fullmatch(r"[\w.-]+==[\w.]+", line), line

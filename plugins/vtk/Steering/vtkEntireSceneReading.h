@@ -9,7 +9,9 @@
 
 #include <entire/entire.hpp>
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <optional>
 #include <string>
 #include <vector>
@@ -112,6 +114,24 @@ double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
 // Reads the camera into `frame`: relative to the volume's axes, lengths in the unit of the volume's spacing.
 std::string ReadCamera(
   vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
+
+// True if the camera moved abruptly between two frames: it turned, came closer or zoomed by much, or changed its
+// projection. The rule is that of Camera.jumps_from() of the Python package.
+inline bool Jumps(const entire_frame& before, const entire_frame& now)
+{
+  float turned = 0;
+  for (int i = 0; i < 3; ++i)
+  {
+    turned = std::max(turned, std::fabs(now.view[4 * i + 2] - before.view[4 * i + 2]));
+  }
+  if (turned > 0.5f || now.projection != before.projection)
+  {
+    return true;
+  }
+  const float ratio = now.projection == ENTIRE_PROJECTION_PARALLEL ? now.parallel_scale / before.parallel_scale
+                                                                   : now.view[14] / before.view[14];
+  return !(ratio > 0.67f && ratio < 1.5f);
+}
 
 // True if the renderer draws this volume, by itself or as a part of an assembly.
 bool IsDrawnBy(vtkRenderer* renderer, vtkVolume* volume);

@@ -269,21 +269,11 @@ void vtkEntireSteering::vtkInternals::Leaf::MarkChanges(
     }
     this->Mode = mode;
   }
-  if (this->HasView)
+  if (this->LastFrame && vtkEntire::Jumps(*this->LastFrame, frame))
   {
-    float turned = 0;
-    for (int i = 0; i < 3; ++i)
-    {
-      turned = std::max(turned, std::fabs(frame.view[4 * i + 2] - this->LastView[4 * i + 2]));
-    }
-    const float ratio = frame.view[14] / this->LastView[14];
-    if (turned > 0.5f || !(ratio > 0.67f && ratio < 1.5f))
-    {
-      static_cast<void>(this->Session->mark(ENTIRE_CHANGE_CAMERA));
-    }
+    static_cast<void>(this->Session->mark(ENTIRE_CHANGE_CAMERA));
   }
-  std::copy(frame.view, frame.view + 16, this->LastView);
-  this->HasView = true;
+  this->LastFrame = frame;
 }
 
 //------------------------------------------------------------------------------

@@ -255,8 +255,7 @@ public:
     vtkEntire::TransferNodes Nodes;
     vtkEntire::ModeKey Mode{ { -1, -1, -1, -1, -1, -1 } };
     std::array<double, 2> Range{ { 0, 1 } };
-    float LastView[16];
-    bool HasView = false;
+    std::optional<entire_frame> LastFrame;
     entire_plan Planned{};
     // The renderer whose frame is being steered.
     vtkWeakPointer<vtkRenderer> DrawnIn;

@@ -6,6 +6,7 @@
 #include "vtkAssembly.h"
 #include "vtkCallbackCommand.h"
 #include "vtkDataArray.h"
+#include "vtkEntireSceneReading.h"
 #include "vtkEntireSteering.h"
 #include "vtkImageShiftScale.h"
 #include "vtkMatrix4x4.h"
@@ -255,9 +256,36 @@ void FallsBack(Kind kind)
   CHECK(Empty(steering->GetStatus()));
 }
 
+// Turns, approaches and zooms are jumps if they are large, and changes of the projection always are.
+void KnowsJumps()
+{
+  entire_frame before{};
+  before.projection = ENTIRE_PROJECTION_PERSPECTIVE;
+  before.view[2] = before.view[6] = 0;
+  before.view[10] = 1;
+  before.view[14] = -100;
+  before.parallel_scale = 40;
+  entire_frame turned = before, near = before, zoomed = before;
+  turned.view[2] = turned.view[10] = 0.7f;
+  near.view[14] = -60;
+  zoomed.parallel_scale = 20;
+  const auto jumps = vtkEntire::Jumps;
+  CHECK(!jumps(before, before) && jumps(before, turned) && jumps(before, near) && !jumps(before, zoomed));
+  // The distance of a parallel camera does not change the picture.
+  entire_frame* const all[] = { &before, &turned, &near, &zoomed };
+  const entire_frame perspective = before;
+  for (entire_frame* each : all)
+  {
+    each->projection = ENTIRE_PROJECTION_PARALLEL;
+  }
+  CHECK(!jumps(before, before) && jumps(before, turned) && !jumps(before, near) && jumps(before, zoomed));
+  CHECK(jumps(perspective, before) && jumps(before, perspective));
+}
+
 // Frames are steered after changes of camera, matrix, cropping, shading, transfer function and voxels.
 void FollowsTheScene(Kind kind)
 {
+  KnowsJumps();
   Scene scene(kind);
   vtkNew<vtkEntireSteering> steering;
   steering->SetTargetFrameTime(1000);

@@ -5,7 +5,7 @@ use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, Shading, TransferFunction, TransferTable, VolumeView,
 };
 use entire_steer::control::Session;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use std::collections::HashMap;
 use std::hint::black_box;
 use std::io::BufRead;
@@ -129,7 +129,7 @@ impl Volumes {
         let summary = self.sessions.entry(edge).or_insert_with(|| {
             let voxels = blobs([edge; 3], |v| (40_000.0 * v) as u16);
             let view = scene::volume(Scalars::U16(&voxels), [edge; 3], (0.0, 40_000.0));
-            VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary")
+            scene::summary(&view)
         });
         summary.clone()
     }
@@ -241,8 +241,7 @@ pub(crate) fn serve(volumes: &mut Volumes, also: &mut dyn FnMut(&mut Volumes, &s
                 }
                 let view = volumes.large(kind);
                 report(vec![time(|| {
-                    let summary = VolumeSummary::new(&view, SummaryOptions::default());
-                    black_box(summary.expect("a summary"));
+                    black_box(scene::summary(&view));
                 })]);
             }
             _ => {

@@ -8,23 +8,16 @@ mod calls;
 mod scene;
 
 use calls::{Types, Volumes, report, time};
+use entire_core::VolumeView;
 use entire_core::kernels::Executor;
-use entire_core::{Result, VolumeView};
-use entire_steer::features::{SummaryBuilder, SummaryOptions, SummarySeries, VolumeSummary};
+use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::hint::black_box;
-
-/// Makes a summary on the executor's threads.
-fn summary(view: &VolumeView<'_>, executor: Executor<'_>) -> Result<VolumeSummary> {
-    let mut builder = SummaryBuilder::new(view, view.shape().dims[2], SummaryOptions::default())?;
-    builder.add(view, executor)?;
-    builder.finish()
-}
 
 /// Times a time step of a series: `same`, without changes, which the scan must find out; `box`, with a given
 /// box of 64³ changed voxels.
 fn time_step(view: &VolumeView<'_>, what: &str) -> Option<f64> {
     let planes = view.shape().dims[2];
-    let mut series = SummarySeries::new(view, planes, SummaryOptions::default()).expect("a series");
+    let mut series = SummarySeries::new(view).expect("a series");
     series.update(view, None, Executor::Serial).expect("the first time step");
     let changed = match what {
         "same" => None,
@@ -49,7 +42,7 @@ fn main() {
         let view = volumes.large(kind);
         report(vec![time(|| {
             let executor = Executor::Rayon(&pool);
-            black_box(summary(&view, executor).expect("a summary"));
+            black_box(VolumeSummary::new_on(&view, executor).expect("a summary"));
         })]);
         Some(())
     });

@@ -2,11 +2,17 @@
 
 use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeOptions, VolumeView};
 use entire_steer::control::Session;
+use entire_steer::features::VolumeSummary;
 
 /// A volume with a given range.
 pub(crate) fn volume(scalars: Scalars<'_>, dims: [usize; 3], range: (f32, f32)) -> VolumeView<'_> {
     VolumeView::with(scalars, dims, VolumeOptions { range: Some(range), ..VolumeOptions::default() })
         .expect("a volume")
+}
+
+/// A volume's summary, made on one thread.
+pub(crate) fn summary(volume: &VolumeView<'_>) -> VolumeSummary {
+    VolumeSummary::new(volume).expect("a summary")
 }
 
 /// A frame of 1024 × 768 pixels.

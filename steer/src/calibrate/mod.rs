@@ -9,10 +9,12 @@ mod posterior;
 #[cfg(test)]
 pub(crate) mod tests;
 
-pub use pictures::{FEWEST_SCENES, FittedQuality, Picture, fit_quality};
+pub use pictures::{FittedQuality, Picture, fit_quality};
 pub use posterior::{Chosen, Observed, PriorModel};
 
-use crate::features::{UnitCosts, VolumeSummary};
+use crate::features::{
+    Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary,
+};
 use crate::numeric::{median, rmse_over_sd};
 use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
 use alloc::string::ToString;
@@ -24,30 +26,30 @@ use entire_core::kernels::Executor;
 use entire_core::memory::{filled, mixed, reserve, room};
 use entire_core::model::{Key, ModelFile};
 use entire_core::names;
-use entire_core::scene::TransferTable;
+use entire_core::scene::{Frame, Skipping, TransferTable};
 use posterior::FEWEST_GROUPS;
 
 /// Smallest number of frames that a model is fitted to.
 pub const FEWEST_FRAMES: usize = 8;
 
 /// Range of the number of frames that a [`Calibration`] may keep.
-pub const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
+const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
 
 /// Number of time intervals for cross-validation, where there are too few volumes and transfer functions.
 const STRETCHES: u64 = 5;
 
 /// Scene of a timed frame: hashes of its volume and its transfer function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Shown {
+pub(crate) struct Shown {
     /// Hash of the volume.
-    pub volume: u64,
+    pub(crate) volume: u64,
     /// Hash of the transfer function.
-    pub transfer: u64,
+    pub(crate) transfer: u64,
 }
 
 impl Shown {
     /// Hashes of a volume's sizes and histogram, and of a transfer function; collisions are very unlikely.
-    pub fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
+    fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
         Self { volume: volume.fingerprint(), transfer: transfer.fingerprint() }
     }
 }
@@ -117,9 +119,9 @@ struct Kept {
 }
 
 impl Calibration {
-    /// A calibration with room for `frames`, within [`KEPT_FRAMES`]; afterwards only [`Calibration::fit`]
-    /// allocates. `prior` is a model of another machine or renderer, analytic, or analytic times a learned
-    /// factor; without one, the fit starts from the unit costs of a software renderer.
+    /// A calibration with room for `frames`, from 8 to 65 536. `prior` is a model of another machine or
+    /// renderer, analytic, or analytic times a learned factor; without one, the fit starts from the unit
+    /// costs of a software renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
@@ -143,27 +145,51 @@ impl Calibration {
     }
 
     /// The model from which the fit starts.
-    pub fn prior(&self) -> &PriorModel {
+    pub(crate) fn prior(&self) -> &PriorModel {
         &self.prior
     }
 
     /// Number of kept frames.
-    pub fn len(&self) -> usize {
+    pub fn frames(&self) -> usize {
         self.kept.len()
     }
 
-    /// True where no frame is kept.
-    pub fn is_empty(&self) -> bool {
-        self.kept.is_empty()
-    }
-
-    /// Adds a frame that was drawn at the inputs' setting and took `seconds`.
+    /// Adds a frame of a volume under a transfer function that took `seconds`.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`],
-    /// [`crate::ErrorKind::MissingInput`] where the prior needs an input that was not supplied. Nothing is
-    /// added in these cases.
-    pub fn add(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
+    /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`], and
+    /// as [`Frame::checked`]; [`crate::ErrorKind::MissingInput`] where the prior needs lobes or volume
+    /// features; [`crate::ErrorKind::OutOfMemory`]. Nothing is added in these cases.
+    pub fn add(
+        &mut self,
+        volume: &VolumeSummary,
+        table: &TransferTable,
+        frame: &Frame,
+        seconds: f64,
+    ) -> Result<()> {
+        let mut transfer = TransferSummary::new(volume, table)?;
+        if frame.skipping == Skipping::Distance {
+            transfer.prepare_distance();
+        }
+        let side = match self.prior.probe_side() {
+            0 => PROBE_SIDE,
+            side => side,
+        };
+        let mut features = FrameFeatures::with_probe_side(side);
+        features.measure(volume, &mut transfer, frame)?;
+        let inputs = Inputs {
+            features: &features,
+            setting: Setting::from(frame),
+            changes: Changes::default(),
+            camera: features.pose(),
+            volume_features: None,
+            lobes: None,
+        };
+        self.add_measured(&inputs, Shown::of(volume, table), seconds)
+    }
+
+    /// As [`Calibration::add`], for a measured frame that was drawn at the inputs' setting.
+    fn add_measured(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
             bail!(
                 InvalidArgument,
@@ -181,8 +207,8 @@ impl Calibration {
     }
 
     /// Adds a picture that was compared with the same view at full quality. [`Calibration::fit`] then stores
-    /// a picture quality law in the model ([`fit_quality`]), where at least [`FEWEST_SCENES`] scenes were
-    /// drawn at the same settings. The first 65 536 pictures are kept.
+    /// a picture quality law in the model ([`fit_quality`]), where at least three scenes were drawn
+    /// at the same settings. The first 65 536 pictures are kept.
     ///
     /// # Errors
     /// As [`Picture::check`], and [`crate::ErrorKind::OutOfMemory`].
@@ -196,7 +222,7 @@ impl Calibration {
         Ok(())
     }
 
-    /// As [`Calibration::add`], for a frame whose row and work are already computed.
+    /// As [`Calibration::add`], for a frame whose row and work are already computed; does not allocate.
     pub(crate) fn add_written(&mut self, row: &[f32], work: &[f64; COSTS], shown: Shown, seconds: f64) {
         let frame = Kept { work: *work, seconds, shown, order: self.offered };
         // Reservoir sampling: every offered frame is kept with the same probability.

@@ -6,7 +6,7 @@
 //! drawn settings.
 
 use crate::numeric::{median, solve};
-use crate::predict::Quality;
+use crate::predict::{DISTANCE_RATIO, Quality};
 use alloc::collections::BTreeMap;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -15,14 +15,11 @@ use entire_core::bail;
 use serde::Serialize;
 
 /// Smallest number of scenes for a fit.
-pub const FEWEST_SCENES: usize = 3;
+const FEWEST_SCENES: usize = 3;
 
 /// Largest time, as a share of that at full quality, of a picture that counts in the fit of the error: closer
 /// to full quality, colors differ by rounding only.
 const LONGEST: f64 = 0.75;
-
-/// Ratio of successive image sample distances of a path.
-const RATIO: f64 = 1.2;
 
 /// Ratio of successive values of c = step · distance² at which a path is evaluated.
 const FINER: f64 = 1.03;
@@ -148,7 +145,7 @@ impl Grid {
     fn path(&self, law: &Quality) -> Vec<(f64, f64)> {
         let largest = self.lines.last().map_or(1.0, |l| l.0);
         let coarsest = self.lines[0].1.last().map_or(1.0, |p| p.0);
-        let distances = powers(RATIO, largest);
+        let distances = powers(DISTANCE_RATIO, largest);
         let mut from = vec![0.0; distances.len()];
         law.lay(&distances, &mut from);
         powers(FINER, coarsest * largest * largest)
@@ -187,8 +184,8 @@ fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
 /// smaller images. Scenes that lack a setting which most have are ignored.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for invalid values, and for fewer than [`FEWEST_SCENES`] scenes, two
-/// steps or two distances.
+/// [`crate::ErrorKind::InvalidArgument`] for invalid values, and for fewer than three scenes,
+/// two steps or two distances.
 pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     let (grid, scenes) = grid_of(pictures)?;
     let settings = grid.points().count();
@@ -228,7 +225,7 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     // Every step at every distance of a path.
     let largest = grid.lines.last().map_or(1.0, |l| l.0);
     let steps = powers(FINER, grid.lines[0].1.last().map_or(1.0, |p| p.0));
-    let all: Vec<(f64, f64)> = powers(RATIO, largest)
+    let all: Vec<(f64, f64)> = powers(DISTANCE_RATIO, largest)
         .iter()
         .flat_map(|&d| steps.iter().map(move |&s| (s, d)))
         .map(|(s, d)| grid.at(s, d))

@@ -213,7 +213,7 @@ impl PriorModel {
 
     /// Number of rays along each side of the probe that the factor was fitted with; 0 where any number will
     /// do.
-    pub fn probe_side(&self) -> usize {
+    pub(crate) fn probe_side(&self) -> usize {
         self.factor.as_ref().map_or(0, |f| f.layout.probe_side)
     }
 

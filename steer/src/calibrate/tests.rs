@@ -1,13 +1,11 @@
 //! Tests the fit on work with known costs, and the sampling of a calibration.
 
 use super::*;
-use crate::features::{
-    COST_QUANTITIES, Changes, FrameFeatures, PROBE_SIDE, SceneFeature, SceneQuantity, Setting,
-};
+use crate::features::{COST_QUANTITIES, SceneFeature, SceneQuantity};
 use crate::predict::{AnalyticModel, GroupKind, InputLayout};
 use alloc::vec;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
-use entire_core::scene::{Arcball, Camera, Frame};
+use entire_core::scene::{Arcball, Camera, GaussianLobe, Scalars, TransferFunction, VolumeView};
 
 /// Unit costs of a software renderer times a factor of 1 that is linear in a few logarithms, for a probe with
 /// `side`² rays.
@@ -165,7 +163,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     assert!(Calibration::new(None, 7).is_err() && Calibration::new(None, 100_000).is_err());
     let prior = unit_factor(PROBE_SIDE);
     let mut calibration = Calibration::new(Some(&prior), 60).unwrap();
-    assert!(calibration.is_empty());
+    assert_eq!(calibration.frames(), 0);
     assert_eq!(
         calibration.fit(["", ""], Executor::Serial).unwrap_err().kind(),
         entire_core::ErrorKind::NotReady
@@ -182,16 +180,16 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
         lobes: None,
     };
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(calibration.add(&inputs(64), Shown::default(), bad).is_err());
+        assert!(calibration.add_measured(&inputs(64), Shown::default(), bad).is_err());
     }
-    assert!(calibration.is_empty());
+    assert_eq!(calibration.frames(), 0);
     let rows = calibration.rows.as_ptr();
     for i in 0..600u64 {
         let size = 40 + (i * 37 % 200) as u32;
         let shown = Shown { volume: i / 150, transfer: i / 50 };
-        calibration.add(&inputs(size), shown, seconds_of(&features, &at(size))).unwrap();
+        calibration.add_measured(&inputs(size), shown, seconds_of(&features, &at(size))).unwrap();
     }
-    assert_eq!((calibration.len(), calibration.offered), (60, 600));
+    assert_eq!((calibration.frames(), calibration.offered), (60, 600));
     assert_eq!(rows, calibration.rows.as_ptr(), "moved");
     // About as many frames of every quarter are kept: 15 expected, standard deviation 3.2.
     for quarter in 0..4 {
@@ -215,6 +213,30 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     }
     // It can be a prior itself.
     assert!(Calibration::new(Some(&fitted.file), 8).is_ok());
+}
+
+#[test]
+fn a_frame_is_measured_with_the_probe_of_the_prior() {
+    let voxels: Vec<u8> = (0..24 * 24 * 24).map(|i| (i * 7 % 256) as u8).collect();
+    let volume = VolumeSummary::new(&VolumeView::new(Scalars::U8(&voxels), [24; 3]).unwrap()).unwrap();
+    let table = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.4, width: 0.05, height: 0.2 }]);
+    let table = table.to_table().unwrap();
+    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
+    let frame = Frame { skipping: Skipping::Distance, ..Frame::new(camera, 90, 70).unwrap() };
+    let added = |side: usize| {
+        let mut calibration = Calibration::new(Some(&unit_factor(side)), 8).unwrap();
+        calibration.add(&volume, &table, &frame, 0.02).unwrap();
+        calibration
+    };
+    let mut transfer = TransferSummary::new(&volume, &table).unwrap();
+    transfer.prepare_distance();
+    for side in [5, PROBE_SIDE] {
+        let mut features = FrameFeatures::with_probe_side(side);
+        features.measure(&volume, &mut transfer, &frame).unwrap();
+        let work = Measurement::new(&features, &Setting::from(&frame), 0.02).work;
+        assert_eq!(added(side).kept[0].work, work, "{side}");
+    }
+    assert!(Calibration::new(None, 8).unwrap().add(&volume, &table, &frame, -1.0).is_err());
 }
 
 #[test]

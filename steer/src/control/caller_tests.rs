@@ -3,11 +3,12 @@
 use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
 use crate::adapt::{ObserveFlags, Verdict};
-use crate::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
-use crate::predict::{AnalyticModel, Clock};
+use crate::features::{FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use crate::predict::{AnalyticModel, Clock, Inputs, Prediction, Predictor, Source};
+use alloc::boxed::Box;
 use alloc::vec;
 use entire_core::ErrorKind;
-use entire_core::scene::{Scalars, TransferFunction, VolumeView};
+use entire_core::scene::{Frame, Scalars, TransferFunction, VolumeView};
 
 #[test]
 fn a_plan_taken_back_leaves_its_id_to_the_next() {
@@ -31,6 +32,79 @@ fn a_plan_taken_back_leaves_its_id_to_the_next() {
     session.observe(next.id, 0.01, flags).unwrap();
     session.withdraw(next.id);
     assert_eq!(session.plan(&f, 0.02).unwrap().id, next.id + 1);
+}
+
+#[test]
+fn a_withdrawn_plan_leaves_no_trace() {
+    let f = frame(20.0, 30.0, 2.0);
+    let played = || {
+        let mut session = ready_session();
+        session.set_max_image_sample_distance(4.0, 1.0).unwrap();
+        for _ in 0..5 {
+            let plan = session.plan(&f, 0.02).unwrap();
+            session.observe(plan.id, 0.03, ObserveFlags::default()).unwrap();
+        }
+        session
+    };
+    // Unknown scores are NaN, so plans are compared as text.
+    let expected = std::format!("{:?}", played().plan(&f, 0.02).unwrap());
+    let mut session = played();
+    for _ in 0..20 {
+        let plan = session.plan(&f, 1e-6).unwrap();
+        session.withdraw(plan.id);
+    }
+    assert_eq!(std::format!("{:?}", session.plan(&f, 0.02).unwrap()), expected);
+}
+
+/// Predicts a time in proportion to the image's height, and does not depend on the step.
+struct ByHeight;
+
+impl Predictor for ByHeight {
+    fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
+        let seconds = 1e-4 * inputs.setting.height as f32;
+        Ok(Prediction { seconds, upper: f32::NAN, out_of_range: 0.0, source: Source::Network })
+    }
+
+    fn knows_step(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn images_of_one_width_and_several_heights_have_their_own_times() {
+    // All smaller images are one pixel wide.
+    let f = Frame { width: 2, height: 400, ..frame(20.0, 30.0, 2.0) };
+    let made = || {
+        let mut session = Session::new(Box::new(ByHeight), HybridOptions::default());
+        make_ready(&mut session);
+        session.set_max_image_sample_distance(16.0, 1.0).unwrap();
+        session
+    };
+    let plan = made().plan(&f, 0.01).unwrap();
+    assert!((1.1..15.0).contains(&plan.image_sample_distance), "{plan:?}");
+    let height = (400.0 / plan.image_sample_distance) as u32;
+    let setting = Setting { step: plan.step, width: 1, height, ..Setting::from(&f) };
+    let (_, own) = made().choose(&f, &[setting], 0.01).unwrap();
+    assert!((plan.seconds / own.seconds - 1.0).abs() < 1e-3, "{plan:?} {own:?}");
+}
+
+#[test]
+fn another_renderer_starts_without_the_learned_state() {
+    let f = frame(20.0, 30.0, 2.0);
+    let mut session = ready_session();
+    let plan = session.plan(&f, 0.02).unwrap();
+    // A renderer that had no name yet is the same one.
+    session.set_timing_source("a renderer", "a watch").unwrap();
+    session.observe(plan.id, 0.5, ObserveFlags::default()).unwrap();
+    let learned = session.save_state();
+    session.set_timing_source("a renderer", "a watch").unwrap();
+    assert_eq!(session.save_state(), learned);
+    let mut fresh = ready_session();
+    fresh.set_timing_source("a renderer", "a watch").unwrap();
+    assert_ne!(fresh.save_state(), learned);
+    session.set_timing_source("another", "a watch").unwrap();
+    session.set_timing_source("a renderer", "a watch").unwrap();
+    assert_eq!(session.save_state(), fresh.save_state());
 }
 
 #[test]
@@ -153,8 +227,7 @@ fn options_that_steering_cannot_hold_to_are_refused() {
 fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     let f = frame(20.0, 30.0, 2.0);
     let summary = |voxels: &[u8], dims| {
-        VolumeSummary::new(&VolumeView::new(Scalars::U8(voxels), dims).unwrap(), SummaryOptions::default())
-            .unwrap()
+        VolumeSummary::new(&VolumeView::new(Scalars::U8(voxels), dims).unwrap()).unwrap()
     };
     let mut voxels = vec![0u8; 32 * 32 * 32];
     let mut session = Session::untrained();
@@ -181,7 +254,7 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     assert_eq!(error.kind(), ErrorKind::SizeMismatch);
     let words: Vec<u16> = voxels.iter().map(|&v| u16::from(v)).collect();
     let view = VolumeView::new(Scalars::U16(&words), [32; 3]).unwrap();
-    let other = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let other = VolumeSummary::new(&view).unwrap();
     assert_eq!(session.set_time_step(other, None).unwrap_err().kind(), ErrorKind::InvalidArgument);
     session.plan(&f, 0.02).unwrap();
     assert_eq!(*session.features(), expected);

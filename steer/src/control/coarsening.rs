@@ -2,14 +2,9 @@
 
 use super::StepLimits;
 use crate::features::Setting;
-use crate::predict::Quality;
+use crate::predict::{DISTANCE_RATIO, Quality};
 
-/// Ratio of successive image sample distances: a compromise between many sizes, each of which needs other
-/// buffers, and large jumps of the step where the size changes (by the square, 1.44). Not tuned on recorded
-/// paths.
-const RATIO: f64 = 1.2;
-
-/// ln of [`RATIO`].
+/// ln of [`DISTANCE_RATIO`].
 const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 
 /// Ratio of the step, in finest steps, to the image sample distance along the path, where the renderer's
@@ -18,11 +13,11 @@ const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 const TOGETHER: f64 = 1.1;
 
 /// Hysteresis factor: a distance is kept until c lies beyond one of its thresholds by this factor. Successive
-/// thresholds are a factor of `RATIO`³ = 1.73 apart in c, so the middle between two is a factor of 1.31 from
+/// thresholds are a factor of 1.2³ = 1.73 apart in c, so the middle between two is a factor of 1.31 from
 /// each; this is half of that, in ln(c).
 const KEEP: f64 = 1.15;
 
-/// Capacity for levels; distance 1 and the powers of [`RATIO`] up to 64 are 23.
+/// Capacity for levels; distance 1 and the powers of [`DISTANCE_RATIO`] up to 64 are 23.
 const LEVELS: usize = 24;
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
@@ -31,7 +26,7 @@ const LEVELS: usize = 24;
 /// pixels; a frame's time is about proportional to 1/c. Without a picture quality law, step and distance grow
 /// together along the path: at equal time, the picture error is smaller than if one of them grew alone. For a
 /// renderer whose smaller images are strongly blurred, the step grows alone first (`step_alone`). With a law
-/// ([`Quality`]), the path follows it. Distances are powers of [`RATIO`], so that buffers seldom change, and
+/// ([`Quality`]), the path follows it. Distances are powers of 1.2, so that buffers seldom change, and
 /// a distance is kept while its step is close to the best. Where the distance changes, the step changes with
 /// it and c is met, unless the limits of the step are too close together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,8 +95,8 @@ impl Coarsening {
         self.from[0] = 0.0;
         for level in 1..=self.levels {
             let power = (level - 1 + first) as f64;
-            self.distances[level] = libm::pow(RATIO, power);
-            self.from[level] = TOGETHER * libm::pow(RATIO, 3.0 * (power - 0.5));
+            self.distances[level] = libm::pow(DISTANCE_RATIO, power);
+            self.from[level] = TOGETHER * libm::pow(DISTANCE_RATIO, 3.0 * (power - 0.5));
         }
         if let Some(quality) = self.quality {
             quality.lay(&self.distances[..=self.levels], &mut self.from[..=self.levels]);
@@ -154,6 +149,16 @@ impl Coarsening {
         }
         let shrunk = |side: u32| ((f64::from(side) / distance) as u32).max(1);
         Setting { step, width: shrunk(full.width), height: shrunk(full.height), ..full }
+    }
+
+    /// Level of the last drawn frame.
+    pub(super) fn level(&self) -> usize {
+        self.last
+    }
+
+    /// Restores the level of an earlier frame.
+    pub(super) fn set_level(&mut self, level: usize) {
+        self.last = level;
     }
 
     /// Step and image sample distance of a frame drawn at c; updates the level.
@@ -264,7 +269,7 @@ mod tests {
             let (step, distance) = judged(quality).take(c);
             let own = quality.error(f64::from(step), f64::from(distance));
             for level in 0..8 {
-                let d = libm::pow(RATIO, f64::from(level));
+                let d = libm::pow(DISTANCE_RATIO, f64::from(level));
                 let s = f64::from(c) / (d * d);
                 // Distances are kept somewhat beyond their thresholds.
                 assert!(s < 1.0 || own <= 1.2 * quality.error(s, d), "{c}: {step} {distance}, {s} {d}");

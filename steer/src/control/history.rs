@@ -71,9 +71,9 @@ impl History {
         self.leads
     }
 
-    /// Time of a frame like the last three at another step: mean and upper bound. A fixed share of a frame's
-    /// time does not depend on the step, the rest is proportional to 1/step; every renderer's curve is
-    /// flatter than 1/step.
+    /// Mean and upper bound of a frame's time at another step, extrapolated from the last three frames. A
+    /// fixed share of the time does not depend on the step, and the remaining share is proportional to
+    /// 1/step: every renderer's curve is flatter than 1/step.
     pub(super) fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
         let step = f64::from(step);
         let mut sum = 0.0;

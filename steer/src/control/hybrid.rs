@@ -114,6 +114,17 @@ pub struct Hybrid {
     scene: SceneMark,
     /// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames.
     worth: f64,
+    /// State before the last begun frame, until the next observation.
+    before: Option<Before>,
+}
+
+/// The part of the state that beginning a frame changes.
+#[derive(Clone, Debug)]
+struct Before {
+    correction: Correction,
+    last: Option<Last>,
+    announced: bool,
+    scene: SceneMark,
 }
 
 /// The last planned frame.
@@ -168,6 +179,7 @@ impl Hybrid {
             announced: false,
             scene: SceneMark::default(),
             worth: normal_quantile(f64::from(options.miss_rate)).max(WORTH),
+            before: None,
         }
     }
 
@@ -218,6 +230,12 @@ impl Hybrid {
     fn enter(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let novelty = self.novelty(changes, cost);
         let first = novelty >= NOVEL;
+        self.before = Some(Before {
+            correction: self.correction.clone(),
+            last: self.last,
+            announced: self.announced,
+            scene: self.scene,
+        });
         self.correction.advance(novelty);
         self.scene = SceneMark { number: self.scene.number + u64::from(first), first };
         self.announced = changes.any();
@@ -374,6 +392,7 @@ impl Controller for Hybrid {
         if observed.unusual {
             return Verdict::Ignored;
         }
+        self.before = None;
         let seconds = f64::from(observed.seconds);
         let standing = match observed.scene {
             SceneMark { number, .. } if number != self.scene.number => Standing::Past,
@@ -405,6 +424,7 @@ impl Controller for Hybrid {
         self.last = None;
         self.announced = false;
         self.scene = SceneMark { number: self.scene.number + 1, ..SceneMark::default() };
+        self.before = None;
     }
 
     fn convert(&mut self, converted: bool) {
@@ -424,6 +444,11 @@ impl Controller for Hybrid {
     }
 
     fn withdraw(&mut self) {
+        if let Some(Before { correction, last, announced, scene }) = self.before.take() {
+            (self.correction, self.last, self.announced, self.scene) = (correction, last, announced, scene);
+            return;
+        }
+        // An earlier frame was observed since this one began.
         if self.scene.first {
             // The scene begins with the next frame.
             self.last = None;

@@ -55,6 +55,8 @@ struct Pending {
     /// Expected seconds of the plan; NaN where unknown.
     expected: f32,
     scene: SceneMark,
+    /// Level of coarsening before the plan.
+    level: usize,
     observed: bool,
 }
 
@@ -299,7 +301,8 @@ impl Session {
                 out_of_range: p.out_of_range,
                 reason: Reason::Off,
             };
-            let plan = self.note(frame, target, changes, own, decision, (frame.step, 1.0));
+            let drawn = (frame.step, 1.0, self.coarsening.level());
+            let plan = self.note(frame, target, changes, own, decision, drawn);
             self.record_plan(plan.id, changes, setting);
             return Ok(plan);
         }
@@ -309,7 +312,9 @@ impl Session {
         let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
         let terms = cost.at(decision.step);
         let recorded = self.recording.is_some().then(|| self.coarsening.setting(setting, decision.step));
-        let drawn = self.coarsening.take(decision.step);
+        let level = self.coarsening.level();
+        let (step, distance) = self.coarsening.take(decision.step);
+        let drawn = (step, distance, level);
         let plan = self.note(frame, target, changes, terms, decision, drawn);
         if let Some(setting) = recorded {
             self.record_plan(plan.id, changes, setting);
@@ -372,7 +377,7 @@ impl Session {
             out_of_range: p.out_of_range,
             reason,
         };
-        let drawn = (decision.step, 1.0);
+        let drawn = (decision.step, 1.0, self.coarsening.level());
         let plan = self.note(frame, target, changes, terms, decision, drawn);
         self.record_plan(plan.id, changes, settings[index]);
         Ok((index, plan))
@@ -431,6 +436,7 @@ impl Session {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         if let Some(plan) = slot.take_if(|p| p.id == id && !p.observed) {
             self.next_id = id;
+            self.coarsening.set_level(plan.level);
             self.controller.withdraw();
             self.mark(plan.changes);
         }
@@ -514,7 +520,7 @@ impl Session {
         changes: Changes,
         terms: CostTerms,
         decision: Decision,
-        (step, image_sample_distance): (f32, f32),
+        (step, image_sample_distance, level): (f32, f32, usize),
     ) -> Plan {
         let id = self.next_id;
         self.next_id += 1;
@@ -526,6 +532,7 @@ impl Session {
             terms,
             expected: decision.seconds,
             scene: self.controller.scene(),
+            level,
             observed: false,
         });
         self.changes = Changes::default();
@@ -589,9 +596,9 @@ struct Cost<'a> {
     coarsening: Coarsening,
     /// The frame's setting at full image size.
     full: Setting,
-    /// An image width and the prediction there at the reference step, for predictors that do not depend on
-    /// the step.
-    reference: Option<(u32, CostTerms)>,
+    /// An image's width and height and the prediction there at the reference step, for predictors that do
+    /// not depend on the step.
+    reference: Option<([u32; 2], CostTerms)>,
     /// The last evaluated step and its cost.
     last: Option<(f32, CostTerms)>,
     inputs: Inputs<'a>,
@@ -615,12 +622,13 @@ impl Cost<'_> {
             self.inputs.setting = setting;
             return self.predictor.terms(&self.inputs).unwrap_or(unknown);
         }
+        let size = [setting.width, setting.height];
         let reference = match self.reference {
-            Some((width, terms)) if width == setting.width => terms,
+            Some((known, terms)) if known == size => terms,
             _ => {
                 let inputs = Inputs { setting: Setting { step: 1.0, ..setting }, ..self.inputs };
                 let terms = self.predictor.terms(&inputs).unwrap_or(unknown);
-                self.reference = Some((setting.width, terms));
+                self.reference = Some((size, terms));
                 terms
             }
         };

@@ -71,7 +71,7 @@ impl FrameFeatures {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];
         for (slot, &quantity) in out[1..].iter_mut().zip(&COST_QUANTITIES) {
-            *slot = self.quantity(quantity, setting, &work);
+            *slot = self.quantity_of(quantity, setting, &work);
         }
         out
     }

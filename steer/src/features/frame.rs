@@ -89,32 +89,32 @@ impl Changes {
 
 /// Estimated work of a whole frame. All values are counts, except the ray spacing; none is negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Work {
+pub(crate) struct Work {
     /// Pixels of the image.
-    pub pixels: f64,
+    pub(crate) pixels: f64,
     /// Rays that meet the volume's box.
-    pub rays: f64,
+    pub(crate) rays: f64,
     /// Samples taken along primary rays.
-    pub samples: f64,
+    pub(crate) samples: f64,
     /// Jumps over empty blocks, including those of shadow rays.
-    pub skips: f64,
+    pub(crate) skips: f64,
     /// Samples of a machine that runs a tile of pixels in lockstep until its longest ray ends.
-    pub lane_samples: f64,
+    pub(crate) lane_samples: f64,
     /// Samples with opacity where shading is on, otherwise 0.
-    pub shaded: f64,
+    pub(crate) shaded: f64,
     /// Samples along shadow rays with single scattering, otherwise 0.
-    pub shadow_samples: f64,
+    pub(crate) shadow_samples: f64,
     /// [`Self::shadow_samples`] of a renderer that marches eight adjacent rays in lockstep, so that all of
     /// them wait while any of them shades.
-    pub lane_shadow_samples: f64,
+    pub(crate) lane_shadow_samples: f64,
     /// [`Self::lane_shadow_samples`] for adjacent rays far apart, whose samples are independent.
     pub(crate) parted_shadow_samples: f64,
     /// Runs of consecutive samples between jumps; 0 without skipping.
-    pub runs: f64,
+    pub(crate) runs: f64,
     /// Lookups in the skip map during runs, including those of shadow rays; 0 without skipping.
-    pub segments: f64,
+    pub(crate) segments: f64,
     /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
-    pub ray_spacing: f64,
+    pub(crate) ray_spacing: f64,
 }
 
 impl Work {
@@ -141,10 +141,9 @@ pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
 /// View of a camera on a volume under a transfer function, measured once per frame.
 ///
-/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::quantity`] then
-/// evaluate any step, skipping mode and image size (of the same aspect ratio) without marching again. They
-/// also evaluate other shading modes, except that single scattering requires a frame measured with it.
-/// Nothing here allocates.
+/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantity`] then evaluates any step,
+/// skipping mode and image size (of the same aspect ratio) without marching again. It also evaluates other
+/// shading modes, except that single scattering requires a frame measured with it. Nothing here allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe_side: usize,
@@ -255,7 +254,7 @@ impl FrameFeatures {
 
     /// Estimated work of the frame at a setting. Monotonic: never smaller for a finer step, nor for a larger
     /// image of the same aspect ratio.
-    pub fn work(&self, setting: &Setting) -> Work {
+    pub(crate) fn work(&self, setting: &Setting) -> Work {
         let p = &self.probe;
         let pixels = f64::from(setting.width) * f64::from(setting.height);
         let rays = pixels * f64::from(p.footprint.share);
@@ -303,8 +302,14 @@ impl FrameFeatures {
         work
     }
 
-    /// Value of a quantity at a setting.
-    pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting, work: &Work) -> f64 {
+    /// Value of a quantity at a setting. Counts are monotonic: never smaller for a finer step, nor for a
+    /// larger image of the same aspect ratio.
+    pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting) -> f64 {
+        self.quantity_of(quantity, setting, &self.work(setting))
+    }
+
+    /// As [`FrameFeatures::quantity`], from the work at the setting.
+    pub(crate) fn quantity_of(&self, quantity: SceneQuantity, setting: &Setting, work: &Work) -> f64 {
         use SceneQuantity as Q;
         let p = &self.probe;
         let per_pixel = |v: f64| v / work.pixels.max(1.0);

@@ -69,7 +69,7 @@ quantities! {
     Skips, "skips", "jumps", 1.0, yes, yes, "expected jumps over empty blocks";
     Samples, "samples", "samples", 1.0, yes, yes, "expected samples of the frame up to early termination";
     LaneSamples, "lane_samples", "samples", 1.0, yes, yes,
-        "samples where a tile of 8 x 8 pixels runs until its longest ray ends";
+        "number of samples if every ray of a tile of 8 x 8 pixels were as long as the longest";
     Runs, "runs", "runs", 1.0, no, yes, "expected runs of samples between jumps over empty blocks";
     Segments, "segments", "segments", 1.0, yes, yes,
         "expected reads of the skip map for samples: a run is cut where the distance to the nearest empty \
@@ -101,9 +101,9 @@ quantities! {
          whose minimum is 0 and whose maximum is at most 32767";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
         "work times the unit costs that the model file holds, or those of a software renderer";
-    SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples over pixels of the image";
+    SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples divided by the image's pixels";
     ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, yes, yes,
-        "samples along shadow rays over pixels of the image";
+        "samples along shadow rays, divided by the image's pixels";
     SegmentsPerRay, "segments_per_ray", "segments/ray", 0.1, yes, yes,
         "segments over rays that meet the volume's box";
     RaySpacing, "ray_spacing", "reference steps", 0.01, no, yes,

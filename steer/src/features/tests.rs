@@ -2,6 +2,7 @@
 
 use super::frame::UNSHARED_SHADING;
 use super::*;
+use entire_core::kernels::Executor;
 use entire_core::scene::*;
 use entire_core::{ErrorKind, Result};
 use proptest::prelude::*;
@@ -19,7 +20,7 @@ pub(super) fn noise(n: usize, seed: u64) -> Vec<u8> {
 
 pub(super) fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
     let view = VolumeView::new(Scalars::U8(data), dims).unwrap();
-    VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap()
+    VolumeSummary::with_cells(&view, cells_per_axis, Executor::Serial).unwrap()
 }
 
 pub(super) fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
@@ -152,7 +153,7 @@ fn bricks_give_the_same_bounds_as_voxels() {
 
 /// Compares a summary with its definitions, voxel by voxel.
 fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
-    let s = VolumeSummary::new(view, SummaryOptions { cells_per_axis }).unwrap();
+    let s = VolumeSummary::with_cells(view, cells_per_axis, Executor::Serial).unwrap();
     let (low, high) = view.range();
     let scale = 255.0 / (high - low);
     let position = |x: usize, y: usize, z: usize| {
@@ -280,25 +281,13 @@ fn every_type_range_and_layout_is_summarized_as_defined() {
 }
 
 #[test]
-fn options_out_of_range_are_refused() {
-    let data = [0u8; 8];
-    let view = VolumeView::new(Scalars::U8(&data), [2, 2, 2]).unwrap();
-    for cells_per_axis in [0, 129] {
-        assert_eq!(
-            VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap_err().kind(),
-            ErrorKind::InvalidArgument
-        );
-    }
-}
-
-#[test]
 fn non_finite_voxels_are_counted_and_harmless() {
     let mut data = std::vec![0.5f32; 9 * 9 * 9];
     data[0] = f32::NAN;
     data[100] = f32::INFINITY;
     data[728] = -1.0;
     let view = VolumeView::new(Scalars::F32(&data), [9; 3]).unwrap();
-    let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let s = VolumeSummary::new(&view).unwrap();
     assert!((s.non_finite_share() - 2.0 / 729.0).abs() < 1e-7);
     let w = measured(&s, &table(|_| 0.1), &frame(0.0, 0.0, 2.0, 64))
         .work(&Setting::from(&frame(0.0, 0.0, 2.0, 64)));
@@ -362,7 +351,7 @@ fn thin_flat_and_tiny_volumes_give_finite_features() {
             VolumeOptions { spacing: [1.0, 10.0, 0.1], ..VolumeOptions::default() },
         )
         .unwrap();
-        let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+        let s = VolumeSummary::new(&view).unwrap();
         for (rx, ry, dz) in [(0.0, 0.0, 2.0), (90.0, 0.0, 1.1), (30.0, 45.0, 0.01), (0.0, 90.0, 50.0)] {
             for size in [1, 33] {
                 let lens = Frame { shading: Shading::Scatter, ..frame(rx, ry, dz, size) };
@@ -372,7 +361,7 @@ fn thin_flat_and_tiny_volumes_give_finite_features() {
                     let setting = Setting::from(&f);
                     let work = features.work(&setting);
                     for &q in SceneQuantity::ALL {
-                        let value = features.quantity(q, &setting, &work);
+                        let value = features.quantity_of(q, &setting, &work);
                         let what = format!("{q} is {value} for {dims:?} {:?} {size}", f.camera);
                         assert!((value as f32).is_finite() && q.log(value).is_finite(), "{what}");
                     }
@@ -456,7 +445,7 @@ fn what_needs_no_probe_is_known_without_one() {
         let mut features = FrameFeatures::with_probe_side(side);
         features.measure(&volume, &mut transfer, &frame).unwrap();
         let work = features.work(&setting);
-        SceneQuantity::ALL.iter().map(|&q| features.quantity(q, &setting, &work)).collect::<Vec<f64>>()
+        SceneQuantity::ALL.iter().map(|&q| features.quantity_of(q, &setting, &work)).collect::<Vec<f64>>()
     };
     let mut both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
     let (without, with) = (both(0), both(PROBE_SIDE));
@@ -490,7 +479,7 @@ fn quantities_depend_on_the_step_where_the_table_says_so() {
     let shorts: Vec<i16> = (0..n).map(|i| (3000.0 * blob(i)) as i16 - 1000).collect();
     let volumes = [Scalars::U8(&bytes), Scalars::I16(&shorts)].map(|scalars| {
         let view = VolumeView::new(scalars, dims).unwrap();
-        VolumeSummary::new(&view, SummaryOptions::default()).unwrap()
+        VolumeSummary::new(&view).unwrap()
     });
     let tables = [100, 0].map(|first| table(|i| if i > first { 0.3 } else { 0.0 }));
     let mut changed = std::vec![false; SceneQuantity::ALL.len()];
@@ -505,7 +494,7 @@ fn quantities_depend_on_the_step_where_the_table_says_so() {
                         let work = features.work(&setting);
                         SceneQuantity::ALL
                             .iter()
-                            .map(|&q| features.quantity(q, &setting, &work).to_bits())
+                            .map(|&q| features.quantity_of(q, &setting, &work).to_bits())
                             .collect::<Vec<u64>>()
                     };
                     let at_one = of(&frame, 1.0);
@@ -536,7 +525,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
             VolumeOptions { range: Some((3.0, 90.0)), ..VolumeOptions::default() },
         )
         .unwrap();
-        VolumeSummary::new(&view, SummaryOptions::default()).unwrap().remapped()
+        VolumeSummary::new(&view).unwrap().remapped()
     };
     let with = |low: f32, high: f32| -> Vec<f32> {
         (0..n).map(|i| if i == 777 { low } else { low + (high - low) * (i % 5) as f32 / 4.0 }).collect()
@@ -570,7 +559,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     let f = frame(20.0, 30.0, 2.0, 50);
     let features = measured(&summary(&bytes, dims, 48), &table(|_| 0.5), &f);
     let work = features.work(&Setting::from(&f));
-    assert_eq!(features.quantity(SceneQuantity::RemappedSamples, &Setting::from(&f), &work), work.samples);
+    assert_eq!(features.quantity_of(SceneQuantity::RemappedSamples, &Setting::from(&f), &work), work.samples);
 }
 
 /// Bound on the difference between the shares of voxel borders from nine rays and those counted over all rays
@@ -584,7 +573,7 @@ fn shares_of_borders_are_those_that_rays_count() {
     let view =
         VolumeView::with(Scalars::U8(&data), dims, VolumeOptions { spacing, ..VolumeOptions::default() })
             .unwrap();
-    let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let s = VolumeSummary::new(&view).unwrap();
     let half = s.shape().half_extent;
     let voxel = [0, 1, 2].map(|a| 2.0 * half[a] / dims[a] as f32);
     for (rx, ry, dz) in
@@ -614,7 +603,7 @@ fn shares_of_borders_are_those_that_rays_count() {
         let features = measured(&s, &table(|_| 0.1), &f);
         let (setting, work) = (Setting::from(&f), features.work(&Setting::from(&f)));
         let axes = [SceneQuantity::FarX, SceneQuantity::FarY, SceneQuantity::FarZ];
-        let far = axes.map(|q| features.quantity(q, &setting, &work));
+        let far = axes.map(|q| features.quantity_of(q, &setting, &work));
         let all: f64 = far.iter().sum();
         // Errors along x and z add up along y.
         for (axis, tolerance) in

@@ -5,7 +5,7 @@ use super::network::Stored;
 use super::quality::KnownQuality;
 use super::{
     Clock, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor,
-    Quality, Source, UPPER_LEVEL, UpperBound,
+    Quality, RangePoint, Source, UPPER_LEVEL, UpperBound,
 };
 use crate::features::{
     COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, PROBE_SIDE, SceneFeature, Setting, UnitCosts,
@@ -26,6 +26,11 @@ pub const TERMS: usize = 9;
 const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 3, 3, 6, 8, 5, 5, 5, 4];
 
 impl UnitCosts {
+    /// The first cost that is negative or not finite, with its name.
+    fn invalid(&self) -> Option<(&'static str, f64)> {
+        self.named().find(|(_, cost)| !(cost.is_finite() && *cost >= 0.0))
+    }
+
     /// The value of [`Key::UnitCosts`], as JSON.
     ///
     /// # Errors
@@ -54,14 +59,10 @@ impl UnitCosts {
             let Some(at) = out.named().position(|(n, _)| n == name) else {
                 bail!(InvalidModel, "{} names {name:?}, which is not a known unit cost", Key::UnitCosts);
             };
-            if !(cost.is_finite() && cost >= 0.0) {
-                bail!(
-                    InvalidModel,
-                    "{}: {name} is {cost}; it must be finite and not negative",
-                    Key::UnitCosts
-                );
-            }
             out.0[at] = cost;
+        }
+        if let Some((name, cost)) = out.invalid() {
+            bail!(InvalidModel, "{}: {name} is {cost}; it must be finite and not negative", Key::UnitCosts);
         }
         if out.0.iter().all(|&c| c == 0.0) {
             bail!(InvalidModel, "{} holds no positive cost", Key::UnitCosts);
@@ -149,14 +150,8 @@ impl AnalyticModel {
     /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or where all are
     /// zero.
     pub fn from_costs(costs: [f64; COSTS]) -> Result<Self> {
-        for (i, &c) in costs.iter().enumerate() {
-            if !(c.is_finite() && c >= 0.0) {
-                bail!(
-                    InvalidArgument,
-                    "unit cost {i} ({}) is {c}; it must be finite and not negative",
-                    term_name(i)
-                );
-            }
+        if let Some((name, cost)) = UnitCosts(costs).invalid() {
+            bail!(InvalidArgument, "the unit cost {name} is {cost}; it must be finite and not negative");
         }
         if costs.iter().all(|&c| c == 0.0) {
             bail!(InvalidArgument, "all unit costs are zero; at least one must be positive");
@@ -220,7 +215,7 @@ impl AnalyticModel {
         let mut logs: Vec<f64> =
             usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30))).collect();
         self.calibration = UpperBound::from_residuals(&mut logs);
-        let rows: Vec<[f32; RANGE_TERMS]> = usable.iter().map(|m| range_point(&m.work)).collect();
+        let rows: Vec<RangePoint> = usable.iter().map(|m| range_point(&m.work)).collect();
         self.range = FeatureRange::from_rows(&rows);
         let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();
         let median_error = median(&mut sizes).unwrap_or(f64::NAN);
@@ -391,19 +386,12 @@ impl Predictor for AnalyticModel {
     }
 }
 
-/// Number of quantities in the range of the analytic model.
-const RANGE_TERMS: usize = 5;
-
-/// Point of a frame in that range: logarithms of its pixels and of its rays, skips, samples and lane samples
-/// per pixel.
-fn range_point(work: &[f64; COSTS]) -> [f32; RANGE_TERMS] {
+/// Point of a frame in the range of the model: logarithms of its pixels and of its rays, skips, samples and
+/// lane samples per pixel.
+fn range_point(work: &[f64; COSTS]) -> RangePoint {
     let log = |v: f64| libm::log(v + 1.0) as f32;
     let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;
     [log(work[1]), per_pixel(work[2]), per_pixel(work[3]), per_pixel(work[4]), per_pixel(work[5])]
-}
-
-fn term_name(i: usize) -> &'static str {
-    if i == 0 { "frame" } else { COST_QUANTITIES[i - 1].name() }
 }
 
 fn finite(v: f64) -> f32 {

@@ -115,46 +115,53 @@ pub(super) fn store_in_calibration<const N: usize>(
     Ok(())
 }
 
-/// Bounding box of the training data in `N` dimensions.
+/// Number of quantities in the range of the analytic model.
+const RANGE_TERMS: usize = 5;
+
+/// Point of a frame in the space of these quantities.
+pub(crate) type RangePoint = [f32; RANGE_TERMS];
+
+/// Bounding box of the training data.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FeatureRange<const N: usize = 5> {
-    low: [f32; N],
-    high: [f32; N],
+pub(crate) struct FeatureRange {
+    low: RangePoint,
+    high: RangePoint,
     known: bool,
 }
 
-impl<const N: usize> FeatureRange<N> {
+impl FeatureRange {
     /// An unknown range: scores are NaN.
     pub(crate) const fn unknown() -> Self {
-        Self { low: [0.0; N], high: [0.0; N], known: false }
+        Self { low: [0.0; RANGE_TERMS], high: [0.0; RANGE_TERMS], known: false }
     }
 
     /// A range with the given ends; unknown where one is not finite.
-    pub(crate) fn from_ends(low: [f32; N], high: [f32; N]) -> Self {
+    pub(crate) fn from_ends(low: RangePoint, high: RangePoint) -> Self {
         let known = low.iter().chain(&high).all(|v| v.is_finite());
         if known { Self { low, high, known } } else { Self::unknown() }
     }
 
     /// Low and high ends; `None` for an unknown range.
-    pub(crate) fn ends(&self) -> Option<(&[f32; N], &[f32; N])> {
+    pub(crate) fn ends(&self) -> Option<(&RangePoint, &RangePoint)> {
         self.known.then_some((&self.low, &self.high))
     }
 
     /// The range of the rows; values that are not finite are ignored.
-    pub(crate) fn from_rows(rows: &[[f32; N]]) -> Self {
+    pub(crate) fn from_rows(rows: &[RangePoint]) -> Self {
         if rows.is_empty() {
             return Self::unknown();
         }
-        let mut out = Self { low: [f32::INFINITY; N], high: [f32::NEG_INFINITY; N], known: true };
+        let mut out =
+            Self { low: [f32::INFINITY; RANGE_TERMS], high: [f32::NEG_INFINITY; RANGE_TERMS], known: true };
         for row in rows {
-            for k in 0..N {
+            for k in 0..RANGE_TERMS {
                 if row[k].is_finite() {
                     out.low[k] = out.low[k].min(row[k]);
                     out.high[k] = out.high[k].max(row[k]);
                 }
             }
         }
-        for k in 0..N {
+        for k in 0..RANGE_TERMS {
             if out.low[k] > out.high[k] {
                 (out.low[k], out.high[k]) = (0.0, 0.0);
             }
@@ -164,12 +171,12 @@ impl<const N: usize> FeatureRange<N> {
 
     /// 0 inside the range; outside, the largest distance from it in any dimension, in units of half the
     /// range's width (at least 0.7, a factor of two in logarithms). NaN for an unknown range.
-    pub(crate) fn score(&self, row: &[f32; N]) -> f32 {
+    pub(crate) fn score(&self, row: &RangePoint) -> f32 {
         if !self.known {
             return f32::NAN;
         }
         let mut worst = 0.0f32;
-        for k in 0..N {
+        for k in 0..RANGE_TERMS {
             let beyond = (self.low[k] - row[k]).max(row[k] - self.high[k]);
             let unit = (0.5 * (self.high[k] - self.low[k])).max(0.7);
             let score = if row[k].is_finite() { beyond / unit } else { f32::INFINITY };

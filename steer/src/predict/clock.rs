@@ -23,13 +23,13 @@ names! { Clock:
 
 impl Clock {
     /// The clock with this name: `cpu`, `wall` or `device`; `None` for any other text.
-    pub fn named(name: &str) -> Option<Self> {
+    pub(crate) fn named(name: &str) -> Option<Self> {
         [Self::Cpu, Self::Wall, Self::Device].into_iter().find(|c| c.name() == name)
     }
 
     /// The clock whose seconds a model predicts, from [`Key::Clock`] of its file; `None` where the file does
     /// not state it.
-    pub fn of(model: &Model) -> Option<Self> {
+    pub(crate) fn of(model: &Model) -> Option<Self> {
         Self::named(model.metadata().get(Key::Clock.name())?)
     }
 }

@@ -59,7 +59,7 @@ impl InputValues for FrameValues<'_> {
     fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
         let Inputs { features, setting, .. } = self.inputs;
         let work = self.work.get_or_insert_with(|| features.work(setting));
-        Some(features.quantity(quantity, setting, work))
+        Some(features.quantity_of(quantity, setting, work))
     }
 
     fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {

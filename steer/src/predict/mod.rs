@@ -17,14 +17,15 @@ mod seconds;
 
 pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
-pub(crate) use bounds::FeatureRange;
+pub(crate) use bounds::{FeatureRange, RangePoint};
 pub use bounds::{UPPER_LEVEL, UpperBound};
 pub use clock::Clock;
 pub(crate) use cost_fit::{COST_SD, CostFit, Expected, FitRow};
 pub use entire_core::model::GroupKind;
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};
-pub use network::{ModelPredictor, load};
+pub use network::{ModelPredictor, load, load_with};
+pub(crate) use quality::DISTANCE_RATIO;
 pub use quality::Quality;
 pub use range::InputRange;
 pub(crate) use seconds::CLAMPED_SCORE;

@@ -64,6 +64,18 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
     })
 }
 
+/// As [`load`], with a network already built from the same model, so that several predictors share its
+/// weights. The analytic model does not use it.
+///
+/// # Errors
+/// As [`load`], and [`crate::ErrorKind::SizeMismatch`] for a network with another number of inputs.
+pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor + Send>> {
+    Ok(match AnalyticModel::from_model(model)? {
+        Some(analytic) => Box::new(analytic),
+        None => Box::new(ModelPredictor::with_net(net.clone(), model)?),
+    })
+}
+
 /// Predictor that runs a model file's PredNet on inputs assembled from named groups in the file's order.
 ///
 /// The out-of-range score uses the inputs' distances from their training means, where the file has them.
@@ -103,13 +115,8 @@ impl ModelPredictor {
         Self::with_net(Arc::new(PredNet::new(parts)?), model)
     }
 
-    /// As [`ModelPredictor::new`], with a network already built from the same model, so that several
-    /// predictors share its weights.
-    ///
-    /// # Errors
-    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network with another number
-    /// of inputs.
-    pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
+    /// As [`ModelPredictor::new`], with a network already built from the same model.
+    fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
         let layout = InputLayout::of_model(model)?;
         let width = layout.width();
         if width != net.inputs() {
@@ -156,7 +163,7 @@ impl ModelPredictor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
-    pub fn row(&mut self, inputs: &Inputs<'_>) -> Result<&[f32]> {
+    fn row(&mut self, inputs: &Inputs<'_>) -> Result<&[f32]> {
         self.layout.write(inputs, &mut self.row)?;
         Ok(&self.row)
     }

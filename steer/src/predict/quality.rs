@@ -27,6 +27,11 @@ pub struct Quality {
     pub ray_share: f32,
 }
 
+/// Ratio of successive image sample distances: a compromise between many sizes, each of which needs other
+/// buffers, and large jumps of the step where the size changes (by the square, 1.44). Not tuned on recorded
+/// paths.
+pub(crate) const DISTANCE_RATIO: f64 = 1.2;
+
 /// Name, smallest and largest value of each parameter.
 const BOUNDS: [(&str, f32, f32); 4] = [
     ("image weight", 1.0e-3, 1.0e3),
@@ -49,12 +54,11 @@ impl Quality {
         Self { image_weight, step_exponent, image_exponent, ray_share }
     }
 
-    /// Checks the parameters; [`crate::Session::set_quality`] does so too.
+    /// Checks the parameters.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
-    /// and the share is 0 to 0.9.
-    pub fn check(&self) -> Result<()> {
+    /// As [`crate::Session::set_quality`].
+    pub(crate) fn check(&self) -> Result<()> {
         for ((what, low, high), v) in BOUNDS.into_iter().zip(self.numbers()) {
             if !(low..=high).contains(&v) {
                 bail!(InvalidArgument, "the quality's {what} is {v}; it must be {low} to {high}");
@@ -71,7 +75,7 @@ impl Quality {
     }
 
     /// The picture's time, as a share of that at full quality.
-    pub fn time_share(&self, step: f64, distance: f64) -> f64 {
+    pub(crate) fn time_share(&self, step: f64, distance: f64) -> f64 {
         let rays = f64::from(self.ray_share);
         (rays + (1.0 - rays) / step) / (distance * distance)
     }
@@ -126,7 +130,7 @@ impl Quality {
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] for anything but an object of the four parameters within their
     /// bounds.
-    pub fn of(model: &Model) -> Result<Option<Self>> {
+    pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(Key::Quality.name()) else { return Ok(None) };
         let quality: Self = match serde_json::from_str(text) {
             Ok(quality) => quality,
@@ -141,7 +145,7 @@ impl Quality {
     /// Stores the law in a model file.
     ///
     /// # Errors
-    /// As [`Quality::check`].
+    /// As [`crate::Session::set_quality`].
     pub fn store(&self, file: &mut ModelFile) -> Result<()> {
         self.check()?;
         file.metadata.insert(Key::Quality.into(), serde_json::json!(self).to_string());

@@ -10,8 +10,7 @@ use entire_core::model::{Key, Model, ModelFile};
 /// Range of each input in a network's training data, to which its inputs are clamped.
 ///
 /// Networks extrapolate linearly outside their training data, which is not justified for a factor on an
-/// estimated time. Where frames of training volumes beyond the 85 % quantile of one input are held out, a
-/// factor with clamped inputs has a smaller error than one that extrapolates (`lab/scripts/beyond.py`).
+/// estimated time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputRange {
     /// Low and high end per input, each finite, low ≤ high.

@@ -5,7 +5,7 @@ use entire_core::model::{GroupKind, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
 use entire_steer::control::{ObserveFlags, Session};
-use entire_steer::features::{Setting, SummaryOptions, VolumeSummary};
+use entire_steer::features::{Setting, VolumeSummary};
 use entire_steer::predict::{AnalyticModel, InputLayout, ModelPredictor, Predictor};
 
 #[global_allocator]
@@ -39,7 +39,7 @@ fn network() -> ModelPredictor {
 fn plan_choose_predict_and_observe_never_allocate() {
     let voxels: Vec<u8> = (0..64 * 64 * 64u64).map(|i| (i * i / 977) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).expect("a volume");
-    let volume = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
+    let volume = VolumeSummary::new(&view).expect("a summary");
     let tables = [0.0f32, 0.02, 0.9].map(|a| {
         TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, a * i as f32 / 255.0])).expect("a table")
     });

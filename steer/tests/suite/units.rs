@@ -6,7 +6,7 @@ use entire_core::scene::{
     VolumeOptions, VolumeView,
 };
 use entire_steer::control::Session;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use entire_steer::predict::Prediction;
 use glam::{Mat3, Mat4, Vec3};
 
@@ -28,7 +28,7 @@ fn summaries(unit: f32) -> [VolumeSummary; 2] {
     let view =
         VolumeView::with(Scalars::U8(&voxels), DIMS, VolumeOptions { spacing, ..VolumeOptions::default() })
             .unwrap();
-    let whole = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let whole = VolumeSummary::new(&view).unwrap();
     assert_eq!(whole.shape().bounding_radius.to_bits(), view.shape().bounding_radius.to_bits(), "{unit}");
     let bricks: Vec<[f32; 2]> = (0..5 * 3 * 4).map(|i| [0.01 * i as f32, 0.4 + 0.01 * i as f32]).collect();
     let bricks = VolumeSummary::from_bricks(DIMS, spacing, ScalarType::U8, [8; 3], &bricks).unwrap();

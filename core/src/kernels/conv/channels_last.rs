@@ -43,9 +43,7 @@ impl ChannelsLast {
         let edge = self.shape.output + 2 * self.border;
         (((z + self.border) * edge + y + self.border) * edge + x + self.border) * self.out_channels
     }
-}
 
-impl ChannelsLast {
     pub(super) fn new(
         block: &Block<'_>,
         [channel_stride, column, row, plane]: [usize; 4],

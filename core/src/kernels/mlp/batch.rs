@@ -6,6 +6,9 @@ use super::weights::{AsBf16, AsF16, widen};
 use super::{Mlp, MlpScratch, Storage};
 use crate::kernels::simd::{Kernel, Simd};
 
+/// Rows of the accumulator tile: their sums fit the register file of every level.
+const TILE_ROWS: usize = 6;
+
 pub(super) struct ForwardRows<'a, const INT8: bool> {
     pub(super) net: &'a Mlp,
     pub(super) inputs: &'a [f32],
@@ -97,7 +100,7 @@ impl Mlp {
                 }
                 line += layer.panel_lines(n);
                 // The next panel is prefetched while this one is used: a part of its lines with each tile.
-                let tiles = rows.count.div_ceil(S::TILE_ROWS);
+                let tiles = rows.count.div_ceil(TILE_ROWS);
                 let share = layer.panel_lines(n).div_ceil(tiles);
                 let mut ahead = line;
                 let mut r = 0;

@@ -23,7 +23,6 @@ impl Simd for Avx2 {
     /// The sign bits are the mask.
     type M = __m256;
     const LANES: usize = 8;
-    const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 2;
     const COUNTED: usize = 48;
 

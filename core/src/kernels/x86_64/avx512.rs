@@ -31,7 +31,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     type I = __m512i;
     type M = __mmask16;
     const LANES: usize = 16;
-    const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 4;
     const COUNTED: usize = 128;
 

@@ -237,36 +237,19 @@ void vtkEntireViewSteering::Reset()
 }
 
 //------------------------------------------------------------------------------
-double vtkEntireViewSteering::GetPredictedTime()
-{
-  vtkEntireSteering* last = this->Internals->Last();
-  return last ? last->GetPredictedTime() : NOT_KNOWN;
-}
-double vtkEntireViewSteering::GetMeasuredTime()
-{
-  vtkEntireSteering* last = this->Internals->Last();
-  return last ? last->GetMeasuredTime() : NOT_KNOWN;
-}
-double vtkEntireViewSteering::GetFrameTime()
-{
-  vtkEntireSteering* last = this->Internals->Last();
-  return last ? last->GetFrameTime() : NOT_KNOWN;
-}
-double vtkEntireViewSteering::GetSampleDistance()
-{
-  vtkEntireSteering* last = this->Internals->Last();
-  return last ? last->GetSampleDistance() : NOT_KNOWN;
-}
-double vtkEntireViewSteering::GetImageSampleDistance()
-{
-  vtkEntireSteering* last = this->Internals->Last();
-  return last ? last->GetImageSampleDistance() : NOT_KNOWN;
-}
-double vtkEntireViewSteering::GetObserverTime()
-{
-  vtkEntireSteering* last = this->Internals->Last();
-  return last ? last->GetObserverTime() : NOT_KNOWN;
-}
+#define ENTIRE_LAST_VALUE(name) \
+  double vtkEntireViewSteering::Get##name() \
+  { \
+    vtkEntireSteering* last = this->Internals->Last(); \
+    return last ? last->Get##name() : NOT_KNOWN; \
+  }
+ENTIRE_LAST_VALUE(PredictedTime)
+ENTIRE_LAST_VALUE(MeasuredTime)
+ENTIRE_LAST_VALUE(FrameTime)
+ENTIRE_LAST_VALUE(SampleDistance)
+ENTIRE_LAST_VALUE(ImageSampleDistance)
+ENTIRE_LAST_VALUE(ObserverTime)
+#undef ENTIRE_LAST_VALUE
 const char* vtkEntireViewSteering::GetReason()
 {
   vtkEntireSteering* last = this->Internals->Last();

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _FOLDER = Path(__file__).parent / "models"
 _REASONS = {
-    "fits": "the finest step whose upper bound fits the target",
+    "fits": "the finest step expected to meet the target, with its upper bound within the tolerance",
     "damped": "approaches the best step gradually, since nothing changed abruptly",
     "held": "the last step still fits and is close to the best",
     "finest allowed": "the finest allowed step fits",

@@ -33,7 +33,8 @@ impl Session {
     /// [`Session::set_max_image_sample_distance`].
     ///
     /// # Errors
-    /// As [`Quality::check`].
+    /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
+    /// and the share of rays is 0 to 0.9.
     pub fn set_quality(&mut self, quality: Option<Quality>) -> Result<()> {
         if let Some(quality) = &quality {
             quality.check()?;

@@ -81,7 +81,7 @@ impl Recording {
 
 impl Session {
     /// Starts to record planned and observed frames for [`Session::calibrate`], up to `frames` of them
-    /// ([`crate::calibrate::KEPT_FRAMES`]; later ones replace earlier ones at random, so that the kept ones
+    /// (8 to 65 536; later ones replace earlier ones at random, so that the kept ones
     /// are a fair sample). Frames recorded before are dropped.
     ///
     /// `prior` is the model to start from, fitted on another machine or renderer: an analytic model, or an
@@ -124,7 +124,7 @@ impl Session {
 
     /// Number of frames recorded since [`Session::record`]; `None` before.
     pub fn recorded(&self) -> Option<usize> {
-        self.recording.as_ref().map(|r| r.calibration.len())
+        self.recording.as_ref().map(|r| r.calibration.frames())
     }
 
     /// Fits a model to the recorded frames; 500 of them take a second or less on one thread. The session is
@@ -200,7 +200,6 @@ mod tests {
     use crate::calibrate::HeldOut;
     use crate::calibrate::tests::unit_factor;
     use crate::control::HybridOptions;
-    use crate::features::SummaryOptions;
     use crate::predict::{UnitCosts, load};
     use alloc::vec;
     use entire_core::ErrorKind;
@@ -209,7 +208,7 @@ mod tests {
     fn summary(edge: usize) -> VolumeSummary {
         let voxels: Vec<u8> = (0..edge.pow(3)).map(|i| (i * 7 % 256) as u8).collect();
         let view = VolumeView::new(Scalars::U8(&voxels), [edge; 3]).unwrap();
-        VolumeSummary::new(&view, SummaryOptions::default()).unwrap()
+        VolumeSummary::new(&view).unwrap()
     }
 
     fn table(center: f32) -> TransferTable {

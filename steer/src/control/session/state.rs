@@ -16,8 +16,9 @@ const MAX_NAME: usize = 256;
 
 impl Session {
     /// Names the renderer whose frames are observed and the clock of their times. Learned state is valid for
-    /// one renderer and clock only: saved states carry both names, and [`Session::load_state`] refuses states
-    /// with other names. Both are empty initially.
+    /// one renderer and clock only: it is forgotten where a name that was not empty changes, saved states
+    /// carry both names, and [`Session::load_state`] refuses states with other names. Both are empty
+    /// initially.
     ///
     /// A clock named `cpu`, `wall` or `device` is compared with the model's ([`Session::model_clock`]). Where
     /// they differ, the session keeps the model's ratios between scenes and learns the common factor from the
@@ -35,9 +36,11 @@ impl Session {
                 );
             }
         }
+        let renamed =
+            self.timing.iter().zip([renderer, clock]).any(|(old, new)| !old.is_empty() && old != new);
         self.timing = [renderer.to_owned(), clock.to_owned()];
         self.weigh_pictures();
-        if self.reconcile_clocks() {
+        if self.reconcile_clocks() || renamed {
             self.reset();
         }
         Ok(())

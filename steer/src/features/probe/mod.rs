@@ -43,7 +43,6 @@ pub(crate) struct Probe {
     /// Number of the probe's rays that met the box.
     pub(super) rays: u32,
     pub(super) mean_chord: f32,
-    pub(super) max_chord: f32,
     /// Length inside occupied blocks, up to termination.
     pub(super) occupied: f32,
     /// Length inside empty blocks, up to termination.
@@ -90,7 +89,6 @@ impl Probe {
         footprint: Footprint::NOTHING,
         rays: 0,
         mean_chord: 0.0,
-        max_chord: 0.0,
         occupied: 0.0,
         empty: 0.0,
         visible: 0.0,
@@ -224,7 +222,6 @@ impl Probe {
             footprint,
             rays: hits as u32,
             mean_chord: total(CHORD) * inv,
-            max_chord: rays[CHORD][..count].iter().fold(0.0, |a, &b| if b > a { b } else { a }),
             occupied: occupied * inv,
             empty: total(EMPTY) * inv,
             visible: total(VISIBLE) * inv,

@@ -83,7 +83,7 @@ impl Order {
     #[inline(always)]
     fn sort(&mut self, count: usize, ray: impl Fn(usize) -> i32) {
         let ends = &mut self.ends;
-        // Rays of group 0 are left out; the others are stored from the first place on.
+        // Rays of group 0 are dropped; the others are compacted to the front.
         ends[1] = 0;
         for group in 1..LENGTHS {
             ends[group + 1] += ends[group];

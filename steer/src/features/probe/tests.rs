@@ -90,7 +90,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
     for spacing in [[1.0, 1.0, 1.0], [0.5, 2.0, 1.0]] {
         let options = VolumeOptions { spacing, ..VolumeOptions::default() };
         let view = VolumeView::with(Scalars::U8(&data), [48, 32, 40], options).unwrap();
-        let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+        let s = VolumeSummary::new(&view).unwrap();
         let shape = s.shape();
         let edges = (2.0 * shape.half_extent).to_array().map(f64::from);
         let mut transfer = TransferSummary::new(&s, &table(|_| 1e-4)).unwrap();
@@ -128,7 +128,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
         features.measure(&s, &mut transfer, &frame).unwrap();
         let half = 0.5 * edges[2] / f64::from(shape.reference_step);
         let setting = Setting::from(&frame);
-        let chord = features.quantity(SceneQuantity::MeanChord, &setting, &features.work(&setting));
+        let chord = features.quantity_of(SceneQuantity::MeanChord, &setting, &features.work(&setting));
         assert!((chord / half - 1.0).abs() < 3e-3, "{chord}, not {half}");
         // With the plane behind the box, nothing is visible.
         let behind = glam::Mat4::from_translation(glam::Vec3::new(0.0, 0.0, 2.0));
@@ -170,7 +170,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
                 });
                 for &q in SceneQuantity::ALL {
                     let [a, b] = [&one, &other]
-                        .map(|(setting, features)| features.quantity(q, setting, &features.work(setting)));
+                        .map(|(setting, features)| features.quantity_of(q, setting, &features.work(setting)));
                     let shadows = matches!(
                         q,
                         SceneQuantity::ShadowSamples
@@ -222,7 +222,7 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
             let setting = Setting { width: size, height: size, ..Setting::from(&frame) };
             let work = features.work(&setting);
             let square = work.ray_spacing * work.ray_spacing;
-            let value = |q| features.quantity(q, &setting, &work);
+            let value = |q| features.quantity_of(q, &setting, &work);
             let [lanes, spread] =
                 [SceneQuantity::LaneShadowSamples, SceneQuantity::FarShadowSamples].map(value);
             let far = spread / work.shadow_samples / (square / (square + 64.0)) / uncached;
@@ -238,7 +238,7 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
         let local = Setting { shading: Shading::Local, ..Setting::from(&frame) };
         let work = features.work(&local);
         let square = work.ray_spacing * work.ray_spacing;
-        let spread = features.quantity(SceneQuantity::FarLocalSamples, &local, &work);
+        let spread = features.quantity_of(SceneQuantity::FarLocalSamples, &local, &work);
         assert!((spread / work.shaded - uncached * square / (square + 64.0)).abs() < 1e-6, "{spread}");
     }
 }

@@ -1,179 +1,28 @@
-//! Construction of a summary slab by slab.
+//! Parts of a summary that depend on the scan of all voxels.
 
 use super::entries::{Map, Voxel};
 use super::scan::{Bounds, Found, Grid, nothing};
-use super::{LARGEST_INDEX, SummaryOptions, VolumeSummary};
+use super::{LARGEST_INDEX, VolumeSummary};
 use entire_core::Result;
-use entire_core::bail;
 use entire_core::kernels::Executor;
 use entire_core::memory::{filled, reserve};
-use entire_core::scene::{Scalars, VolumeView};
+use entire_core::scene::VolumeView;
 
-/// Makes a [`VolumeSummary`] slab by slab along z, in order, without keeping any slab: for a volume that is
-/// never in memory as a whole, or whose caller wants to show progress or to stop.
-///
-/// The summary is bit-identical to that of [`VolumeSummary::new`] for any number of slabs and threads.
-///
-/// ```
-/// use entire_steer::features::{SummaryBuilder, SummaryOptions, VolumeSummary};
-/// use entire_core::kernels::Executor;
-/// use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
-///
-/// let voxels: Vec<u16> = (0..40 * 30 * 20).map(|i| i as u16).collect();
-/// let (range, options) = ((0.0, 24_000.0), SummaryOptions::default());
-/// let slab = |planes: std::ops::Range<usize>| {
-///     let part = &voxels[40 * 30 * planes.start..40 * 30 * planes.end];
-///     let known = VolumeOptions { range: Some(range), ..VolumeOptions::default() };
-///     VolumeView::with(Scalars::U16(part), [40, 30, planes.len()], known)
-/// };
-/// let mut builder = SummaryBuilder::new(&slab(0..8)?, 20, options)?;
-/// while let Some(planes) = builder.next_planes() {
-///     builder.add(&slab(planes)?, Executor::Serial)?; // or stop here, and drop the builder
-/// }
-/// assert_eq!(builder.finish()?, VolumeSummary::new(&slab(0..20)?, options)?);
-/// # entire_core::Result::Ok(())
-/// ```
-#[derive(Clone, Debug)]
-pub struct SummaryBuilder {
-    summary: VolumeSummary,
-    grid: Grid,
-    map: Map,
-    found: Kind,
-    /// Number of planes scanned so far.
-    planes: usize,
-}
-
-#[derive(Clone, Debug)]
-enum Kind {
-    U8(Found<u8>),
-    U16(Found<u16>),
-    I16(Found<i16>),
-    F32(Found<f32>),
-}
-
-impl SummaryBuilder {
-    /// A builder for a volume of `planes` planes along z; sizes along x and y, spacing, range and type are
-    /// those of `like`, of which no voxel is read.
-    ///
-    /// # Errors
-    /// As [`VolumeSummary::new`], [`crate::ErrorKind::InvalidArgument`] for no planes, and
-    /// [`crate::ErrorKind::SizeMismatch`] for more than [`entire_core::scene::MAX_VOLUME_EDGE`].
-    pub fn new(like: &VolumeView<'_>, planes: usize, options: SummaryOptions) -> Result<Self> {
-        let (summary, grid) = Self::layout(like, planes, options)?;
-        let found = match like.scalars() {
-            Scalars::U8(_) => Kind::U8(Found::new(&grid)?),
-            Scalars::U16(_) => Kind::U16(Found::new(&grid)?),
-            Scalars::I16(_) => Kind::I16(Found::new(&grid)?),
-            Scalars::F32(_) => Kind::F32(Found::new(&grid)?),
-        };
-        Ok(Self { summary, grid, map: Map::new(like), found, planes: 0 })
-    }
-
-    /// The empty summary of a volume, and its grid.
-    pub(super) fn layout(
-        like: &VolumeView<'_>,
-        planes: usize,
-        options: SummaryOptions,
-    ) -> Result<(VolumeSummary, Grid)> {
-        let [x, y, _] = like.dims();
-        if planes == 0 {
-            bail!(InvalidArgument, "a volume of 0 planes was announced; it must have at least 1");
-        }
-        entire_core::scene::check_edges([x, y, planes])?;
-        let summary =
-            VolumeSummary::layout([x, y, planes], like.spacing(), like.scalars().scalar_type(), options)?;
-        let grid =
-            Grid { dims: summary.shape.dims, cells: summary.cells, edge: summary.edge, block: summary.block };
-        Ok((summary, grid))
-    }
-
-    /// Planes of the smallest slab that may be added next; `None` after the last one. A slab may hold any
-    /// multiple of this number of planes; the last one ends with the volume.
-    pub fn next_planes(&self) -> Option<core::ops::Range<usize>> {
-        let [_, _, planes] = self.grid.dims;
-        let end = (self.planes + self.grid.edge[2]).min(planes);
-        (self.planes < planes).then_some(self.planes..end)
-    }
-
-    /// Adds the next slab. Allocates working memory of a few rows of cells for each thread.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] for a slab of other sizes than announced, or of a number of planes
-    /// that [`SummaryBuilder::next_planes`] does not allow; [`crate::ErrorKind::InvalidArgument`] for another
-    /// type or range. Nothing is scanned in these cases.
-    pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
-        let ([x, y, planes], [width, height, all]) = (slab.dims(), self.grid.dims);
-        let (edge, left) = (self.grid.edge[2], all - self.planes);
-        let whole = planes % edge == 0 || planes == left;
-        if [x, y] != [width, height] || planes > left || !whole {
-            bail!(
-                SizeMismatch,
-                "a slab of {x} x {y} x {planes} voxels was added after {} of {all} planes of {width} x {height} voxels; \
-                 slabs have these sizes, in whole multiples of {edge} planes or all that are left",
-                self.planes
-            );
-        }
-        if slab.range() != self.map.range() {
-            bail!(
-                InvalidArgument,
-                "a slab has the range {:?}, the volume {:?}; give every slab the volume's range",
-                slab.range(),
-                self.map.range()
-            );
-        }
-        let first = self.planes / edge;
-        let per_layer = self.grid.cells[0] * self.grid.cells[1];
-        let quantiles = &mut self.summary.quantiles[first * per_layer..];
-        let (grid, map) = (&self.grid, &self.map);
-        match (&mut self.found, slab.scalars()) {
-            (Kind::U8(f), Scalars::U8(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
-            (Kind::U16(f), Scalars::U16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
-            (Kind::I16(f), Scalars::I16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
-            (Kind::F32(f), Scalars::F32(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
-            (_, scalars) => bail!(
-                InvalidArgument,
-                "a slab of {} was added to a volume of {}; slabs have the volume's type",
-                scalars.scalar_type().name(),
-                self.summary.scalar_type.name()
-            ),
-        }
-        self.planes += planes;
-        Ok(())
-    }
-
-    /// The summary, after every plane was added.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before.
-    pub fn finish(self) -> Result<VolumeSummary> {
-        if let Some(next) = self.next_planes() {
-            bail!(
-                NotReady,
-                "{} of {} planes were added; add the planes from {} on",
-                self.planes,
-                self.grid.dims[2],
-                next.start
-            );
-        }
-        let Self { mut summary, grid, map, found, .. } = self;
-        match found {
-            Kind::U8(f) => finish(&mut summary, &grid, &map, f)?,
-            Kind::U16(f) => finish(&mut summary, &grid, &map, f)?,
-            Kind::I16(f) => finish(&mut summary, &grid, &map, f)?,
-            Kind::F32(f) => finish(&mut summary, &grid, &map, f)?,
-        }
-        Ok(summary)
-    }
-}
-
-/// Sets the parts of a summary that depend on all voxels: bounds of cells, histogram, `remapped`.
-fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: Found<T>) -> Result<()> {
+/// Scans a volume and fills its empty summary.
+pub(super) fn fill<T: Voxel>(
+    summary: &mut VolumeSummary,
+    grid: &Grid,
+    (volume, voxels): (&VolumeView<'_>, &[T]),
+    executor: Executor<'_>,
+) -> Result<()> {
+    let map = Map::new(volume);
+    let found = Found::new(grid, &map, (volume, voxels), &mut summary.quantiles, executor)?;
     lay_out(summary, grid)?;
     let places = Places::new(grid);
     for cell in each_cell(grid.cells) {
-        gather(summary, &places, map, cell, |block| found.bounds[block]);
+        gather(summary, &places, &map, cell, |block| found.bounds[block]);
     }
-    set_totals(summary, map, &found.counts, found.non_finite);
+    set_totals(summary, &map, &found.counts, found.non_finite);
     set_remapped(summary, found.bounds.iter());
     Ok(())
 }

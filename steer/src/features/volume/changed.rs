@@ -124,7 +124,7 @@ pub(super) fn look<T: Voxel>(
             more: [0; 256],
             less: [0; 256],
             non_finite: [0; 2],
-            scratch: Scratch::new(grid, source.slab)?,
+            scratch: Scratch::new(grid, source.volume)?,
             words: [
                 filled(words(grid.dims[0] * size_of::<T>()), 0)?,
                 filled(words(grid.dims[0] * size_of::<T>()), 0)?,

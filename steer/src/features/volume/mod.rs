@@ -8,7 +8,6 @@ mod series;
 #[cfg(test)]
 mod tests;
 
-pub use builder::SummaryBuilder;
 pub use series::SummarySeries;
 
 use super::classify::Blocks;
@@ -16,15 +15,16 @@ use alloc::vec::Vec;
 use entire_core::bail;
 use entire_core::kernels::Executor;
 use entire_core::memory::{copied, filled, mixed};
-use entire_core::scene::{ScalarType, Shape, VolumeView, check_edges, check_spacing};
+use entire_core::scene::{ScalarType, Scalars, Shape, VolumeView};
 use entire_core::{Error, ErrorKind, Result};
-use glam::Vec3;
+use scan::Grid;
 
 /// Edge of the blocks that renderers skip, in voxels.
 pub(crate) const BLOCK_EDGE: usize = 8;
 
-/// Default limit on the number of cells along an axis.
-pub(crate) const DEFAULT_CELLS_PER_AXIS: usize = 48;
+/// Largest number of cells along each axis. The edge of a cell is that of a block, doubled along an axis
+/// until this limit holds.
+const CELLS_PER_AXIS: usize = 48;
 
 /// Number of quantile intervals per cell; the `QUANTILES + 1` bounds split its voxels into equal shares.
 pub(crate) const QUANTILES: usize = 8;
@@ -35,25 +35,11 @@ pub(crate) const LARGEST_INDEX: i16 = i16::MAX;
 /// Largest number of blocks kept along an axis of a cell; beyond it, several blocks are merged into one.
 const BLOCKS_PER_CELL_AXIS: usize = 8;
 
-/// Options of a [`VolumeSummary`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SummaryOptions {
-    /// Largest number of cells along each axis, 1…128. The edge of a cell is that of a block, doubled along
-    /// an axis until this limit holds.
-    pub cells_per_axis: usize,
-}
-
-impl Default for SummaryOptions {
-    fn default() -> Self {
-        Self { cells_per_axis: DEFAULT_CELLS_PER_AXIS }
-    }
-}
-
 /// Summary of a volume: about 12 bytes per cell of 8³ voxels, without the voxels.
 ///
 /// Cell (i, j, k) with edge e covers the samples between the centers of voxels e·i and e·(i + 1) along each
 /// axis; so its bounds include one voxel beyond its far side. The edge is 8 voxels along each axis, or larger
-/// by powers of two where the volume exceeds the options' limit; then the value bounds of the blocks inside
+/// by powers of two where an axis would have more than 48 cells; then the value bounds of the blocks inside
 /// each cell are kept too, so that emptiness is still decided by the blocks that a renderer skips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
@@ -86,16 +72,33 @@ pub struct VolumeSummary {
 }
 
 impl VolumeSummary {
-    /// Scans a volume once, on the calling thread. [`SummaryBuilder`] uses several threads, shows progress,
-    /// can be stopped, and takes volumes that are never in memory as a whole.
+    /// Scans a volume once, on the calling thread.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::OutOfMemory`] where there is no
-    /// room for the summary.
-    pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
-        let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
-        builder.add(volume, Executor::Serial)?;
-        builder.finish()
+    /// [`ErrorKind::OutOfMemory`] where there is no room for the summary.
+    pub fn new(volume: &VolumeView<'_>) -> Result<Self> {
+        Self::new_on(volume, Executor::Serial)
+    }
+
+    /// As [`VolumeSummary::new`], on the executor's threads; same bits. Allocates working memory of a few
+    /// rows of cells for each thread.
+    ///
+    /// # Errors
+    /// As [`VolumeSummary::new`].
+    pub fn new_on(volume: &VolumeView<'_>, executor: Executor<'_>) -> Result<Self> {
+        Self::with_cells(volume, CELLS_PER_AXIS, executor)
+    }
+
+    /// As [`VolumeSummary::new_on`], with at most `most` cells along each axis, 1…128.
+    pub(crate) fn with_cells(volume: &VolumeView<'_>, most: usize, executor: Executor<'_>) -> Result<Self> {
+        let (mut summary, grid) = Self::layout(volume, most)?;
+        match volume.scalars() {
+            Scalars::U8(v) => builder::fill(&mut summary, &grid, (volume, v), executor)?,
+            Scalars::U16(v) => builder::fill(&mut summary, &grid, (volume, v), executor)?,
+            Scalars::I16(v) => builder::fill(&mut summary, &grid, (volume, v), executor)?,
+            Scalars::F32(v) => builder::fill(&mut summary, &grid, (volume, v), executor)?,
+        }
+        Ok(summary)
     }
 
     /// Hash of the summary's sizes and histogram; volumes that differ in either are very unlikely to collide.
@@ -128,8 +131,7 @@ impl VolumeSummary {
                 "volume of {dims:?} voxels in bricks of {brick_edge:?}; every size must be at least 1"
             );
         }
-        check_edges(dims)?;
-        let spacing = check_spacing(spacing)?;
+        let shape = Shape::checked(dims, spacing)?;
         let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(brick_edge[a]));
         let expected = count(cells, dims)?;
         if expected != bounds.len() {
@@ -140,7 +142,7 @@ impl VolumeSummary {
                 bounds.len()
             );
         }
-        let mut summary = Self::with_grid(dims, spacing, scalar_type, cells, brick_edge)?;
+        let mut summary = Self::with_grid(shape, scalar_type, cells, brick_edge)?;
         summary.block = brick_edge;
         let mut smallest = 1.0f32;
         let clean = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) };
@@ -263,16 +265,9 @@ impl VolumeSummary {
         })
     }
 
-    fn layout(
-        dims: [usize; 3],
-        spacing: Vec3,
-        scalar_type: ScalarType,
-        options: SummaryOptions,
-    ) -> Result<Self> {
-        let most = options.cells_per_axis;
-        if most == 0 || most > 128 {
-            bail!(InvalidArgument, "{most} cells per axis were asked for; accepted are 1…128");
-        }
+    /// The empty summary of a volume with at most `most` cells along each axis, and its grid.
+    fn layout(volume: &VolumeView<'_>, most: usize) -> Result<(Self, Grid)> {
+        let dims = volume.dims();
         let mut edge = [BLOCK_EDGE; 3];
         for axis in 0..3 {
             while dims[axis].div_ceil(edge[axis]) > most {
@@ -280,22 +275,19 @@ impl VolumeSummary {
             }
         }
         let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(edge[a]));
-        Self::with_grid(dims, spacing, scalar_type, cells, edge)
+        let summary = Self::with_grid(volume.shape(), volume.scalars().scalar_type(), cells, edge)?;
+        let grid = Grid { dims, cells, edge, block: summary.block };
+        Ok((summary, grid))
     }
 
-    fn with_grid(
-        dims: [usize; 3],
-        spacing: Vec3,
-        scalar_type: ScalarType,
-        cells: [usize; 3],
-        edge: [usize; 3],
-    ) -> Result<Self> {
+    fn with_grid(shape: Shape, scalar_type: ScalarType, cells: [usize; 3], edge: [usize; 3]) -> Result<Self> {
+        let dims = shape.dims;
         let n = count(cells, dims)?;
         let block = edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE)));
         let per_cell = |a: usize| edge[a] / block[a];
         Ok(Self {
             scalar_type,
-            shape: Shape::new(dims, spacing),
+            shape,
             cells,
             edge,
             block,

@@ -60,31 +60,24 @@ pub(super) struct Found<T> {
 }
 
 impl<T: Voxel> Found<T> {
-    pub(super) fn new(grid: &Grid) -> Result<Self> {
-        Ok(Self {
+    /// Scans a volume; `quantiles` has one element for each of its cells.
+    pub(super) fn new(
+        grid: &Grid,
+        map: &Map,
+        (volume, voxels): (&VolumeView<'_>, &[T]),
+        quantiles: &mut [[u8; QUANTILES + 1]],
+        executor: Executor<'_>,
+    ) -> Result<Self> {
+        let mut out = Self {
             bounds: filled(grid.blocks().iter().product(), nothing())?,
             counts: [0; 256],
             non_finite: 0,
-        })
-    }
-
-    /// Scans consecutive layers of cells from cell layer `first` on. `slab` holds exactly their planes,
-    /// `quantiles` one element for each of their cells.
-    pub(super) fn scan(
-        &mut self,
-        grid: &Grid,
-        map: &Map,
-        (slab, voxels): (&VolumeView<'_>, &[T]),
-        first: usize,
-        quantiles: &mut [[u8; QUANTILES + 1]],
-        executor: Executor<'_>,
-    ) -> Result<()> {
-        let layers = slab.dims()[2].div_ceil(grid.edge[2]);
+        };
+        let layers = grid.cells[2];
         let [across, down, _] = grid.blocks();
         let plane = across * down;
         let per_layer = grid.edge[2] / grid.block[2];
-        let (before, bounds) = self.bounds.split_at_mut(first * per_layer * plane);
-        let (mut quantiles, mut bounds) = (quantiles, bounds);
+        let (mut quantiles, mut bounds) = (quantiles, &mut *out.bounds);
         let parts = executor.threads().clamp(1, layers);
         let mut tasks = room(parts)?;
         for i in 0..parts {
@@ -96,12 +89,12 @@ impl<T: Voxel> Found<T> {
             tasks.push(Layers {
                 grid,
                 map,
-                source: Source { slab, voxels, first: first * grid.edge[2] },
-                layers: first + own.start..first + own.end,
+                source: Source { volume, voxels },
+                layers: own,
                 quantiles: q,
                 bounds: b,
                 back: filled(plane, nothing())?,
-                scratch: Scratch::new(grid, slab)?,
+                scratch: Scratch::new(grid, volume)?,
                 counts: [0; 256],
                 non_finite: 0,
             });
@@ -109,18 +102,18 @@ impl<T: Voxel> Found<T> {
         let level = Level::detect();
         all(&mut tasks, level, executor);
         // A layer's first plane belongs to the bounds of the preceding blocks as well.
-        let mut previous = last(before, plane);
+        let mut previous: Option<&mut [Bounds<T>]> = None;
         for task in tasks {
             if let Some(blocks) = previous {
                 for (block, [low, high]) in blocks.iter_mut().zip(task.back) {
                     *block = [block[0].lesser(low), block[1].greater(high)];
                 }
             }
-            self.counts.iter_mut().zip(task.counts).for_each(|(a, b)| *a += b);
-            self.non_finite += task.non_finite;
+            out.counts.iter_mut().zip(task.counts).for_each(|(a, b)| *a += b);
+            out.non_finite += task.non_finite;
             previous = last(task.bounds, plane);
         }
-        Ok(())
+        Ok(out)
     }
 }
 
@@ -148,17 +141,15 @@ where
 /// Location of the voxels.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a, T> {
-    pub(super) slab: &'a VolumeView<'a>,
+    pub(super) volume: &'a VolumeView<'a>,
     pub(super) voxels: &'a [T],
-    /// Number of the slab's first plane in the volume.
-    pub(super) first: usize,
 }
 
 impl<T: Voxel> Source<'_, T> {
     /// The voxels `xs` of a row as a slice, copied to `scratch` where they are not contiguous.
     #[inline(always)]
     pub(super) fn row<'s>(&'s self, scratch: &'s mut [T], xs: &Range<usize>, y: usize, z: usize) -> &'s [T] {
-        let (at, stride) = (self.slab.index(xs.start, y, z - self.first), self.slab.strides()[0]);
+        let (at, stride) = (self.volume.index(xs.start, y, z), self.volume.strides()[0]);
         if stride == 1 {
             return &self.voxels[at..at + xs.len()];
         }
@@ -173,11 +164,11 @@ impl<T: Voxel> Source<'_, T> {
     /// next row of cells is not adjacent in memory, so the hardware does not prefetch it.
     #[inline(always)]
     pub(super) fn fetch<S: Simd>(&self, simd: S, xs: &Range<usize>, y: usize, z: usize) {
-        let ([_, height, planes], z) = (self.slab.dims(), z - self.first);
-        if self.slab.strides()[0] != 1 || y >= height || z >= planes {
+        let [_, height, planes] = self.volume.dims();
+        if self.volume.strides()[0] != 1 || y >= height || z >= planes {
             return;
         }
-        let row = &self.voxels[self.slab.index(xs.start, y, z)..][..xs.len()];
+        let row = &self.voxels[self.volume.index(xs.start, y, z)..][..xs.len()];
         for line in row.chunks(64 / size_of::<T>()) {
             simd.prefetch_near(line.as_ptr().cast());
         }
@@ -233,12 +224,12 @@ pub(super) struct Scratch<T> {
 pub(super) type Counts = [[u32; 256]; 4];
 
 impl<T: Voxel> Scratch<T> {
-    pub(super) fn new(grid: &Grid, slab: &VolumeView<'_>) -> Result<Self> {
+    pub(super) fn new(grid: &Grid, volume: &VolumeView<'_>) -> Result<Self> {
         let dims = grid.dims;
         let joined = || Joined::new(dims[0]);
         Ok(Self {
             joined: [joined()?, joined()?, joined()?, joined()?],
-            row: filled(if slab.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
+            row: filled(if volume.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
             line: filled(if T::IS_ENTRY { 0 } else { dims[0] }, 0)?,
             cells: filled(grid.cells[0] * grid.room(), 0)?,
             counts: [[0; 256]; 4],

@@ -4,7 +4,7 @@ use super::builder::{Places, gather, lay_out, set_remapped, set_totals};
 use super::changed::{Cells, Halves, full, look, mask};
 use super::entries::{Map, Voxel};
 use super::scan::{Grid, Source, nothing};
-use super::{SummaryBuilder, SummaryOptions, VolumeSummary};
+use super::{CELLS_PER_AXIS, VolumeSummary};
 use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
@@ -26,23 +26,19 @@ use entire_core::scene::{Scalars, VolumeView};
 /// per block. For bytes in cells of one block, these are about 25 bytes per cell and one per entry, in
 /// addition to the 11 of the summary.
 ///
-/// A time step may be added slab by slab, as with [`SummaryBuilder`]: to show progress, to stop, or where the
-/// volume is never in memory as a whole. After a stop the next time step also scans the cells that were left.
-///
 /// ```
-/// use entire_steer::features::{SummaryOptions, SummarySeries, VolumeSummary};
+/// use entire_steer::features::{SummarySeries, VolumeSummary};
 /// use entire_core::kernels::Executor;
 /// use entire_core::scene::{Scalars, VolumeView};
 ///
 /// let mut voxels = vec![7u8; 40 * 30 * 20];
-/// let options = SummaryOptions::default();
 /// let view = VolumeView::new(Scalars::U8(&voxels), [40, 30, 20])?;
-/// let mut series = SummarySeries::new(&view, 20, options)?;
+/// let mut series = SummarySeries::new(&view)?;
 /// series.update(&view, None, Executor::Serial)?;
 /// voxels[40 * (30 * 11 + 5) + 17] = 200;
 /// let view = VolumeView::new(Scalars::U8(&voxels), [40, 30, 20])?;
 /// let found = series.update(&view, Some([17..18, 5..6, 11..12]), Executor::Serial)?;
-/// assert_eq!(*found, VolumeSummary::new(&view, options)?);
+/// assert_eq!(*found, VolumeSummary::new(&view)?);
 /// # entire_core::Result::Ok(())
 /// ```
 #[derive(Clone, Debug)]
@@ -54,8 +50,6 @@ pub struct SummarySeries {
     blocks: Kind,
     /// True where unmarked cells may have changed too.
     search: bool,
-    /// First layer of cells that was not scanned in this time step.
-    layer: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -67,14 +61,18 @@ enum Kind {
 }
 
 impl SummarySeries {
-    /// A series of volumes of `planes` planes along z; sizes along x and y, spacing, range and type of every
-    /// time step are those of `like`, of which no voxel is read. All time steps share the range. The first
-    /// time step has begun; all of it must be read.
+    /// A series of volumes with the sizes, spacing, range and type of `like`, of which no voxel is read. All
+    /// time steps share the range.
     ///
     /// # Errors
-    /// As [`SummaryBuilder::new`].
-    pub fn new(like: &VolumeView<'_>, planes: usize, options: SummaryOptions) -> Result<Self> {
-        let (mut summary, grid) = SummaryBuilder::layout(like, planes, options)?;
+    /// As [`VolumeSummary::new`].
+    pub fn new(like: &VolumeView<'_>) -> Result<Self> {
+        Self::with_cells(like, CELLS_PER_AXIS)
+    }
+
+    /// As [`SummarySeries::new`], with at most `most` cells along each axis, 1…128.
+    pub(super) fn with_cells(like: &VolumeView<'_>, most: usize) -> Result<Self> {
+        let (mut summary, grid) = VolumeSummary::layout(like, most)?;
         lay_out(&mut summary, &grid)?;
         let blocks = grid.blocks().iter().product();
         let blocks = match like.scalars() {
@@ -83,99 +81,20 @@ impl SummarySeries {
             Scalars::I16(_) => Kind::I16(filled(blocks, [nothing(); 2])?),
             Scalars::F32(_) => Kind::F32(filled(blocks, [nothing(); 2])?),
         };
-        Ok(Self {
-            summary,
-            grid,
-            map: Map::new(like),
-            cells: Cells::new(&grid)?,
-            blocks,
-            search: false,
-            layer: 0,
-        })
+        let (map, cells) = (Map::new(like), Cells::new(&grid)?);
+        Ok(Self { summary, grid, map, cells, blocks, search: false })
     }
 
-    /// Begins the next time step, in which only voxels in a box changed: along x, y and z from each range's
-    /// start up to, but not including, its end. Without a box any voxel may have changed. Where the preceding
-    /// time step was not read to its end, its changes are searched as well.
+    /// Updates the summary to the next time step and returns it. Only voxels in the box `changed` differ from
+    /// the preceding time step: along x, y and z from each range's start up to, but not including, its end.
+    /// Without a box any voxel may differ. The first time step is always read completely. Allocates working
+    /// memory of a few rows of cells for each thread, and memory for cells with more entries than before.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume; no time step has begun
-    /// in this case.
-    pub fn begin(&mut self, changed: Option<[Range<usize>; 3]>) -> Result<()> {
-        let Some(changed) = changed else {
-            (self.search, self.layer) = (true, 0);
-            return Ok(());
-        };
-        let (dims, edge) = (self.grid.dims, self.grid.edge);
-        if (0..3).any(|a| changed[a].start > changed[a].end || changed[a].end > dims[a]) {
-            bail!(
-                InvalidArgument,
-                "voxels {:?} along x, {:?} along y and {:?} along z were announced as changed in a volume \
-                 of {} x {} x {} voxels; ranges begin at 0 and end with the volume",
-                changed[0],
-                changed[1],
-                changed[2],
-                dims[0],
-                dims[1],
-                dims[2]
-            );
-        }
-        // Cells left from the preceding time step are still searched.
-        self.search &= self.next_planes().is_some();
-        self.layer = 0;
-        if changed.iter().any(Range::is_empty) {
-            return Ok(());
-        }
-        let [xs, ys, zs] =
-            core::array::from_fn(|a| changed[a].start / edge[a]..changed[a].end.div_ceil(edge[a]));
-        for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
-            self.cells.changed[y + self.grid.cells[1] * z] |= mask(xs.clone());
-        }
-        Ok(())
-    }
-
-    /// Planes of the smallest slab that must be added next, which need not follow the one before: planes
-    /// without changes are skipped. `None` when the time step is complete. A slab may hold any multiple of
-    /// this number of planes; the last one ends with the volume.
-    pub fn next_planes(&self) -> Option<Range<usize>> {
-        let ([_, ny, nz], edge) = (self.grid.cells, self.grid.edge[2]);
-        let waits =
-            |z: &usize| self.search || self.cells.changed[ny * z..ny * (z + 1)].iter().any(|&row| row != 0);
-        let layer = (self.layer..nz).find(waits)?;
-        Some(layer * edge..((layer + 1) * edge).min(self.grid.dims[2]))
-    }
-
-    /// Adds the slab that [`SummarySeries::next_planes`] names. Allocates working memory of a few rows of
-    /// cells for each thread, and memory for cells with more entries than before.
-    ///
-    /// # Errors
-    /// As [`SummaryBuilder::add`]; [`crate::ErrorKind::OutOfMemory`], after which a time step must be begun
-    /// again.
-    pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
-        let Some(next) = self.next_planes() else {
-            bail!(SizeMismatch, "a slab was added to a complete time step; begin the next one first");
-        };
-        let ([x, y, planes], [width, height, all]) = (slab.dims(), self.grid.dims);
-        let (edge, left) = (self.grid.edge[2], all - next.start);
-        if [x, y] != [width, height] || planes > left || !(planes % edge == 0 || planes == left) {
-            bail!(
-                SizeMismatch,
-                "a slab of {x} x {y} x {planes} voxels was added where planes from {} on of {all} planes of \
-                 {width} x {height} voxels are awaited; slabs have these sizes, in whole multiples of {edge} \
-                 planes or all that are left",
-                next.start
-            );
-        }
-        let first = next.start / edge;
-        self.look(slab, next.start, first..first + planes.div_ceil(edge), executor)
-    }
-
-    /// Adds a whole time step, in which only voxels in a box changed ([`SummarySeries::begin`]); the first
-    /// one is always read completely. Returns its summary.
-    ///
-    /// # Errors
-    /// As [`SummarySeries::begin`] and [`SummarySeries::add`]; where the volume is refused, no time step has
-    /// begun.
+    /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume, and for a volume of
+    /// another type or range, [`crate::ErrorKind::SizeMismatch`] for one of other sizes; nothing has changed
+    /// in these cases. [`crate::ErrorKind::OutOfMemory`], after which there is no summary until another
+    /// update succeeds.
     pub fn update(
         &mut self,
         volume: &VolumeView<'_>,
@@ -191,39 +110,78 @@ impl SummarySeries {
             );
         }
         self.check(volume)?;
-        self.begin(changed)?;
-        if let Some(next) = self.next_planes() {
-            let (first, ny) = (next.start / self.grid.edge[2], self.grid.cells[1]);
-            let last = self.cells.changed.iter().rposition(|&row| row != 0).map_or(first, |row| row / ny);
-            let end = if self.search { self.grid.cells[2] } else { last + 1 };
-            self.look(volume, 0, first..end, executor)?;
+        match changed {
+            Some(changed) => self.announce(changed)?,
+            None => self.search = true,
+        }
+        if let Some(layers) = self.awaited() {
+            self.look(volume, layers, executor)?;
         }
         self.summary()
+    }
+
+    /// Marks the cells that a box of voxels touches as changed.
+    fn announce(&mut self, changed: [Range<usize>; 3]) -> Result<()> {
+        let (dims, edge) = (self.grid.dims, self.grid.edge);
+        if (0..3).any(|a| changed[a].start > changed[a].end || changed[a].end > dims[a]) {
+            bail!(
+                InvalidArgument,
+                "voxels {:?} along x, {:?} along y and {:?} along z were announced as changed in a volume \
+                 of {} x {} x {} voxels; ranges begin at 0 and end with the volume",
+                changed[0],
+                changed[1],
+                changed[2],
+                dims[0],
+                dims[1],
+                dims[2]
+            );
+        }
+        if changed.iter().any(Range::is_empty) {
+            return Ok(());
+        }
+        let [xs, ys, zs] =
+            core::array::from_fn(|a| changed[a].start / edge[a]..changed[a].end.div_ceil(edge[a]));
+        for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
+            self.cells.changed[y + self.grid.cells[1] * z] |= mask(xs.clone());
+        }
+        Ok(())
+    }
+
+    /// Layers of cells from the first to the last that must be scanned; `None` where the summary is
+    /// complete.
+    fn awaited(&self) -> Option<Range<usize>> {
+        let ([_, ny, nz], rows) = (self.grid.cells, &self.cells.changed);
+        if self.search {
+            return Some(0..nz);
+        }
+        let first = rows.iter().position(|&row| row != 0)?;
+        let last = rows.iter().rposition(|&row| row != 0)?;
+        Some(first / ny..last / ny + 1)
     }
 
     /// The summary of the time step.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before all its planes were added.
+    /// [`crate::ErrorKind::NotReady`] before the first update, and after one that failed for lack of memory.
     pub fn summary(&self) -> Result<&VolumeSummary> {
-        if let Some(next) = self.next_planes() {
-            bail!(NotReady, "a time step is not complete; add its planes from {} on", next.start);
+        if self.awaited().is_some() {
+            bail!(NotReady, "no time step is complete; update the series with one");
         }
         Ok(&self.summary)
     }
 
     /// Refuses voxels of another type or range.
-    fn check(&self, slab: &VolumeView<'_>) -> Result<()> {
-        if slab.range() != self.map.range() {
+    fn check(&self, volume: &VolumeView<'_>) -> Result<()> {
+        if volume.range() != self.map.range() {
             bail!(
                 InvalidArgument,
                 "a time step has the range {:?}, its series {:?}; give every time step the range of the \
                  series",
-                slab.range(),
+                volume.range(),
                 self.map.range()
             );
         }
-        let (found, own) = (slab.scalars().scalar_type(), self.summary.scalar_type);
+        let (found, own) = (volume.scalars().scalar_type(), self.summary.scalar_type);
         if found != own {
             bail!(
                 InvalidArgument,
@@ -235,43 +193,26 @@ impl SummarySeries {
         Ok(())
     }
 
-    /// Scans layers of cells; plane 0 of the slab is the volume's plane `plane`.
-    fn look(
-        &mut self,
-        slab: &VolumeView<'_>,
-        plane: usize,
-        layers: Range<usize>,
-        executor: Executor<'_>,
-    ) -> Result<()> {
-        self.check(slab)?;
-        let end = layers.end;
-        let (grid, map, search) = (&self.grid, &self.map, self.search);
-        let (cells, quantiles) = (&mut self.cells, &mut *self.summary.quantiles);
+    /// Scans layers of cells, which include every cell that must be scanned.
+    fn look(&mut self, volume: &VolumeView<'_>, layers: Range<usize>, executor: Executor<'_>) -> Result<()> {
+        let Self { summary, grid, map, cells, blocks, search } = self;
         macro_rules! look {
             ($voxels:expr, $blocks:expr) => {{
-                let source = Source { slab, voxels: $voxels, first: plane };
-                look(grid, map, source, layers, search, (cells, $blocks, quantiles), executor)?
+                let source = Source { volume, voxels: $voxels };
+                let state = (&mut *cells, &mut **$blocks, &mut *summary.quantiles);
+                look(grid, map, source, layers, *search, state, executor)?;
+                finish(summary, grid, map, cells, $blocks);
             }};
         }
-        match (&mut self.blocks, slab.scalars()) {
+        match (blocks, volume.scalars()) {
             (Kind::U8(blocks), Scalars::U8(voxels)) => look!(voxels, blocks),
             (Kind::U16(blocks), Scalars::U16(voxels)) => look!(voxels, blocks),
             (Kind::I16(blocks), Scalars::I16(voxels)) => look!(voxels, blocks),
             (Kind::F32(blocks), Scalars::F32(voxels)) => look!(voxels, blocks),
-            // Excluded by the check above.
+            // The type was checked.
             _ => {}
         }
-        self.layer = end;
-        if self.next_planes().is_none() {
-            let Self { summary, grid, map, cells, blocks, .. } = self;
-            match blocks {
-                Kind::U8(blocks) => finish(summary, grid, map, cells, blocks),
-                Kind::U16(blocks) => finish(summary, grid, map, cells, blocks),
-                Kind::I16(blocks) => finish(summary, grid, map, cells, blocks),
-                Kind::F32(blocks) => finish(summary, grid, map, cells, blocks),
-            }
-            (self.search, self.layer) = (false, 0);
-        }
+        *search = false;
         Ok(())
     }
 }

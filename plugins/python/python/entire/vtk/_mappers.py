@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper
 from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper, vtkSmartVolumeMapper
 
 
@@ -259,18 +258,3 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     gpu.SetLockSampleDistanceToInputSpacing(1)
     gpu.SetAutoAdjustSampleDistances(0)
     return gpu
-
-
-__all__ = [
-    "CannotSteer",
-    "Settings",
-    "full_quality",
-    "gpu_in_place_of",
-    "is_fixed_point",
-    "is_gpu",
-    "refusal",
-    "spacing_adjusted",
-    "vtkFixedPointVolumeRayCastMapper",
-    "vtkGPUVolumeRayCastMapper",
-    "write",
-]

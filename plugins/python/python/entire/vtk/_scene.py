@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkDataArray
-from vtkmodules.vtkCommonDataModel import vtkImageData
 from vtkmodules.vtkCommonMath import vtkMatrix4x4
-from vtkmodules.vtkRenderingCore import vtkAbstractMapper
 
 from .._native import Camera, TransferFunction, Volume
 
@@ -261,20 +259,3 @@ def termination(mode: Look, gpu: bool) -> float:
     if mode[2] != _COMPOSITE:
         return 1.0
     return GPU_TERMINATION if gpu else FIXED_POINT_TERMINATION
-
-
-__all__ = [
-    "Grid",
-    "Nodes",
-    "Unreadable",
-    "camera",
-    "elements",
-    "input_of",
-    "look",
-    "transfer_function",
-    "transfer_key",
-    "transfer_nodes",
-    "vertical_angle",
-    "vtkAbstractMapper",
-    "vtkImageData",
-]
