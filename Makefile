@@ -6,6 +6,8 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 CARGO ?= cargo
+# The lab's command, built where it is not.
+LAB := $(CARGO) run --release --quiet --package entire-lab --bin entire-lab --
 # Colors on a terminal, none in logs.
 export CARGO_TERM_COLOR ?= auto
 

@@ -5,7 +5,7 @@ STUDY_OUT ?= out/study
 
 .PHONY: study
 study: ## Make and judge every predictor of STUDY: out/study/report.html
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)"
+	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)"
 
 # The tables and the model at the same position in these lists are of one type of machine.
 FRAMES_TABLES := none-train none-epyc-train none-xeon-train
@@ -16,11 +16,11 @@ FRAMES_OPTIONS := --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) --judged $(FRA
 
 .PHONY: study-frames
 study-frames: ## Calibration error by number of frames of another type of machine
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
+	$(LAB) frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
 
 .PHONY: bars-accuracy
 bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
+	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
 
 .PHONY: tables
 tables: build ## Collect timing tables anew on this machine: make tables DATA=FOLDER-WITH-ensembles TABLES="scatter-members scatter-train"
@@ -32,9 +32,8 @@ distill: build ## Distill the selected predictors into the paper's network, an h
 
 .PHONY: models
 models: ## Make the shipped predictors and their cards anew from the timing tables: models/
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models
+	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models
 
-LAB := $(CARGO) run --release --quiet --package entire-lab --bin entire-lab --
 .PHONY: bars-model
 bars-model: build ## Print the bars of the predictors and of their calibration, by both clocks: make bars-model [BEFORE=REVISION]
 	$(LAB) study --study "$(STUDY)" --out out/study > /dev/null

@@ -36,4 +36,4 @@ bench-rust-peers: ## Build the Rust libraries that bench-peers compares with (ma
 bars-inference: peer-server ## Measure the inference bars; fails when one is short
 	@$(MAKE) --no-print-directory $(BENCH_OUT)/models/inputs.safetensors || echo "bars-inference: the networks cannot be made"
 	$(PYTHON) lab/scripts/bars_inference.py --server target/release/examples/peer_server --peers $(PEERS) \
-		--models $(BENCH_OUT)/models --rust $(BENCH_OUT)/peers/release --nice $(BENCH_NICE) $(BARS_INFERENCE_ALSO)
+		--models $(BENCH_OUT)/models --rust $(BENCH_OUT)/peers/release --nice $(BENCH_NICE)

@@ -6,9 +6,9 @@ PAPER_KEPT ?= $(wildcard data/timings/paper-results.json.gz)
 
 .PHONY: paper
 paper: setup ## Collect, encode, train and report as the paper does, a night at most: out/paper/report.html (PAPER_DATA=FOLDER)
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper all --data "$(PAPER_DATA)" --out "$(PAPER_OUT)" $(PAPER_FLAGS)
+	$(LAB) paper all --data "$(PAPER_DATA)" --out "$(PAPER_OUT)" $(PAPER_FLAGS)
 
-PAPER_TRIALS = $(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper train --out "$(PAPER_OUT)"
+PAPER_TRIALS = $(LAB) paper train --out "$(PAPER_OUT)"
 
 .PHONY: paper-procedure
 paper-procedure: setup ## The paper's recipe on the repository's frames, one change at a time, half an hour: out/paper/results
@@ -21,4 +21,4 @@ paper-frames: build ## The paper's recipe on a teacher's labels, by their number
 
 .PHONY: bars-paper
 bars-paper: ## Write the paper's report from the kept results and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short (INTERVAL)
-	@$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars
+	@$(LAB) paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars

@@ -36,4 +36,4 @@ versions: ## Keep what test-matrix ran last in .ci/matrix.csv and write README's
 
 .PHONY: study-renderers
 study-renderers: ## Accuracy for VTK's mappers, ParaView and yt: out/renderers/report.html
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study data/timings/renderers-study.json --out out/renderers --bars
+	$(LAB) study --study data/timings/renderers-study.json --out out/renderers --bars

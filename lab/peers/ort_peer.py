@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""ONNX Runtime as a server (see pycommon.py). Variants: bind, run, int8, elu."""
+"""ONNX Runtime as a server (see pycommon.py). Variants: bind, run, int8."""
 import numpy as np
 import onnxruntime as ort
 
@@ -10,7 +10,7 @@ def make(variant, name, batch):
     options = ort.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = THREADS, 1
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    suffix = next((f"_{s}" for s in ("elu", "int8") if s in variant), "")
+    suffix = "_int8" if variant == "int8" else ""
     session = ort.InferenceSession(f"{FOLDER}/{name}{suffix}.onnx", options, providers=["CPUExecutionProvider"])
     x = get_input(name, batch)
     if "run" in variant:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""OpenVINO as a server (see pycommon.py). Variants: f32, bf16, f16, run, int8."""
+"""OpenVINO as a server (see pycommon.py). Variants: f32, bf16."""
 import openvino as ov
 
 from pycommon import FOLDER, THREADS, get_input, serve
@@ -9,19 +9,15 @@ core = ov.Core()
 
 def make(variant, name, batch):
     x = get_input(name, batch)
-    model = core.read_model(f"{FOLDER}/{name}{'_int8' if 'int8' in variant else ''}.onnx")
+    model = core.read_model(f"{FOLDER}/{name}.onnx")
     model.reshape(list(x.shape))
-    precision = next((p for p in ("bf16", "f16") if p in variant), "f32")
     settings = {"INFERENCE_NUM_THREADS": THREADS, "NUM_STREAMS": 1, "PERFORMANCE_HINT": "LATENCY",
-                "INFERENCE_PRECISION_HINT": precision}
+                "INFERENCE_PRECISION_HINT": variant}
     compiled = core.compile_model(model, "CPU", settings)
     request = compiled.create_infer_request()
     tensor = ov.Tensor(x, shared_memory=True)
     request.set_input_tensor(0, tensor)
     out = request.get_output_tensor(0)
-    if "run" in variant:
-        return lambda: request.infer([x])[0]
-
     def call():
         request.infer()
         return out.data

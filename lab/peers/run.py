@@ -14,11 +14,13 @@ import json
 import os
 import pathlib
 import random
-import subprocess
 import sys
 import time
 
 HERE = pathlib.Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "scripts"))
+from servers import Server, raise_priority, thread_counts  # noqa: E402
+
 # By peer: server, environment, request for a network, and the networks that it can run: PredNet (p), VolumeNet (v).
 PEERS = {
     "torch eager": ("torch", {}, "eager/{}", "pv"),
@@ -97,15 +99,6 @@ def takes_part(kinds, case, threads):
     return ("v" if volume else "p") in kinds
 
 
-def raise_priority(nice):
-    """Raises the priority of this session: with automatic groups, niceness of a process acts only inside its session."""
-    try:
-        os.setsid()
-        pathlib.Path("/proc/self/autogroup").write_text(str(nice))
-    except OSError as error:
-        print("the session's priority stays as it is:", error, file=sys.stderr)
-
-
 class Servers:
     """Server processes by command, environment and threads, started at the first request."""
 
@@ -115,28 +108,15 @@ class Servers:
     def ask(self, command, environment, threads, line):
         key = (*command, *environment.items(), threads)
         if key not in self.running:
-            counts = {f"{v}_NUM_THREADS": str(threads) for v in ("RAYON", "RTEN", "OMP", "MKL")}
-            raised = (lambda: os.setpriority(os.PRIO_PROCESS, 0, self.nice)) if self.nice else None
-            self.running[key] = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-                env=os.environ | counts | environment | {"PEER_THREADS": str(threads)}, preexec_fn=raised,
-            )
-        process = self.running[key]
-        try:
-            process.stdin.write(line + "\n")
-            process.stdin.flush()
-            for answer in process.stdout:
-                if answer.startswith("@@"):
-                    return json.loads(answer[2:])
-        except BrokenPipeError:
-            pass
-        del self.running[key]
-        return {"err": "server died"}
+            self.running[key] = Server(command, thread_counts(threads) | environment, self.nice)
+        answer = self.running[key].ask(line)
+        if self.running[key].process.poll() is not None:
+            del self.running[key]
+        return answer
 
     def end(self):
-        for process in self.running.values():
-            process.stdin.close()
-            process.wait()
+        for server in self.running.values():
+            server.end()
 
 
 def main():

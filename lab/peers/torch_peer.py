@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""PyTorch as a server (see pycommon.py). Variants: eager, jit, jitofi, fold, foldcl, bf16, int8, compile."""
+"""PyTorch as a server (see pycommon.py). Variants: eager, jit, jitofi, fold, foldcl, bf16, compile."""
 import torch
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
@@ -64,8 +64,6 @@ def make(variant, name, batch):
         model = fold(model)
     if "cl" in variant:
         model, x = model.to(memory_format=torch.channels_last_3d), x.to(memory_format=torch.channels_last_3d)
-    if "int8" in variant:
-        model = torch.ao.quantization.quantize_dynamic(model, {nn.Linear}, dtype=torch.qint8)
     if "jit" in variant:
         with torch.inference_mode():
             model = torch.jit.freeze(torch.jit.trace(model, x))

@@ -22,15 +22,23 @@ class Bars:
             sys.exit("no bar is asked for: see --help for names")
 
     def found(self, name, value, note="", limit=None):
-        """Prints a bar. `value` is None or NaN if it was not measured; `limit` is given if it follows from the measurement."""
+        """Prints a bar and returns True if it is met. `value` is None or NaN if it was not measured; `limit` is given if it
+        follows from the measurement."""
         asked = self.left.pop(name)
         value = None if value != value else value
         limit = asked if limit is None else limit
         ok = value is not None and (value >= limit if name in self.at_least else value <= limit)
         if not ok:
             self.short.append(name)
-        text = "-" if value is None else f"{value:.4g}"
+        text = "-" if value is None else str(value) if isinstance(value, int) else f"{value:.4g}"
         print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}{note and '  # ' + note}", flush=True)
+        return ok
+
+    def count(self, name, lines):
+        """Prints a bar whose value is the number of these lines; if it is short, the lines too."""
+        if not self.found(name, len(lines)):
+            for line in lines:
+                print(f"  {line}", flush=True)
 
     def lacking(self, why, names=None):
         """Prints bars without a value, of `names` or of all, as short: `why` names the missing thing and the remedy."""

@@ -1,26 +1,23 @@
 #!/usr/bin/env python3
 """Measures the inference bars: one line `bar NAME VALUE LIMIT ok|short` each; exit status 1 when any is short.
 
-usage: bars_inference.py --server PEER_SERVER --peers FOLDER --models FOLDER [--rust FOLDER] [--rounds N] [--seconds S] [--nice N]
+usage: bars_inference.py --server PEER_SERVER --peers FOLDER --models FOLDER [--rust FOLDER] [--rounds N] [--seconds S]
+                         [--nice N] [--only TEXT]
 
 Every contestant is a server process (line `NAME BATCH SECONDS` in, `@@{json}` out). Each round visits every bar and, in
 random order, its contestants; a window is SECONDS of repeated calls. A ratio is our smallest time over the smallest time
 of the peers, over all windows of a run. A peer that is missing or fails is named, and every bar that asks for it is
 short, since the other peers may not be the fastest.
 
---only TEXT selects bars whose names contain the text. Each --also COMMAND is run, and the `bar` lines that it prints are
-passed on.
+--only TEXT selects bars whose names contain the text.
 """
 import argparse
-import json
 import os
-import pathlib
 import random
-import subprocess
 import sys
-import tempfile
 
 from bar_lines import Bars
+from servers import Server, raise_priority, thread_counts
 
 # Name, limit, our storage formats (the fastest counts), network, batch, threads, peers (the fastest counts).
 ORT = ["ort"]
@@ -54,40 +51,6 @@ REMEDIES = {"ort": "pip install numpy safetensors onnxruntime", "torch": "pip in
 PEER_NAMES = {"ort": "bind/{}", "torch": "jitofi/{}", "rten": "{}", "ov": "f32/{}"}
 
 
-class Server:
-    def __init__(self, command, threads, nice):
-        environment = dict(os.environ, PEER_THREADS=str(threads))
-        for variable in ("RAYON", "RTEN", "OMP", "MKL"):
-            environment[f"{variable}_NUM_THREADS"] = str(threads)
-        raise_priority = (lambda: os.setpriority(os.PRIO_PROCESS, 0, nice)) if nice else None
-        self.said = tempfile.TemporaryFile("w+")
-        self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.said, text=True,
-            env=environment, preexec_fn=raise_priority,
-        )
-
-    def ask(self, name, batch, seconds):
-        try:
-            self.process.stdin.write(f"{name} {batch} {seconds}\n")
-            self.process.stdin.flush()
-        except BrokenPipeError:
-            pass
-        for line in self.process.stdout:
-            if line.startswith("@@"):
-                return json.loads(line[2:])
-        self.process.wait()
-        self.said.seek(0)
-        last = self.said.read().strip().splitlines()[-1:]
-        return {"err": f"the server ended with {self.process.returncode}{': ' + last[0] if last else ''}"}
-
-    def end(self):
-        try:
-            self.process.stdin.close()
-        except BrokenPipeError:
-            pass
-        self.process.wait()
-
-
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--server", required=True)
@@ -98,18 +61,9 @@ def main():
     parser.add_argument("--seconds", type=float, default=0.1)
     parser.add_argument("--nice", type=int, default=0)
     parser.add_argument("--only", default="")
-    parser.add_argument("--also", action="append", default=[])
     options = parser.parse_args()
     if options.nice:
-        # If the kernel schedules by session, niceness of a process acts only inside it: the session is raised, too.
-        try:
-            os.setsid()
-        except OSError:
-            pass
-        try:
-            pathlib.Path("/proc/self/autogroup").write_text(str(options.nice))
-        except OSError as error:
-            print(f"priority of the session not raised: {error}", file=sys.stderr)
+        raise_priority(options.nice)
 
     asked = {row[0]: row[1] for row in RATIOS + ERRORS + CALLS + READS if options.only in row[0]}
     with Bars(asked) as bars:
@@ -137,8 +91,8 @@ def measure(options, bars):
             if not os.path.exists(program):
                 failed[case] = f"{program} does not exist"
                 return None
-            servers[key, threads] = Server(argv, threads, options.nice)
-        answer = servers[key, threads].ask(name, batch, seconds)
+            servers[key, threads] = Server(argv, thread_counts(threads), options.nice)
+        answer = servers[key, threads].ask(f"{name} {batch} {seconds}")
         if "err" in answer:
             failed[case] = answer["err"]
             return None
@@ -198,12 +152,6 @@ def measure(options, bars):
         if name in bars.asked and (answers := several(name, threads, specs, 1, 5 * options.seconds)):
             ours, read = (min(a[k] for a in answers) for k in ("min", "read"))
             bars.found(name, ours / read, f"{ours / 1e6:.2f} ms, reading {read / 1e6:.2f} ms")
-    for program in options.also:
-        result = subprocess.run(program, shell=True, stdout=subprocess.PIPE, text=True)
-        lines = [line for line in result.stdout.splitlines() if line.startswith("bar ")]
-        print("\n".join(lines), flush=True)
-        if not lines or any(" short" in line for line in lines) or result.returncode not in (0, 1):
-            bars.short.append(f"those of {program}")
     print(f"load {os.getloadavg()[0]:.1f}, {options.rounds} rounds of {options.seconds} s windows, interleaved")
     for server in servers.values():
         server.end()

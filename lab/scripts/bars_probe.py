@@ -9,12 +9,12 @@ calls of the present example), and asks both in turns, in random order, for N ro
 of all rounds, a figure the mean over its scenes. Ratios are those of the working tree over REVISION.
 """
 import argparse
-import json
 import pathlib
 import random
 import subprocess
 
 from bar_lines import Bars
+from servers import Server
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 EXAMPLE = "steer/examples/probe_server"
@@ -32,10 +32,15 @@ fn main() {
 SCENE_BEFORE = """//! Makes the timed objects with that version of the crate.
 
 use entire_steer::control::Session;
+use entire_steer::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeView};
 
 pub(crate) fn volume(scalars: Scalars<'_>, dims: [usize; 3], range: (f32, f32)) -> VolumeView<'_> {
     VolumeView::with_known_range(scalars, dims, range).expect("a volume")
+}
+
+pub(crate) fn summary(volume: &VolumeView<'_>) -> VolumeSummary {
+    VolumeSummary::new(volume, SummaryOptions::default()).expect("a summary")
 }
 
 pub(crate) fn frame(camera: Camera, shading: Shading) -> Frame {
@@ -105,20 +110,12 @@ def prepare(revision, work):
     return tree
 
 
-class Server:
-    def __init__(self, binary):
-        self.process = subprocess.Popen([binary], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-    def ask(self, name):
-        self.process.stdin.write(name + "\n")
-        self.process.stdin.flush()
-        for line in self.process.stdout:
-            if line.startswith("@@"):
-                answer = json.loads(line[2:])
-                if "err" in answer:
-                    raise SystemExit(f"{name}: {answer['err']}")
-                return answer["seconds"]
-        raise SystemExit(f"{name}: the server ended")
+def seconds_of(server, name):
+    """Seconds of each scene or call of a measurement."""
+    answer = server.ask(name)
+    if "err" in answer:
+        raise SystemExit(f"{name}: {answer['err']}")
+    return answer["seconds"]
 
 
 def main():
@@ -154,13 +151,13 @@ def measure(options, targets, asked, today_only, bars):
         build(ROOT, targets["today"])
         build(prepare(options.before, pathlib.Path(options.work).resolve()), targets["before"])
     best = {}
-    servers = {side: Server(target / "release/examples/probe_server") for side, target in targets.items()}
+    servers = {side: Server([target / "release/examples/probe_server"]) for side, target in targets.items()}
     for _ in range(options.rounds):
         for name in asked:
             for side in random.sample(["today", "before"], 2):
                 if side == "before" and name in today_only:
                     continue
-                seconds = servers[side].ask(name)
+                seconds = seconds_of(servers[side], name)
                 known = best.get((side, name))
                 best[side, name] = [min(a, b) for a, b in zip(known, seconds)] if known else seconds
 

@@ -146,7 +146,7 @@ def judge(bars, before):
         # A failed gate has not reached all of its skips.
         if "total" in found.get(gate, {}) and (OUT / f"skipped-{gate}").is_file():
             compared = subprocess.run([".ci/compare-skips", gate], cwd=ROOT, text=True, capture_output=True)
-            said(bars, f"gate/{gate}-skips-not-as-expected", compared.stdout.splitlines())
+            bars.count(f"gate/{gate}-skips-not-as-expected", compared.stdout.splitlines())
     doubled, compared = [], 0
     for gate, parts in found.items():
         for step, (_, cpu) in parts.items():
@@ -156,17 +156,10 @@ def judge(bars, before):
                 if cpu > 2 * once and cpu > once + NOISE_SECONDS:
                     doubled.append(f"{gate}, {step}: processor {cpu:.0f} s, committed {once:.0f} s")
     if compared:
-        said(bars, "gate/steps-doubled", doubled)
+        bars.count("gate/steps-doubled", doubled)
     now = test_names(ROOT)
-    said(bars, "gate/tests-lost", sorted(name for name in names_at(before) if RENAMED.get(name, name) not in now))
+    bars.count("gate/tests-lost", sorted(name for name in names_at(before) if RENAMED.get(name, name) not in now))
     bars.lacking('a gate was not run here: make bars-gate GATES="demo test change nightly"')
-
-
-def said(bars, name, lines):
-    """Prints a bar whose value is the number of some lines, and these lines."""
-    bars.found(name, len(lines))
-    for line in lines:
-        print(f"  {line}")
 
 
 if __name__ == "__main__":

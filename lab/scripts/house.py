@@ -8,17 +8,19 @@
 --quick leaves out what needs cargo or built programs. Needs Python 3.9 and git, and nothing else.
 """
 import argparse
+import math
 import os
 import re
 import resource
 import shutil
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import circles
 import reach
+from bar_lines import Bars
+from public_items import items
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -53,22 +55,6 @@ def tracked(*patterns):
     """Files in git or not ignored by it, as paths from the root."""
     listed = run("git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns, check=True)
     return sorted(p for p in set(listed.stdout.splitlines()) if (ROOT / p).is_file())
-
-
-class Bars:
-    """Prints bars as they come and remembers whether one was short."""
-
-    def __init__(self):
-        self.short = False
-
-    def say(self, name, value, limit, ok, details=()):
-        print(f"bar {name} {value} {limit} {'ok' if ok else 'short'}")
-        for line in details:
-            print(f"  {line}")
-        self.short |= not ok
-
-    def at_most(self, name, value, limit, details=()):
-        self.say(name, value, limit, value <= limit, details if value > limit else ())
 
 
 # ---------------------------------------------------------------------------------------------------------- Markdown
@@ -313,12 +299,6 @@ def addresses():
     return [name for name in ("plugins/python/pyproject.toml", "CITATION.cff") if address not in (ROOT / name).read_text()]
 
 
-def public_items(crate):
-    done = run(sys.executable, "lab/scripts/public_items.py", crate)
-    counts = re.findall(r"\d+", done.stdout)
-    return int(counts[0]) if done.returncode == 0 and counts else None
-
-
 def product_lines(folder):
     """Lines of a crate's sources before the module of tests that closes a file; files of tests have none."""
     count = 0
@@ -353,16 +333,39 @@ def main():
     parser.add_argument("--bin-dir", type=Path, help="where `entire` and `entire-lab` are (default target/release)")
     parser.add_argument("--measure-build", nargs=2, metavar=("OLD", "NEW"), help="two revisions to build and compare")
     options = parser.parse_args()
-    bars = Bars()
+    with Bars(asked(options)) as bars:
+        measure(bars, options)
 
+
+def asked(options):
+    """Limits of the bars by name."""
+    counts = ["broken-links", "missing-paths", "missing-c-names", "missing-make-targets", "documents-of-other-versions",
+              "readme-figures-apart-from-results", "code-blocks-that-do-not-compile", "other-addresses"]
+    if options.bin_dir or not options.quick:
+        counts += ["missing-commands", "options-in-no-document"]
+    if not options.quick:
+        counts.append("study-crates-of-entire")
+    out = dict.fromkeys(counts, 0) | {
+        "readme-lines": README_LINES, "readme-first-embedding-code-line": FIRST_CODE_LINE, "longest-file": FILE_LINES,
+        "circles-of-files": CIRCLES, "files-of-a-circle": CIRCLE_FILES,
+    }
+    if not options.quick:
+        out |= {f"public-items-of-{crate}": PUBLIC_ITEMS for crate in FRONT_CRATES}
+        out |= {"lines-of-inference": INFERENCE_LINES, "crates-of-inference": INFERENCE_CRATES, "lines-of-rust": RUST_LINES}
+        # The limit is the time of the other revision.
+        out["release-build-cpu-seconds"] = math.inf
+    return out
+
+
+def measure(bars, options):
     # The changelog mentions names that are removed.
     pages = [Page(path) for path in tracked("*.md") if path != "CHANGELOG.md"]
     readme = next(page for page in pages if page.path == "README.md")
     front = [page for page in pages if page.path == "README.md" or page.path.startswith("docs/src/")]
 
-    bars.at_most("readme-lines", len(readme.lines), README_LINES)
+    bars.found("readme-lines", len(readme.lines))
     first = min((number for number, language, _ in readme.blocks if language in EMBEDDING), default=len(readme.lines))
-    bars.at_most("readme-first-embedding-code-line", first, FIRST_CODE_LINE)
+    bars.found("readme-first-embedding-code-line", first)
     for name, found in (
         ("broken-links", broken_links(pages)),
         ("missing-paths", missing_paths(front)),
@@ -372,12 +375,11 @@ def main():
         ("readme-figures-apart-from-results", figures_apart_from_results(readme)),
         ("code-blocks-that-do-not-compile", broken_snippets(pages) if shutil.which("cc") else ()),
     ):
-        found = sorted(set(found))
-        bars.at_most(name, len(found), 0, found)
-    found = addresses()
-    bars.at_most("other-addresses", len(found), 0, found)
+        bars.count(name, sorted(set(found)))
+    bars.count("other-addresses", addresses())
     lengths = sorted(file_lengths(), reverse=True)
-    bars.at_most("longest-file", lengths[0][0], FILE_LINES, [f"{n} {path}" for n, path in lengths if n > FILE_LINES])
+    if not bars.found("longest-file", lengths[0][0]):
+        print("\n".join(f"  {n} {path}" for n, path in lengths if n > FILE_LINES), flush=True)
 
     folder = options.bin_dir
     if folder or not options.quick:
@@ -386,37 +388,30 @@ def main():
         if absent:
             raise SystemExit(f"house: {folder} has no {' and no '.join(absent)}; build them, or name their folder with --bin-dir")
         helps = Helps(folder)
-        found = sorted(set(missing_commands(pages, helps)))
-        bars.at_most("missing-commands", len(found), 0, found)
+        bars.count("missing-commands", sorted(set(missing_commands(pages, helps))))
         documents = [page for page in pages if page in front or page.path == "CONTRIBUTING.md"]
-        found = list(undocumented_options(documents, helps))
-        bars.at_most("options-in-no-document", len(found), 0, found)
+        bars.count("options-in-no-document", list(undocumented_options(documents, helps)))
     found = circles.all_circles()
-    lines = [" ".join(files) for files in found]
-    bars.at_most("circles-of-files", len(found), CIRCLES, lines)
-    bars.at_most("files-of-a-circle", max(map(len, found), default=0), CIRCLE_FILES, lines)
-    if not options.quick:
-        for crate in FRONT_CRATES:
-            items = public_items(crate)
-            if items is None:
-                bars.say(f"public-items-of-{crate}", "-", PUBLIC_ITEMS, False, ["lab/scripts/public_items.py gave no number"])
-            else:
-                bars.at_most(f"public-items-of-{crate}", items, PUBLIC_ITEMS)
-        bars.at_most("lines-of-inference", product_lines("core"), INFERENCE_LINES)
-        linked = dependency_tree("entire-core", "normal,no-proc-macro", "--no-default-features")
-        bars.at_most("crates-of-inference", len(linked), INFERENCE_CRATES, sorted(linked))
-        rust = sum(len((ROOT / path).read_bytes().splitlines()) for path in tracked("*.rs"))
-        bars.at_most("lines-of-rust", rust, RUST_LINES)
-        tree = dependency_tree("entire-cli", "normal,build")
-        found = [name for name in STUDY_CRATES if name in tree]
-        bars.at_most("study-crates-of-entire", len(found), 0, found)
-        if options.measure_build:
-            old, new = (build_seconds(revision) for revision in options.measure_build)
-            bars.say("release-build-cpu-seconds", f"{new:.0f}", f"{old:.0f}", new < old)
-        else:
-            bars.say("release-build-cpu-seconds", "-", "-", False, ["not measured: make bars-house HOUSE_BEFORE=REVISION"])
-    return int(bars.short)
+    bars.count("circles-of-files", [" ".join(files) for files in found])
+    if not bars.found("files-of-a-circle", max(map(len, found), default=0)):
+        print("\n".join(f"  {' '.join(files)}" for files in found), flush=True)
+    if options.quick:
+        return
+    for crate in FRONT_CRATES:
+        bars.found(f"public-items-of-{crate}", sum(1 for _ in items(ROOT / crate / "src")))
+    bars.found("lines-of-inference", product_lines("core"))
+    linked = dependency_tree("entire-core", "normal,no-proc-macro", "--no-default-features")
+    if not bars.found("crates-of-inference", len(linked)):
+        print(f"  {' '.join(sorted(linked))}", flush=True)
+    bars.found("lines-of-rust", sum(len((ROOT / path).read_bytes().splitlines()) for path in tracked("*.rs")))
+    tree = dependency_tree("entire-cli", "normal,build")
+    bars.count("study-crates-of-entire", [name for name in STUDY_CRATES if name in tree])
+    if options.measure_build:
+        old, new = (build_seconds(revision) for revision in options.measure_build)
+        bars.found("release-build-cpu-seconds", new, limit=old)
+    else:
+        bars.lacking("make bars-house HOUSE_BEFORE=REVISION", ["release-build-cpu-seconds"])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

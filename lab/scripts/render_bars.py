@@ -27,6 +27,7 @@ import sys
 import zlib
 
 from bar_lines import Bars
+from servers import Server
 
 HERE = pathlib.Path(__file__).resolve().parent
 MODES = ["none", "blocks", "distance"]
@@ -45,30 +46,21 @@ PICTURE_LIMIT = 1.0
 CAMERA = "20 30 3.8637"
 
 
-class Contestant:
-    """A process that answers each line with one line of JSON after @@."""
+class Contestant(Server):
+    """A server that says at its start what it is."""
 
-    def __init__(self, argv, environment=None):
-        self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
-        self.about = self.read(argv)
-
-    def read(self, asked):
-        for line in self.process.stdout:
-            if line.startswith("@@"):
-                answer = json.loads(line[2:])
-                if "err" in answer:
-                    raise SystemExit(f"render_bars: {asked}: {answer['err']}")
-                return answer
-        raise SystemExit(f"render_bars: {asked}: the process ended")
+    def __init__(self, command):
+        super().__init__(command)
+        self.about = self.checked(self.answer(), command)
 
     def ask(self, line):
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
-        return self.read(line)
+        return self.checked(super().ask(line), line)
 
-    def end(self):
-        self.process.stdin.close()
-        self.process.wait()
+    @staticmethod
+    def checked(answer, asked):
+        if "err" in answer:
+            raise SystemExit(f"render_bars: {asked}: {answer['err']}")
+        return answer
 
 
 def vtk_command():

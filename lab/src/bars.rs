@@ -5,32 +5,32 @@ use entire_report::{Column, Table};
 
 /// A goal with its measured value.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Bar {
+pub(crate) struct Bar {
     /// Name of the bar, without blanks.
-    pub name: String,
+    pub(crate) name: String,
     /// Measured value; `None` where it could not be measured.
-    pub value: Option<f64>,
+    pub(crate) value: Option<f64>,
     /// Limit of the value.
-    pub limit: f64,
+    pub(crate) limit: f64,
     /// True if the limit is met; false without a value.
-    pub ok: bool,
+    pub(crate) ok: bool,
     /// Text printed in brackets behind the bar; may be empty.
-    pub note: String,
+    pub(crate) note: String,
 }
 
 impl Bar {
     /// A bar that is met if the value is no more than the limit.
-    pub fn at_most(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
+    pub(crate) fn at_most(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v <= limit), note: String::new() }
     }
 
     /// A bar that is met if the value is no less than the limit.
-    pub fn at_least(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
+    pub(crate) fn at_least(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit), note: String::new() }
     }
 
     /// The same bar with a note, which is printed in brackets behind it.
-    pub fn with_note(self, note: impl Into<String>) -> Self {
+    pub(crate) fn with_note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
 
@@ -49,7 +49,7 @@ impl std::fmt::Display for Bar {
 }
 
 /// Bars as a table.
-pub fn table(bars: &[Bar]) -> Table {
+pub(crate) fn table(bars: &[Bar]) -> Table {
     let mut table = Table::new(vec![
         Column::text("bar"),
         Column::number("value"),
@@ -71,7 +71,7 @@ pub fn table(bars: &[Bar]) -> Table {
 ///
 /// # Errors
 /// When a bar is short; the error names all of these.
-pub fn print(bars: &[Bar]) -> Result<()> {
+pub(crate) fn print(bars: &[Bar]) -> Result<()> {
     bars.iter().for_each(|b| println!("{b}"));
     let short: Vec<&str> = bars.iter().filter(|b| !b.ok).map(|b| b.name.as_str()).collect();
     ensure!(short.is_empty(), "short: {}", short.join(", "));

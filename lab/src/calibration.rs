@@ -3,6 +3,7 @@
 use anyhow::{Context, Result};
 use entire_cli::steering::calibrate::Sample;
 use entire_io::dataset::{Clock, TimedFrame, read_tables};
+use entire_io::options::thread_pool;
 use entire_train::inputs;
 use indicatif::ProgressBar;
 use std::collections::HashMap;
@@ -20,7 +21,7 @@ pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
 ///
 /// # Errors
 /// As [`samples_of`].
-pub fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(String, Sample)>> {
+pub(crate) fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(String, Sample)>> {
     let tables = read_tables(tables)?;
     let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();
     let clock = [Clock::Cpu, Clock::Auto]
@@ -30,7 +31,7 @@ pub fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(String,
             "the calibration tables share no clock: all frames need seconds_cpu, or all need the same other \
              clock",
         )?;
-    let pool = rayon::ThreadPoolBuilder::new().build().context("cannot start threads")?;
+    let pool = thread_pool(None)?;
     let mut numbers: HashMap<String, usize> = HashMap::new();
     let scenes: HashMap<(usize, u64), usize> = frames
         .iter()

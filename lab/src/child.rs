@@ -12,11 +12,11 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// Result of waiting for a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ended {
+pub(crate) struct Ended {
     /// Exit status.
-    pub status: ExitStatus,
+    pub(crate) status: ExitStatus,
     /// True if it was asked to end.
-    pub asked: bool,
+    pub(crate) asked: bool,
 }
 
 /// Waits until a process ends. Once `over` returns true (a deadline has passed, the user asked to stop), it
@@ -24,7 +24,12 @@ pub struct Ended {
 ///
 /// # Errors
 /// When the system refuses to wait for it or to kill it.
-pub fn wait(child: &mut Child, over: impl Fn() -> bool, signal: Signal, grace: Duration) -> Result<Ended> {
+pub(crate) fn wait(
+    child: &mut Child,
+    over: impl Fn() -> bool,
+    signal: Signal,
+    grace: Duration,
+) -> Result<Ended> {
     let mut asked: Option<Instant> = None;
     loop {
         if let Some(status) = child.try_wait().context("cannot wait for a command")? {

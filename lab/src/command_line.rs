@@ -43,8 +43,6 @@ enum Command {
     FarmBars(commands::farm_bars::BarsOptions),
     /// Simulate a farm on a task list.
     FarmSimulate(commands::farm_bars::SimulateOptions),
-    /// Simulate a farm with a volume that is too large for a node.
-    FarmSortLast(commands::farm_sort_last::Options),
     /// Stand-in for a renderer in `entire farm`: sleeps for listed times.
     FarmStandIn(commands::farm_bars::StandInOptions),
 }
@@ -72,7 +70,6 @@ pub fn main() -> ExitCode {
             Command::Farm(options) => commands::farm::run(options),
             Command::FarmBars(options) => commands::farm_bars::run_bars(options),
             Command::FarmSimulate(options) => commands::farm_bars::run_simulate(options),
-            Command::FarmSortLast(options) => commands::farm_sort_last::run(options),
             Command::FarmStandIn(options) => commands::farm_bars::run_stand_in(options),
         }
     })

@@ -5,17 +5,21 @@ use entire_cli::steering::calibrate::{Quality, Sample};
 use entire_cli::steering::model::SteeringModel;
 use entire_core::model::ModelFile;
 use entire_core::nn::Target;
-use entire_core::scene::VolumeView;
+use entire_core::scene::{Scalars, VolumeView};
+use entire_io::options::thread_pool;
 use entire_report::{Column, Table};
 use entire_steer::control::Prior;
-use entire_steer::predict::{AnalyticModel, FitReport, GroupKind, InputLayout, Measurement, UnitCosts};
+use entire_steer::predict::{AnalyticModel, GroupKind, InputLayout, Measurement, UnitCosts};
 use entire_train::fit::standard_features;
 use entire_train::gradient::{Network, Samples, Settings, train};
 use serde::Serialize;
 use std::ops::ControlFlow;
 
 /// Widths of the small network's hidden layers.
-pub const HIDDEN: [usize; 2] = [24, 24];
+const HIDDEN: [usize; 2] = [24, 24];
+
+/// Seed of the small network's weights and of the order of its samples.
+const SEED: u64 = 1;
 
 /// One of this many scenes is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
@@ -29,15 +33,15 @@ fn held_out(sample: &Sample) -> bool {
 ///
 /// # Errors
 /// When none of them is usable.
-pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
+fn fit_analytic(samples: &[Sample]) -> Result<AnalyticModel> {
     let measurements: Vec<Measurement> = samples
         .iter()
         .filter(|s| !held_out(s))
         .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
         .collect();
     let mut model = AnalyticModel::default();
-    let report = model.fit(&UnitCosts::SOFTWARE, &measurements)?;
-    Ok((model, report))
+    model.fit(&UnitCosts::SOFTWARE, &measurements)?;
+    Ok(model)
 }
 
 /// A small network on [`standard_features`], trained on ln(seconds) of the samples that are not held
@@ -45,7 +49,7 @@ pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
 ///
 /// # Errors
 /// When there are too few samples.
-pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
+pub fn fit_network(samples: &[Sample]) -> Result<ModelFile> {
     let layout = InputLayout::new(&[GroupKind::SceneFeatures], standard_features(), 0, 0)?;
     let collect = |judge: bool| -> Result<(Vec<f32>, Vec<f64>)> {
         let mut inputs = Vec::new();
@@ -60,12 +64,12 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
     let mut settings = Settings::default();
     (settings.epochs, settings.batch, settings.patience) = (600, 32, 120);
     (settings.learning_rate, settings.final_learning_rate) = (3e-3, 3e-5);
-    (settings.target, settings.seed) = (Target::LogSeconds, seed);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().context("cannot start a thread")?;
+    (settings.target, settings.seed) = (Target::LogSeconds, SEED);
+    let pool = thread_pool(Some(1))?;
     let widths = [layout.width(), HIDDEN[0], HIDDEN[1], 1];
     let trained = train(
         &pool,
-        Network::<f32>::random(&widths, seed)?,
+        Network::<f32>::random(&widths, SEED)?,
         None,
         Samples { inputs: &inputs, seconds: &seconds },
         Samples { inputs: &judge_inputs, seconds: &judge_seconds },
@@ -79,16 +83,16 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
 
 /// A predictor with its errors, for reports.
 #[derive(Clone, Debug, Serialize)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// Name of the predictor.
-    pub title: String,
+    pub(crate) title: String,
     /// Its errors on calibration frames that it was not fitted to.
-    pub held_out: Quality,
+    pub(crate) held_out: Quality,
     /// True for the one that steers.
-    pub chosen: bool,
+    pub(crate) chosen: bool,
     /// The predictor.
     #[serde(skip)]
-    pub fitted: SteeringModel,
+    pub(crate) fitted: SteeringModel,
 }
 
 impl Candidate {
@@ -96,7 +100,7 @@ impl Candidate {
     ///
     /// # Errors
     /// As [`SteeringModel::quality`].
-    pub fn of(fitted: SteeringModel, samples: &[Sample]) -> Result<Self> {
+    pub(crate) fn of(fitted: SteeringModel, samples: &[Sample]) -> Result<Self> {
         let held_out = fitted
             .quality(samples.iter().filter(|s| held_out(s)))
             .with_context(|| format!("calibrate with at least {HOLD_OUT_EVERY} scenes"))?;
@@ -104,11 +108,19 @@ impl Candidate {
     }
 }
 
+/// The volume of predictors that do not look at it: a single voxel.
+///
+/// # Errors
+/// When a volume of one voxel is refused.
+pub(crate) fn no_volume() -> Result<VolumeView<'static>> {
+    Ok(VolumeView::new(Scalars::U8(&[0]), [1, 1, 1])?)
+}
+
 /// Fitted predictors.
 #[derive(Clone, Debug)]
-pub struct Calibrated {
+pub(crate) struct Calibrated {
     /// Every predictor that was fitted; one is chosen.
-    pub candidates: Vec<Candidate>,
+    pub(crate) candidates: Vec<Candidate>,
 }
 
 impl Calibrated {
@@ -117,16 +129,17 @@ impl Calibrated {
     ///
     /// # Errors
     /// When there are too few usable samples.
-    pub fn fit(samples: &[Sample], volume: &VolumeView<'_>, seed: u64) -> Result<Self> {
-        let analytic = fit_analytic(samples)?.0.to_model_file()?;
-        let network = fit_network(samples, seed)?;
+    pub(crate) fn fit(samples: &[Sample]) -> Result<Self> {
+        let volume = no_volume()?;
+        let analytic = fit_analytic(samples)?.to_model_file()?;
+        let network = fit_network(samples)?;
         let hidden = HIDDEN.map(|n| n.to_string()).join("-");
         let mut candidates = Vec::new();
         for (title, model) in [
             ("analytic cost model (non-negative least squares on estimated work)".to_owned(), analytic),
             (format!("small network on scene features ({hidden} neurons, log time)"), network),
         ] {
-            let fitted = SteeringModel::new(title, model.to_model()?, volume)?;
+            let fitted = SteeringModel::new(title, model.to_model()?, &volume)?;
             candidates.push(Candidate::of(fitted, samples)?);
         }
         let mut out = Self { candidates };
@@ -146,18 +159,18 @@ impl Calibrated {
     }
 
     /// The chosen candidate.
-    pub fn chosen(&self) -> &Candidate {
+    pub(crate) fn chosen(&self) -> &Candidate {
         self.candidates.iter().find(|c| c.chosen).unwrap_or(&self.candidates[0])
     }
 
     /// Prior of a controller that uses the chosen predictor.
-    pub fn prior(&self) -> Prior {
+    pub(crate) fn prior(&self) -> Prior {
         Prior::Fitted { log_sd: self.chosen().held_out.log_sd as f32 }
     }
 }
 
 /// Predictors and their errors on held-out frames.
-pub fn candidates_table(candidates: &[Candidate]) -> Table {
+pub(crate) fn candidates_table(candidates: &[Candidate]) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
         Column::number("held-out frames"),

@@ -6,9 +6,7 @@ use entire_core::model::Model;
 use entire_core::scene::{Camera, Frame, GaussianLobe, Shading, TransferFunction, TransferTable};
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Volume;
-use entire_steer::features::{
-    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-};
+use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{GroupKind, Inputs, load};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -27,14 +25,14 @@ const ROUNDS: usize = 5;
 /// counts as work per transfer function in the first frame, and as part of the prediction when the camera has
 /// turned since.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Latency {
+pub(crate) struct Latency {
     /// Median with cold caches.
-    pub cold: f64,
+    pub(crate) cold: f64,
     /// Median over consecutive calls.
-    pub warm: f64,
+    pub(crate) warm: f64,
     /// Median for a new transfer function: its immediate work, and the excess of its first prediction over
     /// the next one; 0 for models that do not use the scene.
-    pub transfer: f64,
+    pub(crate) transfer: f64,
 }
 
 /// Number of frames per transfer function, over which its cost is spread.
@@ -44,8 +42,8 @@ const FRAMES_PER_TRANSFER: f64 = 30.0;
 const TURN: f32 = 3.0;
 
 impl Latency {
-    /// Median with cold caches of a session in which every 30th frame has a new transfer function.
-    pub fn with_changes(&self) -> f64 {
+    /// Median, with cold caches, over a session in which every 30th frame has a new transfer function.
+    pub(crate) fn with_changes(&self) -> f64 {
         self.cold + self.transfer / FRAMES_PER_TRANSFER
     }
 
@@ -70,7 +68,7 @@ struct Shot {
 
 /// Measures latencies on frames of one volume.
 #[derive(Debug)]
-pub struct Bench {
+pub(crate) struct Bench {
     summary: VolumeSummary,
     scenes: Vec<Shot>,
     evicted: Vec<u64>,
@@ -81,8 +79,8 @@ impl Bench {
     ///
     /// # Errors
     /// When the volume cannot be summarized.
-    pub fn new(volume: &Volume, shading: Shading) -> Result<Self> {
-        let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
+    pub(crate) fn new(volume: &Volume, shading: Shading) -> Result<Self> {
+        let summary = VolumeSummary::new(&volume.view())?;
         let drawn = SceneDistribution::default();
         let scenes = (0..FRAMES)
             .map(|i| {
@@ -103,7 +101,7 @@ impl Bench {
     ///
     /// # Errors
     /// When the model cannot be loaded or lacks an input.
-    pub fn latency(&mut self, model: &Model) -> Result<Latency> {
+    pub(crate) fn latency(&mut self, model: &Model) -> Result<Latency> {
         let mut best = self.round(model)?;
         for _ in 1..ROUNDS {
             best = best.min(self.round(model)?);
@@ -126,7 +124,7 @@ impl Bench {
     ///
     /// # Errors
     /// When `predict` fails or a frame's features cannot be computed.
-    pub fn latency_of(
+    pub(crate) fn latency_of(
         &mut self,
         probe_side: Option<usize>,
         codes: usize,

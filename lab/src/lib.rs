@@ -1,19 +1,19 @@
 //! Studies around `entire`: comparisons of predictors and controllers, their references, and the bars.
 //! Nothing here is published; the product is `entire-cli`.
 
-pub mod bars;
+mod bars;
 pub mod calibration;
-pub mod child;
+mod child;
 pub mod command_line;
-pub mod commands;
-pub mod farm;
+mod commands;
+mod farm;
 pub mod fitted;
-pub mod gpu;
-pub mod latency;
-pub mod paper;
+mod gpu;
+mod latency;
+mod paper;
 pub mod replay;
-pub mod ship;
-pub mod stress;
-pub mod study;
+mod ship;
+mod stress;
+mod study;
 pub mod trace;
-pub mod trees;
+mod trees;

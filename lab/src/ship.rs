@@ -31,7 +31,12 @@ fn file_name(path: &Path) -> String {
 ///
 /// # Errors
 /// When a predictor was not made, a table cannot be read, or a file cannot be written.
-pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>) -> Result<Vec<PathBuf>> {
+pub(crate) fn ship(
+    folder: &Path,
+    study: &Study,
+    found: &Findings,
+    runner: &Runner<'_>,
+) -> Result<Vec<PathBuf>> {
     make_folder(folder)?;
     let mut out = Vec::new();
     for set in &study.sets {

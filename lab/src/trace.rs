@@ -28,23 +28,23 @@ use entire_io::machine::Provenance;
 use entire_io::metrics::median;
 use entire_io::path::{FlightPath, PathFile};
 use entire_io::volume::Volume;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
 use std::time::{Duration, Instant};
 
 /// Default ray steps of the grid, reference steps: half octaves over the default limits.
-pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
+pub(crate) const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
 
 /// Smaller images of every frame at the reference step, as s for images with 1 / s of the pixels: half octaves as for
 /// the steps, and further to image sample distance 10, the largest of VTK's fixed-point mapper.
-pub const TRACE_IMAGES: [f32; 11] = [1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0, 32.0, 64.0, 100.0];
+pub(crate) const TRACE_IMAGES: [f32; 11] = [1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0, 32.0, 64.0, 100.0];
 
 /// Image scales of every fourth frame, at the steps of [`SCALED_STEPS`], for the quality law.
-pub const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
+pub(crate) const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
 
 /// Steps at which the images of [`TRACE_SCALES`] are drawn.
-pub const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
+pub(crate) const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
 
 // Not in `format`, which reads traces without opening volumes.
 impl TraceVolume {
@@ -60,23 +60,23 @@ impl TraceVolume {
 
 /// Settings of a recording.
 #[derive(Clone, Debug)]
-pub struct Recording<'a> {
+pub(crate) struct Recording<'a> {
     /// Name in reports.
-    pub name: String,
+    pub(crate) name: String,
     /// Volumes in order, opened and enlarged.
-    pub volumes: &'a [(TraceVolume, Volume)],
+    pub(crate) volumes: &'a [(TraceVolume, Volume)],
     /// The path.
-    pub path: &'a PathFile,
+    pub(crate) path: &'a PathFile,
     /// Frames per volume; 0 for a single volume.
-    pub hold: u32,
+    pub(crate) hold: u32,
     /// Image scales, each with the frame from which on it holds.
-    pub scales: &'a [(u32, f32)],
+    pub(crate) scales: &'a [(u32, f32)],
     /// Settings of drawing.
-    pub draw: DrawSettings,
+    pub(crate) draw: DrawSettings,
     /// Ray steps of the grid at scale 1, ascending; smaller images are drawn only with [`TRACE_STEPS`].
-    pub steps: &'a [f32],
+    pub(crate) steps: &'a [f32],
     /// Number of renderings of every point of the grid.
-    pub repeats: usize,
+    pub(crate) repeats: usize,
 }
 
 impl Recording<'_> {
@@ -131,7 +131,7 @@ fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
 
 impl Trace {
     /// Names of the differences from a recording that prevent its continuation; empty if there are none.
-    pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
+    pub(crate) fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
         let other = recording.begun();
         let points = |frame: &Vec<TracePoint>| frame.iter().map(|p| (p.step, p.scale)).collect::<Vec<_>>();
         let repeats = |f: &Vec<TracePoint>| f.iter().all(|p| p.seconds.len() == recording.repeats);
@@ -184,10 +184,7 @@ impl Trace {
     /// # Errors
     /// When a file is missing.
     pub fn summaries(&self) -> Result<Vec<VolumeSummary>> {
-        self.volumes
-            .iter()
-            .map(|v| Ok(VolumeSummary::new(&v.open()?.view(), SummaryOptions::default())?))
-            .collect()
+        self.volumes.iter().map(|v| Ok(VolumeSummary::new(&v.open()?.view())?)).collect()
     }
 }
 
@@ -207,7 +204,7 @@ const KEEP_EVERY: Duration = Duration::from_secs(5);
 ///
 /// # Errors
 /// When the renderer fails: the error names the frame. Earlier frames are saved.
-pub fn record(
+pub(crate) fn record(
     recording: &Recording<'_>,
     renderer: &mut dyn Renderer,
     begun: Option<Trace>,

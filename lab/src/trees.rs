@@ -22,7 +22,7 @@ const LEARNING_RATE: f32 = 0.05;
 const PATIENCE: usize = 60;
 
 /// Trees that predict ln(seconds) or, for residual recipes, the residual of an analytic model.
-pub struct Trees {
+pub(crate) struct Trees {
     layout: Layout,
     analytic: Option<Model>,
     booster: GradientBooster,
@@ -42,7 +42,7 @@ impl Trees {
     ///
     /// # Errors
     /// When inputs cannot be computed, or the library refuses them.
-    pub fn fit(
+    pub(crate) fn fit(
         recipe: &Recipe,
         context: &FitContext<'_>,
         training: Timed<'_>,
@@ -86,7 +86,7 @@ impl Trees {
     ///
     /// # Errors
     /// When their inputs cannot be computed.
-    pub fn predict(
+    pub(crate) fn predict(
         &self,
         context: &FitContext<'_>,
         frames: &[&entire_io::dataset::TimedFrame],
@@ -105,7 +105,7 @@ impl Trees {
     ///
     /// # Errors
     /// When an input is missing.
-    pub fn predict_one(&self, inputs: &Inputs<'_>) -> Result<f64> {
+    pub(crate) fn predict_one(&self, inputs: &Inputs<'_>) -> Result<f64> {
         let mut row = vec![0.0; self.layout.width()];
         self.layout.write(inputs, &mut row)?;
         let row: Vec<f64> = row.into_iter().map(f64::from).collect();
@@ -117,12 +117,12 @@ impl Trees {
     }
 
     /// Number of rays along each side of the probe.
-    pub fn probe_side(&self) -> usize {
+    pub(crate) fn probe_side(&self) -> usize {
         self.layout.probe_side()
     }
 
     /// Number of trees.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.booster.prediction_iteration.unwrap_or(self.booster.trees.len())
     }
 }

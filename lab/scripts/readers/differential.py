@@ -47,12 +47,12 @@ class Ours:
     def __init__(self, target):
         manifest = HERE / "Cargo.toml"
         subprocess.run([os.environ.get("CARGO") or "cargo", "build", "--quiet", "--manifest-path", manifest,
-                        "--no-default-features", "--target-dir", target], check=True)
+                        "--target-dir", target], check=True)
         self.program = Path(target) / "debug/readers"
         self.start()
 
     def start(self):
-        self.child = subprocess.Popen([self.program, "lines"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        self.child = subprocess.Popen([self.program], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                                       stderr=subprocess.DEVNULL, text=True, encoding="utf-8")
 
     def read(self, path):

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 /// Other load on the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Neighbor {
+pub(crate) enum Neighbor {
     /// No other load.
     None,
     /// Bursts of 50 to 500 ms on one core, a fifth of the time.
@@ -34,28 +34,28 @@ pub enum Neighbor {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab disturb data/nyx_cosmology/m04/t0010.nrrd --neighbor bursts --out bursts.csv")]
-pub struct Options {
+pub(crate) struct Options {
     /// The volume file.
     #[arg(value_name = "VOLUME")]
-    pub volume: PathBuf,
+    pub(crate) volume: PathBuf,
     /// Other load on the machine.
     #[arg(long, value_enum)]
-    pub neighbor: Neighbor,
+    pub(crate) neighbor: Neighbor,
     /// Duration of the second part, seconds.
     #[arg(long, default_value_t = 20.0, value_name = "SECONDS")]
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Image size, pixels; a frame should take a few milliseconds.
     #[arg(long, default_value = "160x160", value_name = "WxH", value_parser = parse_size)]
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Rendering options.
     #[command(flatten)]
-    pub render: RenderArgs,
+    pub(crate) render: RenderArgs,
     /// Seed of the bursts.
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// The table to write.
     #[arg(long, value_name = "FILE.csv")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
 }
 
 /// Duration of the part without the load, seconds; slowdowns are relative to its median frame time.
@@ -80,7 +80,7 @@ fn disturb(neighbor: Neighbor, seed: u64, stop: &AtomicBool) {
 ///
 /// # Errors
 /// A volume that cannot be read, a device that fails, interruption.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.seconds >= 1.0, "--seconds is {}; at least 1 is needed", options.seconds);
     let volume = open_volume(&options.volume, &Reading::default())?;
     let stop = interrupt::flag()?;

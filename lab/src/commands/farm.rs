@@ -1,7 +1,7 @@
 //! `entire-lab farm`: comparison of methods of load balancing.
 
 use crate::bars;
-use crate::farm::{Comparison, Fitting, compare, second_measurement, tasks_of_trace};
+use crate::farm::{Comparison, compare, second_measurement, tasks_of_trace};
 use crate::trace::Trace;
 use anyhow::{Result, bail};
 use entire_farm::read_tasks;
@@ -17,57 +17,41 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   entire-lab farm tasks.csv --report out/farm
   entire-lab farm --trace farm.json --training before.json --probe-side 24 --report out/farm --bars")]
-pub struct Options {
+pub(crate) struct Options {
     /// The task list.
     #[arg(value_name = "TASKS", required_unless_present = "trace")]
-    pub tasks: Option<PathBuf>,
+    pub(crate) tasks: Option<PathBuf>,
     /// Take the frames of a recorded path at the reference step as tasks.
     #[arg(long, value_name = "TRACE.json", conflicts_with = "tasks")]
-    pub trace: Option<PathBuf>,
-    /// Timing tables that the predictor of --trace is fitted to, without --training.
-    #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", requires = "trace")]
-    pub calibration: Vec<PathBuf>,
+    pub(crate) trace: Option<PathBuf>,
     /// Recorded frames of other volumes with the same transfer function, such as frames that the farm rendered
     /// before. The analytic model, times a factor that depends on the view, is fitted to them and predicts --trace.
     #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
-    pub training: Vec<PathBuf>,
+    pub(crate) training: Vec<PathBuf>,
     /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is computed
     /// once, so it can afford more than the 11 of steering.
     #[arg(long, default_value_t = PROBE_SIDE, value_name = "N")]
-    pub probe_side: usize,
+    pub(crate) probe_side: usize,
     /// Write the tasks of --trace as a task list (CSV).
     #[arg(long, value_name = "TASKS.csv", requires = "trace")]
-    pub save_tasks: Option<PathBuf>,
-    /// Time that a node needs for each dispatch from a queue, seconds.
-    #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
-    pub dispatch: f64,
-    /// Number of queue entries among which a node searches for a task on its loaded volume.
-    #[arg(long, default_value_t = 64, value_name = "TASKS")]
-    pub window: usize,
+    pub(crate) save_tasks: Option<PathBuf>,
     /// Folder for the report.
     #[arg(long, value_name = "DIR")]
-    pub report: PathBuf,
+    pub(crate) report: PathBuf,
     /// Print the goals (bars) of the comparison, and fail when one is missed.
     #[arg(long)]
-    pub bars: bool,
+    pub(crate) bars: bool,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// Bad options or tasks; with --bars, a bar that is short.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let trace = options.trace.as_ref().map(|file| Trace::open(file)).transpose()?;
     let tasks = match (&options.tasks, &trace) {
         (Some(file), _) => read_tasks(file)?,
-        (None, Some(trace)) => {
-            let fitting = Fitting {
-                calibration: &options.calibration,
-                training: &options.training,
-                probe_side: options.probe_side,
-            };
-            tasks_of_trace(trace, &fitting)?
-        }
+        (None, Some(trace)) => tasks_of_trace(trace, &options.training, options.probe_side)?,
         (None, None) => bail!("give a task list or --trace"),
     };
     if let Some(file) = &options.save_tasks {
@@ -79,8 +63,6 @@ pub fn run(options: &Options) -> Result<()> {
     let comparison = Comparison {
         tasks: &tasks,
         source: source.unwrap_or_default(),
-        dispatch: options.dispatch,
-        window: options.window,
         noise: trace.as_ref().map(second_measurement).transpose()?.flatten(),
     };
     let found = compare(&comparison, &options.report)?;

@@ -17,29 +17,29 @@ use std::path::PathBuf;
 Examples:
   entire-lab farm-bars
   entire-lab farm-bars --runs 200 --bars")]
-pub struct BarsOptions {
+pub(crate) struct BarsOptions {
     /// Folder of the timing tables.
     #[arg(long, default_value = "data/timings", value_name = "DIR")]
-    pub data: PathBuf,
+    pub(crate) data: PathBuf,
     /// Folder of the shipped models.
     #[arg(long, default_value = "models", value_name = "DIR")]
-    pub models: PathBuf,
+    pub(crate) models: PathBuf,
     /// Folder for the job of a million tasks.
     #[arg(long, default_value = "out/farm-bars", value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Number of simulated runs whose end is predicted.
     #[arg(long, default_value_t = 40, value_name = "N")]
-    pub runs: u64,
+    pub(crate) runs: u64,
     /// Print the goals (bars), and fail when one is missed.
     #[arg(long)]
-    pub bars: bool,
+    pub(crate) bars: bool,
 }
 
 /// Runs `entire-lab farm-bars`.
 ///
 /// # Errors
 /// When data cannot be read; with --bars when a bar is short.
-pub fn run_bars(options: &BarsOptions) -> Result<()> {
+pub(crate) fn run_bars(options: &BarsOptions) -> Result<()> {
     ensure!(options.runs > 0, "--runs is 0; at least 1 is needed");
     let found = studies::all(&options.data, &options.models, &options.out, options.runs)?;
     if options.bars { bars::print(&found) } else { Ok(()) }
@@ -51,38 +51,38 @@ pub fn run_bars(options: &BarsOptions) -> Result<()> {
 Examples:
   entire-lab farm-simulate tasks.csv --slots 16
   entire-lab farm-simulate tasks.csv --slots 16 --latency 0.02 --arrival")]
-pub struct SimulateOptions {
+pub(crate) struct SimulateOptions {
     /// The task list.
     #[arg(value_name = "TASKS.csv")]
-    pub tasks: PathBuf,
+    pub(crate) tasks: PathBuf,
     /// Number of slots.
     #[arg(long, value_name = "N")]
-    pub slots: usize,
+    pub(crate) slots: usize,
     /// Factor on the list's seconds.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
-    pub scale: f64,
+    pub(crate) scale: f64,
     /// Time that a slot needs for each bundle, seconds.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
-    pub latency: f64,
+    pub(crate) latency: f64,
     /// Time that the engine needs to dispatch a bundle, seconds; bundles are dispatched one after the other.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
-    pub dispatch: f64,
+    pub(crate) dispatch: f64,
     /// Overhead of a bundle that the planner assumes, seconds.
     #[arg(long, value_name = "SECONDS")]
-    pub overhead: Option<f64>,
+    pub(crate) overhead: Option<f64>,
     /// Send tasks in the order of the list.
     #[arg(long)]
-    pub arrival: bool,
+    pub(crate) arrival: bool,
     /// Plan as if all tasks took equally long.
     #[arg(long)]
-    pub uniform: bool,
+    pub(crate) uniform: bool,
 }
 
 /// Runs `entire-lab farm-simulate`.
 ///
 /// # Errors
 /// When the list lacks a time.
-pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
+pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     ensure!(options.slots > 0, "--slots is 0; at least one is needed");
     let tasks = read_tasks(&options.tasks)?;
     let scaled = |by: By| -> Result<Vec<f64>> {
@@ -110,15 +110,9 @@ pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
         planner.set_uniform();
     }
     let world = World {
-        seconds: truth.clone(),
-        volume,
-        load_cold: load.clone(),
-        load_warm: load,
-        speeds: vec![1.0; options.slots],
         latency: options.latency,
         dispatch: options.dispatch,
-        bound: false,
-        ..World::default()
+        ..studies::world(truth.clone(), volume, load, options.slots)
     };
     let out = simulate(&mut planner, &world, &[]);
     let bound = lower_bound(&truth, &world.speeds)?;
@@ -134,20 +128,20 @@ pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
 #[command(after_help = "\
 Example, as the renderer of a job file:
   entire-lab farm-stand-in tasks.csv --scale 0.1")]
-pub struct StandInOptions {
+pub(crate) struct StandInOptions {
     /// The task list, by the job's ids.
     #[arg(value_name = "TASKS.csv")]
-    pub tasks: PathBuf,
+    pub(crate) tasks: PathBuf,
     /// Factor on the list's seconds.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
-    pub scale: f64,
+    pub(crate) scale: f64,
 }
 
 /// Runs `entire-lab farm-stand-in`.
 ///
 /// # Errors
 /// When a task is not in the list.
-pub fn run_stand_in(options: &StandInOptions) -> Result<()> {
+pub(crate) fn run_stand_in(options: &StandInOptions) -> Result<()> {
     ensure!(options.scale.is_finite() && options.scale >= 0.0, "--scale is {}", options.scale);
     stand_in::serve(&options.tasks, options.scale)
 }

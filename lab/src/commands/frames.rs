@@ -40,28 +40,28 @@ const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06)
 Example:
   entire-lab frames --data xeon.csv epyc.csv --judged xeon-members.csv epyc-members.csv \
       --priors xeon.safetensors epyc.safetensors --out out/frames")]
-pub struct Options {
+pub(crate) struct Options {
     /// Timing tables, one for each type of machine.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
-    pub data: Vec<PathBuf>,
+    pub(crate) data: Vec<PathBuf>,
     /// Test tables, in the order of the types of machine of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
-    pub judged: Vec<PathBuf>,
+    pub(crate) judged: Vec<PathBuf>,
     /// Prior models, in the order of the types of machine of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
-    pub priors: Vec<PathBuf>,
+    pub(crate) priors: Vec<PathBuf>,
     /// Numbers of calibration frames.
     #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "3,10,20,40,160,500")]
-    pub frames: Vec<usize>,
+    pub(crate) frames: Vec<usize>,
     /// Clock of the frame times.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Folder for the results.
     #[arg(long, default_value = "out/frames", value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Threads; default: all logical processors.
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
 }
 
 /// Draws `count` calibration frames and returns their indices. `of_frames` has the volume and the ensemble
@@ -106,7 +106,23 @@ struct Found {
     frames: usize,
     error: f64,
     rmse_over_sd: f64,
-    expected: f64,
+    /// Median error that the calibration expects; `None` with too few frames for a cross-validation.
+    expected: Option<f64>,
+}
+
+impl Found {
+    /// A row of frames.csv: the table's name, number of frames, number of the draw, median error, RMSE/SD,
+    /// expected median error; the last is empty if there is none.
+    fn row(&self, name: &str, draw: u64) -> String {
+        let expected = self.expected.map_or(String::new(), |e| format!("{e:.5}"));
+        format!("{name},{},{draw},{:.5},{:.5},{expected}\n", self.frames, self.error, self.rmse_over_sd)
+    }
+}
+
+/// Mean of the expected median errors in per cent, for the table; `None` if a draw has none.
+fn expected_percent(draws: &[&Found]) -> Option<String> {
+    let expected: Vec<f64> = draws.iter().map(|f| f.expected).collect::<Option<_>>()?;
+    Some(format!("{:.1}", 100.0 * mean(expected.into_iter())))
 }
 
 /// The geometric mean.
@@ -119,7 +135,7 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
 ///
 /// # Errors
 /// When tables or models cannot be read, their numbers differ, or no ensemble has two members.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let (tables, judged, models) = (options.data.len(), options.judged.len(), options.priors.len());
     ensure!(
         tables == models && tables == judged,
@@ -167,10 +183,10 @@ pub fn run(options: &Options) -> Result<()> {
                 let (file, expected) = if count < FEWEST_FRAMES {
                     let few = TimedFrames::of(&few[0].frames, options.clock);
                     let file = calibrate_from(&others, &context, few.timed())?;
-                    (file, f64::NAN)
+                    (file, None)
                 } else {
                     let (file, report) = calibrate_to_tables(&few, (shading, options.clock), &others, &pool)?;
-                    (file, report.median_error)
+                    (file, Some(report.median_error))
                 };
                 let judged = TimedFrames::of(&tables[1].frames, options.clock);
                 let predicted = predict(&file.to_model()?, &context, &judged.frames)?;
@@ -182,10 +198,7 @@ pub fn run(options: &Options) -> Result<()> {
                     rmse_over_sd: metrics.rmse_over_sd,
                     expected,
                 };
-                csv.push_str(&format!(
-                    "{name},{count},{seed},{:.5},{:.5},{:.5}\n",
-                    one.error, one.rmse_over_sd, one.expected
-                ));
+                csv.push_str(&one.row(&name, seed));
                 of_table.push(one);
                 bar.inc(1);
             }
@@ -228,7 +241,7 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
                 format!("{error:.1}").into(),
                 format!("{largest:.1}").into(),
                 format!("{:.3}", mean(draws.iter().map(|f| f.rmse_over_sd))).into(),
-                format!("{:.1}", 100.0 * mean(draws.iter().map(|f| f.expected))).into(),
+                expected_percent(&draws).into(),
             ]);
         }
         chart = chart
@@ -252,6 +265,15 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_unknown_expected_error_is_empty_and_not_nan() {
+        let found = |expected| Found { frames: 3, error: 0.125, rmse_over_sd: 0.25, expected };
+        assert_eq!(found(None).row("xeon", 2), "xeon,3,2,0.12500,0.25000,\n");
+        assert_eq!(found(Some(0.5)).row("xeon", 2), "xeon,3,2,0.12500,0.25000,0.50000\n");
+        assert_eq!(expected_percent(&[&found(None), &found(None)]), None);
+        assert_eq!(expected_percent(&[&found(Some(0.1)), &found(Some(0.1))]).as_deref(), Some("10.0"));
+    }
 
     #[test]
     fn a_draw_takes_one_member_of_each_ensemble_and_its_volumes_in_turn() {

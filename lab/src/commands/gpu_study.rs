@@ -29,31 +29,28 @@ use std::time::{Duration, Instant};
   entire-lab gpu-study --out out/gpu-study
   entire-lab gpu-study --short --device vulkan --seconds 120 --out out/gpu-short
   ENTIRE_DEVICE=NVIDIA entire-lab gpu-study --out nvidia")]
-pub struct Options {
+pub(crate) struct Options {
     /// The renderer.
     #[arg(long, value_enum, default_value = "vulkan")]
-    pub device: Device,
+    pub(crate) device: Device,
     /// The clock of frame times.
     #[arg(long, value_parser = fixed_parser(), default_value = "device")]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Limit of wall seconds for all steps.
     #[arg(long, default_value_t = 530.0, value_name = "SECONDS")]
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// Shading modes to study.
     #[arg(long, value_delimiter = ',', default_values = MODES, value_parser = MODES, value_name = "SHADE,…")]
-    pub shade: Vec<String>,
+    pub(crate) shade: Vec<String>,
     /// Small images and few frames: a quick test on a software driver.
     #[arg(long)]
-    pub short: bool,
+    pub(crate) short: bool,
     /// The folder with the project's volumes.
     #[arg(long, default_value = "data", value_name = "DIR")]
-    pub data: PathBuf,
-    /// The `entire` command; default: the one beside this program.
-    #[arg(long, value_name = "FILE")]
-    pub entire: Option<PathBuf>,
+    pub(crate) data: PathBuf,
     /// Folder for the results.
     #[arg(long, default_value = "out/gpu-study", value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
 }
 
 /// Context of a run: options, deadline, outcomes.
@@ -169,20 +166,13 @@ fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
 ///
 /// # Errors
 /// No volumes, no command `entire`, files that cannot be written, a bar that is short.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let extent = if options.short { Extent::SHORT } else { Extent::FULL };
     let volumes = held_out(&options.data)?;
     let calibrated = calibrated_with(&options.data, extent.calibration_volumes)?;
-    let entire = match &options.entire {
-        Some(path) => path.clone(),
-        None => std::env::current_exe()
-            .context(
-                "cannot find the folder of this \
-                                                 program",
-            )?
-            .with_file_name("entire"),
-    };
-    anyhow::ensure!(entire.is_file(), "{} is not there; name the command with --entire", entire.display());
+    let program = std::env::current_exe().context("cannot find the folder of this program")?;
+    let entire = program.with_file_name("entire");
+    anyhow::ensure!(entire.is_file(), "{} is not there; build it beside this program", entire.display());
     make_folder(&options.out.join("logs"))?;
     let bar = progress_bar("gpu-study");
     let mut study = Study {

@@ -1,14 +1,13 @@
 //! One module per subcommand: its options and its execution.
 
-pub mod disturb;
-pub mod farm;
-pub mod farm_bars;
-pub mod farm_sort_last;
-pub mod frames;
-pub mod gpu_study;
-pub mod paper;
-pub mod record;
-pub mod replay;
-pub mod stress;
-pub mod study;
-pub mod tune;
+pub(crate) mod disturb;
+pub(crate) mod farm;
+pub(crate) mod farm_bars;
+pub(crate) mod frames;
+pub(crate) mod gpu_study;
+pub(crate) mod paper;
+pub(crate) mod record;
+pub(crate) mod replay;
+pub(crate) mod stress;
+pub(crate) mod study;
+pub(crate) mod tune;

@@ -30,7 +30,7 @@ const RECORDED: &str = "data/steer";
   entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python
   entire-lab paper train --data ../shared/data --only overall,ablation --runs 1
   entire-lab paper report --bars")]
-pub struct Options {
+pub(crate) struct Options {
     #[command(subcommand)]
     step: Step,
 }
@@ -53,48 +53,62 @@ enum Step {
 
 /// Options of every step.
 #[derive(Debug, Clone, clap::Args)]
-pub struct StepOptions {
+struct Places {
     /// Description of the study: data sets, splits, modes, sizes, numbers of frames, epochs, runs.
     #[arg(long, value_name = "JSON", default_value = "data/timings/paper.json")]
-    pub description: PathBuf,
-    /// Folder that holds the data sets, or `ensembles` with them.
-    #[arg(long, value_name = "FOLDER", default_value = "data")]
-    pub data: PathBuf,
+    description: PathBuf,
     /// Folder for all results.
     #[arg(long, value_name = "FOLDER", default_value = "out/paper")]
-    pub out: PathBuf,
+    out: PathBuf,
+}
+
+/// Options of the steps that make results.
+#[derive(Debug, Clone, clap::Args)]
+struct Making {
+    #[command(flatten)]
+    places: Places,
+    /// Folder that holds the data sets, or `ensembles` with them.
+    #[arg(long, value_name = "FOLDER", default_value = "data")]
+    data: PathBuf,
     /// Only these data sets.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
-    pub data_sets: Vec<String>,
-    /// Only these modes: none, local, scatter, yt.
-    #[arg(long, value_delimiter = ',', value_name = "MODES")]
-    pub modes: Vec<String>,
+    data_sets: Vec<String>,
     /// Stop after this many minutes and keep the results.
     #[arg(long, value_name = "MINUTES")]
-    pub budget: Option<f64>,
-    /// The renderer.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    budget: Option<f64>,
     /// Python with yt and the packages of lab/volumenet/requirements.txt.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
-    pub python: PathBuf,
+    python: PathBuf,
     /// Threads; default: all logical processors.
     #[arg(long)]
-    pub threads: Option<usize>,
+    threads: Option<usize>,
+}
+
+/// Options of the steps that render.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct StepOptions {
+    #[command(flatten)]
+    making: Making,
+    /// Only these modes: none, local, scatter, yt.
+    #[arg(long, value_delimiter = ',', value_name = "MODES")]
+    modes: Vec<String>,
+    /// The renderer.
+    #[arg(long, value_enum, default_value_t)]
+    device: Device,
 }
 
 /// Options of `encode`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python")]
-pub struct EncodeOptions {
+pub(crate) struct EncodeOptions {
     #[command(flatten)]
-    step: StepOptions,
+    making: Making,
     #[command(flatten)]
     which: WhichEncoders,
 }
 
-#[derive(Debug, Clone, Default, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 struct WhichEncoders {
     /// Only these input sizes.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
@@ -108,7 +122,7 @@ struct WhichEncoders {
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper train --data ../shared/data --only overall,ablation --runs 1")]
-pub struct TrainOptions {
+pub(crate) struct TrainOptions {
     #[command(flatten)]
     step: StepOptions,
     #[command(flatten)]
@@ -132,14 +146,14 @@ struct HowToTrain {
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper report --bars")]
-pub struct ReportOptions {
+pub(crate) struct ReportOptions {
     #[command(flatten)]
-    step: StepOptions,
+    places: Places,
     #[command(flatten)]
     how: HowToReport,
 }
 
-#[derive(Debug, Clone, Default, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 struct HowToReport {
     /// Results to use for parts that OUT lacks, as written by --keep.
     #[arg(long, value_name = "JSON.gz")]
@@ -159,7 +173,7 @@ struct HowToReport {
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example:
   entire-lab paper all --data ../shared/data")]
-pub struct AllOptions {
+pub(crate) struct AllOptions {
     #[command(flatten)]
     step: StepOptions,
     #[command(flatten)]
@@ -174,24 +188,33 @@ pub struct AllOptions {
 ///
 /// # Errors
 /// Bad options or files, a step that fails, an interruption, and, with --bars, a bar that is short.
-pub fn run(options: &Options) -> Result<()> {
-    let none = (WhichEncoders::default(), HowToTrain::default(), HowToReport::default());
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let none = HowToTrain::default();
     match &options.step {
-        Step::Collect(step) => with(step, &none.1, &|work| collect_all(work, step)),
-        Step::Encode(o) => with(&o.step, &none.1, &|work| encode_all(work, &o.step, &o.which)),
-        Step::Train(o) => with(&o.step, &o.how, &|work| train_all(work, &o.step, &o.how)),
-        Step::Report(o) => with(&o.step, &none.1, &|work| report_all(work, &o.how)),
-        Step::All(o) => with(&o.step, &o.train, &|work| {
-            collect_all(work, &o.step)?;
-            encode_all(work, &o.step, &o.which)?;
-            train_all(work, &o.step, &o.train)?;
-            report_all(work, &o.report)
-        }),
+        Step::Collect(step) => with(&step.making, &step.modes, &none, &|work| collect_all(work, step)),
+        Step::Encode(o) => with(&o.making, &[], &none, &|work| encode_all(work, &o.making, &o.which)),
+        Step::Train(TrainOptions { step, how }) => {
+            with(&step.making, &step.modes, how, &|work| train_all(work, step, how))
+        }
+        Step::Report(o) => report_all(&description::read(&o.places.description)?, &o.places.out, &o.how),
+        Step::All(AllOptions { step, which, train, report }) => {
+            with(&step.making, &step.modes, train, &|work| {
+                collect_all(work, step)?;
+                encode_all(work, &step.making, which)?;
+                train_all(work, step, train)?;
+                report_all(work.paper, work.out, report)
+            })
+        }
     }
 }
 
-fn with(step: &StepOptions, train: &HowToTrain, f: &dyn Fn(&Work<'_>) -> Result<()>) -> Result<()> {
-    let mut paper: Paper = description::read(&step.description)?;
+fn with(
+    making: &Making,
+    modes: &[String],
+    train: &HowToTrain,
+    f: &dyn Fn(&Work<'_>) -> Result<()>,
+) -> Result<()> {
+    let mut paper: Paper = description::read(&making.places.description)?;
     if let Some(runs) = train.runs {
         ensure!(runs > 0, "--runs is 0; at least 1 is needed");
         paper.runs = runs;
@@ -201,16 +224,14 @@ fn with(step: &StepOptions, train: &HowToTrain, f: &dyn Fn(&Work<'_>) -> Result<
         paper.network.epochs = epochs;
     }
     let stop = interrupt::flag()?;
-    let pool = thread_pool(step.threads)?;
-    let selection = Selection { data_sets: step.data_sets.clone(), modes: step.modes.clone() };
-    if let Some(mode) = step
-        .modes
-        .iter()
-        .find(|m| !description::RAYCASTER_MODES.contains(&m.as_str()) && *m != description::YT)
+    let pool = thread_pool(making.threads)?;
+    let selection = Selection { data_sets: making.data_sets.clone(), modes: modes.to_vec() };
+    if let Some(mode) =
+        modes.iter().find(|m| !description::RAYCASTER_MODES.contains(&m.as_str()) && *m != description::YT)
     {
         anyhow::bail!("--modes names {mode:?}; none, local, scatter and yt are accepted");
     }
-    let deadline = match step.budget {
+    let deadline = match making.budget {
         Some(minutes) => {
             ensure!(
                 minutes.is_finite() && minutes > 0.0 && minutes < 1e6,
@@ -224,9 +245,9 @@ fn with(step: &StepOptions, train: &HowToTrain, f: &dyn Fn(&Work<'_>) -> Result<
     f(&Work {
         paper: &paper,
         selection: &selection,
-        data: &step.data,
-        out: &step.out,
-        python: &step.python,
+        data: &making.data,
+        out: &making.places.out,
+        python: &making.python,
         pool: &pool,
         deadline,
         interrupted: &interrupted,
@@ -244,10 +265,10 @@ fn collect_all(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     places.iter().try_for_each(|p| yt::collect(work, p))
 }
 
-fn encode_all(work: &Work<'_>, step: &StepOptions, which: &WhichEncoders) -> Result<()> {
+fn encode_all(work: &Work<'_>, making: &Making, which: &WhichEncoders) -> Result<()> {
     let places = found(work)?;
     let wanted = encode::encoders(work, &places, &which.sizes, &which.features);
-    encode::encode(work, &places, &wanted, step.threads)
+    encode::encode(work, &places, &wanted, making.threads)
 }
 
 fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
@@ -276,12 +297,9 @@ fn balance(work: &Work<'_>) -> Result<()> {
             farm::run(&farm::Options {
                 tasks: Some(tasks),
                 trace: None,
-                calibration: Vec::new(),
                 training: Vec::new(),
                 probe_side: entire_steer::features::PROBE_SIDE,
                 save_tasks: None,
-                dispatch: 0.0,
-                window: 64,
                 report: work.out.join("cases").join(format!("farm-{set}-{mode}")),
                 bars: false,
             })?;
@@ -344,19 +362,19 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     control::keep(work, &played, (set, mode), renderer.as_mut())
 }
 
-fn report_all(work: &Work<'_>, how: &HowToReport) -> Result<()> {
+fn report_all(paper: &Paper, out: &Path, how: &HowToReport) -> Result<()> {
     let started = Instant::now();
-    let material = material::material(work.paper, work.out, how.kept.as_deref())?;
+    let material = material::material(paper, out, how.kept.as_deref())?;
     if let Some(path) = &how.keep {
         material::keep(&material, path)?;
         println!("wrote {}", path.display());
     }
     if let Some(pages) = &how.book {
-        book::write(work.paper, &material, pages)?;
+        book::write(paper, &material, pages)?;
         println!("wrote {}", pages.join(book::PAGE).display());
     }
-    let found = report::write(work.paper, &material, work.out, started)?;
-    println!("wrote {}", work.out.join("report.html").display());
+    let found = report::write(paper, &material, out, started)?;
+    println!("wrote {}", out.join("report.html").display());
     if how.bars {
         bars::print(&found)?;
     }

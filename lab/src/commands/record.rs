@@ -14,8 +14,11 @@ use entire_io::interrupt;
 use entire_io::options::{RenderArgs, parse_hold, parse_scale, parse_size};
 use entire_io::path::{Generated, PathFile};
 use entire_io::progress::progress_bar;
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use std::path::PathBuf;
+
+/// Seed of the calibration scenes.
+const SEED: u64 = 1;
 
 /// Record time and picture quality of every frame of a path at a grid of ray steps.
 ///
@@ -29,10 +32,10 @@ use std::path::PathBuf;
   out/steer/nyx.json
   entire-lab record a.nrrd b.nrrd --enlarge 2 --calibration 24 --clock cpu --out out/steer/calibration.csv
   entire-lab record t0001.nrrd t0002.nrrd t0003.nrrd --hold 20 --generate orbit --out series.json")]
-pub struct Options {
+pub(crate) struct Options {
     /// The volume files, shown one after the other (see --hold).
     #[arg(value_name = "VOLUME", required = true)]
-    pub volumes: Vec<PathBuf>,
+    pub(crate) volumes: Vec<PathBuf>,
     /// The path file (JSON; the format is documented with the examples in examples/paths).
     #[arg(
         long,
@@ -40,61 +43,58 @@ pub struct Options {
         conflicts_with = "generate",
         required_unless_present_any = ["generate", "calibration"]
     )]
-    pub path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
     /// Generate a path for the first volume instead.
     #[arg(long, value_enum)]
-    pub generate: Option<Generated>,
+    pub(crate) generate: Option<Generated>,
     /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing
     /// table, to which `entire-lab replay` fits its predictor.
     #[arg(long, value_name = "SCENES", conflicts_with_all = ["generate", "path", "hold", "scales"])]
-    pub calibration: Option<usize>,
-    /// Seed of the calibration scenes.
-    #[arg(long, default_value_t = 1, requires = "calibration")]
-    pub seed: u64,
+    pub(crate) calibration: Option<usize>,
     /// Frames of a generated path.
     #[arg(long, default_value_t = 96, value_name = "N", conflicts_with = "path")]
-    pub frames: u32,
+    pub(crate) frames: u32,
     /// Frames for which each volume is shown, if there are several volumes.
     #[arg(long, value_name = "N")]
-    pub hold: Option<u32>,
+    pub(crate) hold: Option<u32>,
     /// Scale of the image sides from a frame on, as FRAME:SCALE, comma-separated.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
-    pub scales: Vec<(u32, f32)>,
+    pub(crate) scales: Vec<(u32, f32)>,
     /// Name in reports; default: the file name of the result.
     #[arg(long)]
-    pub name: Option<String>,
+    pub(crate) name: Option<String>,
     /// The trace to write (compressed where it ends in .gz); with --calibration the timing table (CSV).
     #[arg(long, value_name = "FILE")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Continue an interrupted recording.
     #[arg(long, conflicts_with = "calibration")]
-    pub resume: bool,
+    pub(crate) resume: bool,
     /// Ray steps of the grid at full image size, reference steps, ascending; at least two. Smaller images are
     /// drawn for the default steps only.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
-    pub steps: Vec<f32>,
+    pub(crate) steps: Vec<f32>,
     /// Renderings of every point of the grid.
     #[arg(long, default_value_t = 2, value_name = "R")]
-    pub repeats: usize,
+    pub(crate) repeats: usize,
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Rendering options.
     #[command(flatten)]
-    pub render: RenderArgs,
+    pub(crate) render: RenderArgs,
     /// The clock of frame times.
     #[arg(long, value_enum, default_value_t)]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Enlarge the volumes by this factor at load, trilinearly.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
-    pub enlarge: usize,
+    pub(crate) enlarge: usize,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// Bad options or files, a device that fails, interruption.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.repeats >= 1, "--repeats is 0; every point must be drawn at least once");
     if let Some(scenes) = options.calibration {
         return calibrate(options, scenes);
@@ -201,10 +201,10 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
         let bar = progress_bar(&format!("calibrate {shown}"));
         let samples = measure(
             &view,
-            &VolumeSummary::new(&view, SummaryOptions::default())?,
+            &VolumeSummary::new(&view)?,
             &draw,
             &calibration_scenes(),
-            (options.seed, &shown),
+            (SEED, &shown),
             (scenes, options.repeats),
             renderer.as_mut(),
             &|| interrupt::requested(&stop),

@@ -3,7 +3,7 @@
 
 use crate::bars;
 use crate::calibration::samples_of;
-use crate::fitted::{Calibrated, Candidate};
+use crate::fitted::{Calibrated, Candidate, no_volume};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{self, Disturbance, Player, Replayable, Score, Tally, frontier, play, trials_of_all};
@@ -12,7 +12,6 @@ use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::response;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::model::SteeringModel;
-use entire_core::scene::{Scalars, VolumeView};
 use entire_io::files::{make_folder, note, open_model};
 use entire_io::options::parse_limits;
 use entire_io::path::parse_target;
@@ -23,14 +22,14 @@ use std::sync::Arc;
 
 /// Recorded paths, timing tables and targets.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Paths {
+pub(crate) struct Paths {
     /// The recorded paths (`entire-lab record`).
     #[arg(value_name = "TRACE.json", required = true)]
-    pub traces: Vec<PathBuf>,
+    pub(crate) traces: Vec<PathBuf>,
     /// Timing tables of random scenes, each at several steps (`entire-lab record --calibration`). Predictors are
     /// fitted to them, and so is the curve of frame time over step (the paper's G).
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", required = true)]
-    pub calibration: Vec<PathBuf>,
+    pub(crate) calibration: Vec<PathBuf>,
     /// Target frame times.
     #[arg(
         long,
@@ -39,11 +38,11 @@ pub struct Paths {
         value_name = "TIME,…",
         allow_hyphen_values = true
     )]
-    pub targets: Vec<String>,
+    pub(crate) targets: Vec<String>,
     /// Finest and coarsest allowed step, reference steps. Rules that act on image resolution have their own
     /// ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
-    pub limits: (f32, f32),
+    pub(crate) limits: (f32, f32),
 }
 
 impl Paths {
@@ -51,7 +50,7 @@ impl Paths {
     ///
     /// # Errors
     /// For limits that contain no step.
-    pub fn limits(&self) -> Result<StepLimits> {
+    pub(crate) fn limits(&self) -> Result<StepLimits> {
         let limits = StepLimits { finest: self.limits.0, coarsest: self.limits.1 };
         limits.check()?;
         Ok(limits)
@@ -61,7 +60,7 @@ impl Paths {
     ///
     /// # Errors
     /// For files that cannot be read or are no recordings; names the file.
-    pub fn open(&self) -> Result<Vec<Replayable>> {
+    pub(crate) fn open(&self) -> Result<Vec<Replayable>> {
         let open = |file: &PathBuf| {
             Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display()))
         };
@@ -72,7 +71,7 @@ impl Paths {
     ///
     /// # Errors
     /// For a text that is no time.
-    pub fn targets(&self) -> Result<Vec<(f64, &str)>> {
+    pub(crate) fn targets(&self) -> Result<Vec<(f64, &str)>> {
         let mut out =
             self.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;
         out.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -93,35 +92,35 @@ impl Paths {
   entire-lab replay data/steer/traces/*.json.gz --calibration data/steer/calibration.csv.gz --out out/steer
   entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
   --out out/nyx")]
-pub struct Options {
+pub(crate) struct Options {
     /// Paths to replay.
     #[command(flatten)]
-    pub paths: Paths,
+    pub(crate) paths: Paths,
     /// Replay with the slowdowns of another program that `entire-lab disturb` recorded.
     #[arg(long, value_name = "FILE.csv")]
-    pub disturbance: Option<PathBuf>,
+    pub(crate) disturbance: Option<PathBuf>,
     /// Model file, instead of the predictor that is fitted to the tables.
     #[arg(long, value_name = "M.safetensors")]
-    pub model: Option<PathBuf>,
+    pub(crate) model: Option<PathBuf>,
     /// Controllers to compare; default: all.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
-    pub controllers: Vec<ControllerKind>,
+    pub(crate) controllers: Vec<ControllerKind>,
     /// Number of rounds over all paths and targets, each with another draw of the measured noise.
     #[arg(long, default_value_t = 2, value_name = "N")]
-    pub rounds: u64,
+    pub(crate) rounds: u64,
     /// Folder for the results.
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Print the goals (bars) of steering, and fail when one is missed.
     #[arg(long)]
-    pub bars: bool,
+    pub(crate) bars: bool,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// Bad options or files; with --bars, a bar that is short.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let limits = options.paths.limits()?;
     ensure!(options.rounds >= 1, "--rounds is 0; at least one round is needed");
     let targets = options.paths.targets()?;
@@ -130,11 +129,9 @@ pub fn run(options: &Options) -> Result<()> {
         "G, the curve of frame time over step, needs scenes that were \
                                                timed at several steps",
     )?;
-    let nothing = [0u8];
-    let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
-    let mut calibrated = Calibrated::fit(&samples, &no_volume, 1)?;
+    let mut calibrated = Calibrated::fit(&samples)?;
     if let Some(file) = &options.model {
-        let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume)?;
+        let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume()?)?;
         let given =
             Candidate::of(given, &samples).context("the model cannot predict the calibration frames")?;
         calibrated.candidates.iter_mut().for_each(|c| c.chosen = false);

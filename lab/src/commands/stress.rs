@@ -1,7 +1,8 @@
 //! `entire-lab stress`: scenes in which methods of holding a frame time fail.
 
+use crate::bars;
 use crate::stress::report::{matrix, page};
-use crate::stress::{SCENES, Verdict, bars, bars_on_device, harmless, run as play, run_real};
+use crate::stress::{self, SCENES, Verdict, bars_on_device, harmless, run as play, run_real};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
@@ -26,29 +27,29 @@ const LONG_RUN: u64 = 1_000_000;
   entire-lab stress --out out/stress
   entire-lab stress --scenes 1,17,22 --controllers olp,hybrid --out out/stress
   entire-lab stress --device vulkan --clock cpu --out out/stress")]
-pub struct Options {
+pub(crate) struct Options {
     /// Numbers of the scenes; default: all.
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
-    pub scenes: Vec<usize>,
+    pub(crate) scenes: Vec<usize>,
     /// Controllers to compare; default: all.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
-    pub controllers: Vec<ControllerKind>,
+    pub(crate) controllers: Vec<ControllerKind>,
     /// Also play the scenes that work on a real renderer on this device, with its clock.
     #[arg(long, value_enum)]
-    pub device: Option<Device>,
+    pub(crate) device: Option<Device>,
     /// Clock of frame times on that device.
     #[arg(long, value_enum, default_value_t, requires = "device")]
-    pub clock: Clock,
+    pub(crate) clock: Clock,
     /// Folder for the results.
     #[arg(long, default_value = "out/stress", value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
 }
 
 /// Runs the command.
 ///
 /// # Errors
 /// Bad options, files that cannot be written, or a scene that entire's controller fails.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let scenes: Vec<usize> = if options.scenes.is_empty() {
         SCENES.iter().map(|s| s.number).collect()
     } else {
@@ -92,11 +93,11 @@ pub fn run(options: &Options) -> Result<()> {
         println!("On a real renderer ({name}):\n{}", matrix(&real, &real_methods).to_text());
     }
     println!("Report: {}", options.out.join("report.html").display());
-    let mut found = bars(&verdicts);
+    let mut found = stress::bars(&verdicts);
     if options.device.is_some() {
         found.extend(bars_on_device(&real));
     }
-    found.iter().for_each(|b| println!("{b}"));
+    let met = bars::print(&found);
     let ours = |played: &[Verdict], where_: &str| -> Vec<String> {
         played
             .iter()
@@ -110,8 +111,7 @@ pub fn run(options: &Options) -> Result<()> {
     if options.scenes.is_empty() && options.controllers.is_empty() {
         let harmless = harmless(&verdicts);
         ensure!(harmless.is_empty(), "scenes that no other method fails: {harmless:?}");
-        let short: Vec<&str> = found.iter().filter(|b| !b.ok).map(|b| b.name.as_str()).collect();
-        ensure!(short.is_empty(), "short: {}", short.join(", "));
+        met?;
     }
     Ok(())
 }

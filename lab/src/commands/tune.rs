@@ -7,7 +7,6 @@ use crate::replay::tune::{Constants, Cost, Course, Law, Removed, TRIED, costs, r
 use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::Sample;
-use entire_core::scene::{Scalars, VolumeView};
 use entire_io::files::{make_folder_of, write_json};
 use entire_io::progress::templated_bar;
 use entire_report::{Column, Table};
@@ -31,25 +30,25 @@ type Played = ([Replayable; 3], Calibrated);
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --rounds 0
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --only full,finer")]
-pub struct Options {
+pub(crate) struct Options {
     /// Paths to replay.
     #[command(flatten)]
-    pub paths: Paths,
+    pub(crate) paths: Paths,
     /// Replay every path again with each of these recorded slowdowns (`entire-lab disturb`).
     #[arg(long, value_delimiter = ',', value_name = "FILE.csv,…")]
-    pub disturbances: Vec<PathBuf>,
+    pub(crate) disturbances: Vec<PathBuf>,
     /// Maximum number of rounds over all constants; 0 prints the cost of the present values.
     #[arg(long, default_value_t = 3, value_name = "N")]
-    pub rounds: usize,
+    pub(crate) rounds: usize,
     /// Search for these constants only; default: all.
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
-    pub only: Vec<String>,
+    pub(crate) only: Vec<String>,
     /// Start from these values instead of the present ones.
     #[arg(long, value_delimiter = ',', value_name = "NAME=VALUE,…", allow_hyphen_values = true)]
-    pub set: Vec<String>,
+    pub(crate) set: Vec<String>,
     /// File for all tried values and the result, as JSON.
     #[arg(long, value_name = "FILE.json")]
-    pub out: Option<PathBuf>,
+    pub(crate) out: Option<PathBuf>,
 }
 
 /// Table of the paths' cost without each constant.
@@ -77,7 +76,7 @@ fn worth_table(worth: &[Removed]) -> Table {
 ///
 /// # Errors
 /// Bad options or files.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let mut first = Constants::default();
     for given in &options.set {
         set(&mut first, given)?;
@@ -86,8 +85,6 @@ pub fn run(options: &Options) -> Result<()> {
     let limits = options.paths.limits()?;
     let targets = options.paths.targets()?;
     let samples = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
-    let nothing = [0u8];
-    let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
     let mut played = options
         .paths
         .open()?
@@ -96,7 +93,7 @@ pub fn run(options: &Options) -> Result<()> {
             let shown = |volume: &str| recorded.trace.volumes.iter().any(|v| v.file.as_os_str() == volume);
             let others: Vec<Sample> =
                 samples.iter().filter(|(v, _)| !shown(v)).map(|(_, s)| s.clone()).collect();
-            let calibrated = Calibrated::fit(&others, &no_volume, 1)?;
+            let calibrated = Calibrated::fit(&others)?;
             Ok((Law::ALL.map(|law| law.of(&recorded)), calibrated))
         })
         .collect::<Result<Vec<Played>>>()?;

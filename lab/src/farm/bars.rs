@@ -8,7 +8,6 @@ use anyhow::{Context, Result};
 use entire_farm::dispatch::Order;
 use entire_farm::job::Job;
 use entire_farm::learn::{CONSTANT_SD_WITH_MODEL, Shape};
-use entire_farm::list::lower_bound;
 use entire_farm::load::Loads;
 use entire_farm::planner::{Planner, Setting};
 use entire_farm::simulate::{World, simulate};
@@ -33,7 +32,7 @@ fn measured(tasks: &[Task]) -> Vec<f64> {
 }
 
 /// A planner of tasks whose seconds, `base`, a model predicted.
-pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
+pub(crate) fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
     let shape = Shape::of_volumes(base, volume).with_constant(CONSTANT_SD_WITH_MODEL);
     let mut planner = Planner::new(shape, loads, setting);
     planner.add_stage((0..base.len() as u32).collect());
@@ -41,8 +40,21 @@ pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> P
 }
 
 /// Settings of a planner with equal slots that keep their volumes, and without overhead per bundle.
-pub fn setting(slots: usize) -> Setting {
+pub(crate) fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
+}
+
+/// A farm of equal slots. Task i takes `seconds[i]` on volume `volume[i]`; each loading of volume v takes
+/// `load[v]` seconds.
+pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots: usize) -> World {
+    World {
+        seconds,
+        volume,
+        load_cold: load.clone(),
+        load_warm: load,
+        speeds: vec![1.0; slots],
+        ..World::default()
+    }
 }
 
 /// Makespan of the longest-first assignment by predicted times over that of the assignment by measured times,
@@ -50,7 +62,7 @@ pub fn setting(slots: usize) -> Setting {
 ///
 /// # Errors
 /// When a time is not usable.
-pub fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
+pub(crate) fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
     let (decide, judge) = (predicted(tasks), measured(tasks));
     let mut worst = (0.0f64, 0);
     for nodes in 2..=64 {
@@ -66,24 +78,13 @@ pub fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
 
 /// Makespan of the plan over that of the best schedule that a local search finds from `starts` random starts and
 /// the measured times. There are 8 nodes, and loading a volume takes as long as 4 mean frames.
-///
-/// # Errors
-/// Never.
-pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
+pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
     let tasks = &tasks[..tasks.len().min(PAPER)];
     let (base, truth, volume) = (predicted(tasks), measured(tasks), volume_numbers(tasks));
     let volumes = volume.iter().max().map_or(1, |v| v + 1);
     let load = vec![4.0 * truth.iter().sum::<f64>() / truth.len() as f64; volumes];
     let mut planner = plan(&base, &volume, Loads::known(load.clone()), setting(8));
-    let world = World {
-        seconds: truth.clone(),
-        volume: volume.clone(),
-        load_cold: load.clone(),
-        load_warm: load.clone(),
-        speeds: vec![1.0; 8],
-        bound: true,
-        ..World::default()
-    };
+    let world = World { bound: true, ..world(truth.clone(), volume.clone(), load.clone(), 8) };
     let out = simulate(&mut planner, &world, &[]);
     let best = best_of(&Problem { seconds: &truth, volume: &volume, load: &load, nodes: 8 }, starts);
     println!(
@@ -92,7 +93,7 @@ pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
         out.makespan,
         out.loads
     );
-    Ok(out.makespan / best)
+    out.makespan / best
 }
 
 /// Predictions of the end after a tenth of the work, over simulated runs: median error of the predicted median,
@@ -100,7 +101,7 @@ pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
 ///
 /// # Errors
 /// When there are no tasks.
-pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> {
+pub(crate) fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> {
     let (mut errors, mut hits) = (Vec::new(), 0);
     for run in 0..runs {
         let mut rng = ChaCha8Rng::seed_from_u64(1000 + run);
@@ -114,16 +115,9 @@ pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> 
         let (base, truth, volume) = (predicted(&tasks), measured(&tasks), volume_numbers(&tasks));
         let slots = [4, 8, 16, 32][(run / pools.len() as u64) as usize % 4];
         let volumes = volume.iter().max().map_or(1, |v| v + 1);
-        let mut planner = plan(&base, &volume, Loads::known(vec![0.0; volumes]), setting(slots));
-        let world = World {
-            seconds: truth,
-            volume,
-            load_cold: vec![0.0; volumes],
-            load_warm: vec![0.0; volumes],
-            speeds: vec![1.0; slots],
-            bound: true,
-            ..World::default()
-        };
+        let load = vec![0.0; volumes];
+        let mut planner = plan(&base, &volume, Loads::known(load.clone()), setting(slots));
+        let world = World { bound: true, ..world(truth, volume, load, slots) };
         let out = simulate(&mut planner, &world, &[0.1]);
         let said = out.said.first().context("no end was predicted")?.end;
         let hit = (said[0]..=said[2]).contains(&out.makespan);
@@ -146,7 +140,7 @@ pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> 
 ///
 /// # Errors
 /// When the folder cannot be written.
-pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
+pub(crate) fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let volumes = folder.join("volumes");
     entire_io::files::make_folder(&volumes)?;
     for i in 0..100 {
@@ -193,61 +187,11 @@ pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     Ok((first, all, kib / 1e6 * 1.024))
 }
 
-/// Simulates a farm of 1,000 nodes and 10⁶ tasks, with and without predictions, and prints the makespan over its
-/// lower bound.
-///
-/// # Errors
-/// When a time is not usable.
-pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
-    let n = 1_000_000;
-    let (p, m) = (predicted(pool), measured(pool));
-    // The tasks repeat recorded frames. Volumes must be loaded, nodes are unequal and fail.
-    let pick = |i: usize| i * 7919 % p.len();
-    let base: Vec<f64> = (0..n).map(|i| 60.0 * p[pick(i)]).collect();
-    let truth: Vec<f64> = (0..n).map(|i| 60.0 * m[pick(i)]).collect();
-    let volume: Vec<usize> = (0..n).map(|i| i / 1000).collect();
-    let speeds: Vec<f64> = (0..1000).map(|i| [0.8, 1.0, 1.0, 1.25][i % 4]).collect();
-    let load = vec![10.0; 1000];
-    let bound = lower_bound(&truth, &speeds)?;
-    for (name, order, learn) in
-        [("longest first, corrected", Order::LongestFirst, true), ("arrival order", Order::Arrival, false)]
-    {
-        let how = Setting { overhead: 0.1, order, learn, ..setting(1000) };
-        let clock = Instant::now();
-        let mut planner = plan(&base, &volume, Loads::known(load.clone()), how);
-        let world = World {
-            seconds: truth.clone(),
-            volume: volume.clone(),
-            load_cold: load.clone(),
-            load_warm: vec![2.0; 1000],
-            speeds: speeds.clone(),
-            latency: 0.1,
-            dispatch: 0.001,
-            bound: true,
-            failures_per_hour: 0.02,
-            repair: 300.0,
-            seed: 1,
-        };
-        let out = simulate(&mut planner, &world, &[]);
-        println!(
-            "simulated: 1000 nodes, 10^6 tasks, {name}: {:.0} s, {:.3} times the bound without loading, {} \
-             bundles, {} loads, {} lost (simulated in {:.1} s)",
-            out.makespan,
-            out.makespan / bound,
-            out.bundles,
-            out.loads,
-            out.lost,
-            clock.elapsed().as_secs_f64()
-        );
-    }
-    Ok(())
-}
-
 /// All bars that need no engine.
 ///
 /// # Errors
 /// When data or models cannot be read.
-pub fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Result<Vec<Bar>> {
+pub(crate) fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Result<Vec<Bar>> {
     // This runs first, since it measures the peak memory of the whole process so far.
     let (first, last, peak) = at_scale(folder)?;
     let mut pools = Vec::new();
@@ -262,9 +206,8 @@ pub fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Result<Vec<B
     let first_384 = &main[..main.len().min(PAPER)];
     let (all_frames, paper) = (worst_static(main)?.0, worst_static(first_384)?.0);
     println!("static: {PAPER} tasks of {}: at worst {paper:.4}", pools[0].0);
-    let loads = with_loads(&pools[1].1, 1000)?;
+    let loads = with_loads(&pools[1].1, 1000);
     let (error, share) = foretold(&pools, runs)?;
-    thousand_nodes(main)?;
     println!("planning: {peak:.3} GB at most, {first:.2} s to the first bundle");
     let mut bars = vec![
         Bar::at_most("farm-static-random-scenes-worst", Some(all_frames.max(paper)), 1.04),

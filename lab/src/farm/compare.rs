@@ -27,7 +27,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// When a time is not finite and positive.
-pub fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
+pub(crate) fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
     let repeats: Vec<&[f64]> =
         trace.frames.iter().filter_map(|f| f.first()).map(|p| &p.seconds[..]).collect();
     let count = repeats.iter().map(|r| r.len()).min().unwrap_or(0);
@@ -61,6 +61,9 @@ const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static with exchanges, predicted", Method::Static, By::Predicted, 4),
 ];
 
+/// Number of queue entries among which a node searches for a task on its loaded volume.
+const WINDOW: usize = 64;
+
 /// Number of random orders over which the makespan of a queue in any order is averaged.
 const RANDOM_ORDERS: u64 = 200;
 
@@ -77,24 +80,20 @@ fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
 
 /// Inputs of a comparison.
 #[derive(Clone, Debug)]
-pub struct Comparison<'a> {
+pub(crate) struct Comparison<'a> {
     /// The tasks, with both times.
-    pub tasks: &'a [Task],
+    pub(crate) tasks: &'a [Task],
     /// Origin of the tasks, for the report.
-    pub source: String,
-    /// Time that a node needs for each dispatch from a queue, seconds.
-    pub dispatch: f64,
-    /// Number of queue entries among which a node searches for a task on its loaded volume.
-    pub window: usize,
+    pub(crate) source: String,
     /// Result of [`second_measurement`].
-    pub noise: Option<(f64, f64)>,
+    pub(crate) noise: Option<(f64, f64)>,
 }
 
 /// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars.
 ///
 /// # Errors
 /// When tasks lack a time, or the report cannot be written.
-pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
+pub(crate) fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     let tasks = comparison.tasks;
     make_folder(folder)?;
     let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;
@@ -104,8 +103,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     let mut loads: HashMap<(usize, usize), Vec<f64>> = HashMap::new();
     let (mut bounds, mut random) = (Vec::new(), Vec::new());
     for &nodes in &all {
-        let farm =
-            Farm { speeds: vec![1.0; nodes], dispatch: comparison.dispatch, window: comparison.window };
+        let farm = Farm { speeds: vec![1.0; nodes], dispatch: 0.0, window: WINDOW };
         bounds.push(lower_bound(&measured, &farm.speeds)?);
         random.push(any_order(&measured, &farm)?);
         for (k, &(_, method, by, _)) in COMPARED.iter().enumerate() {
@@ -206,7 +204,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
         println!("{text}");
         page.paragraph(&text);
     }
-    mixed(tasks, &measured, comparison.window, &mut page)?;
+    mixed(tasks, &measured, &mut page)?;
     page.heading("Where this comes from");
     let mut facts = vec![("Tasks", comparison.source.clone())];
     facts.extend(Provenance::of("scheduled, not rendered".into()).facts());
@@ -224,7 +222,7 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
 }
 
 /// Adds a table of further cases to the page: nodes of different speeds, and volumes that take time to load.
-fn mixed(tasks: &[Task], measured: &[f64], window: usize, page: &mut Page) -> Result<()> {
+fn mixed(tasks: &[Task], measured: &[f64], page: &mut Page) -> Result<()> {
     page.heading("Unequal nodes, and volumes that must be loaded");
     let mut table = Table::new(vec![
         Column::text("case"),
@@ -262,9 +260,9 @@ fn mixed(tasks: &[Task], measured: &[f64], window: usize, page: &mut Page) -> Re
             let longest = longest_first(&predicted)?;
             let row = [
                 fixed,
-                simulate_affinity(&arrival, &with_loads, &speeds, 1)?.makespan,
-                simulate_affinity(&longest, &with_loads, &speeds, 1)?.makespan,
-                simulate_affinity(&longest, &with_loads, &speeds, window)?.makespan,
+                simulate_affinity(&arrival, &with_loads, &speeds, 1, 0.0)?.makespan,
+                simulate_affinity(&longest, &with_loads, &speeds, 1, 0.0)?.makespan,
+                simulate_affinity(&longest, &with_loads, &speeds, WINDOW, 0.0)?.makespan,
             ];
             let mut cells = vec![format!("{nodes} nodes, {name}").into()];
             cells.extend(row.iter().map(|m| format!("{:.3}", m / bound).into()));

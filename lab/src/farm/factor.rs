@@ -24,8 +24,7 @@ const LIMIT: f64 = 0.5;
 /// ray spacing, samples per ray, share of the image that the volume covers and ray step, divergence of
 /// neighboring rays.
 fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option<[f64; TERMS]> {
-    let work = features.work(setting);
-    let of = |q: SceneQuantity| features.quantity(q, setting, &work);
+    let of = |q: SceneQuantity| features.quantity(q, setting);
     let log = |v: f64| v.max(1e-3).ln();
     let (_, [forward, ..]) = Camera::from_arcball(camera).ok()?.ray_basis(setting.width, setting.height);
     let [x, y, z] = forward.to_array().map(|v| f64::from(v.abs()));
@@ -46,7 +45,7 @@ fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option
 
 /// The fitted factor.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Factor {
+pub(crate) struct Factor {
     mean: [f64; TERMS],
     sd: [f64; TERMS],
     /// Weights of the standardized terms, then of their squares less one.
@@ -56,13 +55,13 @@ pub struct Factor {
 
 impl Factor {
     /// The factor 1 for every frame.
-    pub fn none() -> Self {
+    pub(crate) fn none() -> Self {
         Self { mean: [0.0; TERMS], sd: [1.0; TERMS], weights: [0.0; 2 * TERMS], offset: 0.0 }
     }
 
     /// Fits the factor to frames with their predicted seconds. It is 1 if there are fewer than three usable frames
     /// per unknown.
-    pub fn fit(frames: &[(&Sample, f64)]) -> Self {
+    pub(crate) fn fit(frames: &[(&Sample, f64)]) -> Self {
         let rows: Vec<([f64; TERMS], f64)> = frames
             .iter()
             .filter_map(|(s, predicted)| {
@@ -115,7 +114,7 @@ impl Factor {
     }
 
     /// The factor of a frame.
-    pub fn of(&self, features: &FrameFeatures, setting: &Setting, camera: Arcball) -> f64 {
+    pub(crate) fn of(&self, features: &FrameFeatures, setting: &Setting, camera: Arcball) -> f64 {
         let Some(values) = terms(features, setting, camera) else { return self.offset.exp() };
         let log: f64 = self.row(&values).iter().zip(&self.weights).map(|(a, b)| a * b).sum();
         (self.offset + log).clamp(-LIMIT, LIMIT).exp()
@@ -126,12 +125,12 @@ impl Factor {
 mod tests {
     use super::*;
     use entire_core::scene::{Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
-    use entire_steer::features::{SummaryOptions, TransferSummary, VolumeSummary};
+    use entire_steer::features::{TransferSummary, VolumeSummary};
 
     fn samples(law: impl Fn(f64, f64) -> f64) -> Vec<Sample> {
         let voxels: Vec<u8> = (0..24 * 24 * 24).map(|i| (i * 7 % 251) as u8).collect();
         let view = VolumeView::new(Scalars::U8(&voxels), [24, 24, 24]).unwrap();
-        let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+        let summary = VolumeSummary::new(&view).unwrap();
         let lobes = vec![GaussianLobe { center: 0.5, width: 0.05, height: 0.1 }];
         let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
         let mut transfer = TransferSummary::new(&summary, &table).unwrap();

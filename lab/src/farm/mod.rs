@@ -1,14 +1,12 @@
 //! Render farms in studies: tasks of recorded paths, and methods of load balancing.
 
-pub mod bars;
+pub(crate) mod bars;
 mod compare;
 mod factor;
 mod search;
-pub mod sort_last;
-pub mod stand_in;
+pub(crate) mod stand_in;
 mod tables;
 mod tasks;
 
-pub use compare::{Comparison, compare, second_measurement};
-pub use factor::Factor;
-pub use tasks::{Fitting, tasks_of_trace};
+pub(crate) use compare::{Comparison, compare, second_measurement};
+pub(crate) use tasks::tasks_of_trace;

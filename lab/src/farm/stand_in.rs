@@ -25,7 +25,7 @@ struct Asked {
 ///
 /// # Errors
 /// When the list cannot be read or a task is not in it.
-pub fn serve(list: &Path, scale: f64) -> Result<()> {
+pub(crate) fn serve(list: &Path, scale: f64) -> Result<()> {
     let tasks = read_tasks(list)?;
     let times: HashMap<&str, (f64, f64)> = tasks
         .iter()

@@ -1,29 +1,15 @@
 //! Tasks of a recorded path, predicted by a model that was fitted to other volumes.
 
 use super::factor::Factor;
-use crate::calibration::samples_of;
-use crate::fitted::Calibrated;
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::{Quality, Sample};
-use entire_cli::steering::model::SteeringModel;
-use entire_core::scene::{Scalars, Skipping, VolumeView};
+use entire_core::scene::Skipping;
 use entire_farm::Task;
 use entire_io::metrics::median;
 use entire_steer::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
 use entire_steer::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use std::path::PathBuf;
-
-/// Frames that the predictor of tasks is fitted to.
-#[derive(Clone, Copy, Debug)]
-pub struct Fitting<'a> {
-    /// Timing tables, if there is no `training`.
-    pub calibration: &'a [PathBuf],
-    /// Recorded frames of other volumes with the same transfer function.
-    pub training: &'a [PathBuf],
-    /// Rays along each side of the probe.
-    pub probe_side: usize,
-}
 
 /// Frames of recorded paths as samples, one scene per frame, and the volume of each.
 #[derive(Default)]
@@ -98,71 +84,49 @@ fn predicted(model: &mut AnalyticModel, s: &Sample) -> Result<f64> {
     Ok(f64::from(model.predict(&s.predictor_inputs(None))?.seconds))
 }
 
-/// Predictor of a recorded path's tasks.
-struct TaskPredictor {
-    predictor: Box<dyn Predictor + Send>,
-    volume_features: Option<Vec<f32>>,
-    factor: Factor,
-}
-
-/// Fits to recorded frames if there are any, else to timing tables.
-fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
-    let side = fitting.probe_side;
+/// The predictor of tasks, fitted to recorded frames of other volumes with a probe of `side` rays along each
+/// side: the analytic model, and the factor on its times. Prints its errors.
+fn task_predictor(training: &[PathBuf], side: usize) -> Result<(AnalyticModel, Factor)> {
     ensure!(
         (1..=MAX_PROBE_SIDE).contains(&side),
         "--probe-side is {side}; it must lie in 1 to {MAX_PROBE_SIDE}"
     );
-    let say = |title: &str, q: &Quality, how: &str| {
-        println!(
-            "predictor  {title} ({side} x {side} rays; {how} {} frames: median error {:.1} %, scatter {:.3})",
-            q.frames,
-            100.0 * q.median_error,
-            q.log_sd
-        );
-    };
-    // If there are frames like the tasks, only these count: frames with other transfer functions say little.
-    if !fitting.training.is_empty() {
-        let mut recorded = Recorded::default();
-        for file in fitting.training {
-            recorded.add(&Trace::open(file)?, side)?;
-        }
-        let (model, mut factor) = recorded.fit(|_| true)?;
-        if let Some([plain, with]) = recorded.leave_one_out()? {
-            let how = "each volume left out in turn,";
-            say("analytic cost model", &plain, how);
-            say("… times a factor learned from the view", &with, how);
-            if with.log_sd > plain.log_sd {
-                factor = Factor::none();
-            }
-        }
-        return Ok(TaskPredictor { predictor: Box::new(model), volume_features: None, factor });
-    }
     ensure!(
-        !fitting.calibration.is_empty(),
-        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes) \
-         or --calibration (timing tables)"
+        !training.is_empty(),
+        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes)"
     );
-    let samples = samples_of(fitting.calibration, side)?;
-    let nothing = [0u8];
-    let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
-    let calibrated = Calibrated::fit(&samples, &no_volume, 1)?;
-    let chosen: &SteeringModel = &calibrated.chosen().fitted;
-    say(chosen.title(), &calibrated.chosen().held_out, "fitted to other volumes,");
-    Ok(TaskPredictor {
-        predictor: chosen.predictor()?,
-        volume_features: chosen.volume_features().map(<[f32]>::to_vec),
-        factor: Factor::none(),
-    })
+    let mut recorded = Recorded::default();
+    for file in training {
+        recorded.add(&Trace::open(file)?, side)?;
+    }
+    let (model, mut factor) = recorded.fit(|_| true)?;
+    if let Some([plain, with]) = recorded.leave_one_out()? {
+        for (title, q) in [("analytic cost model", &plain), ("… times a factor learned from the view", &with)]
+        {
+            println!(
+                "predictor  {title} ({side} x {side} rays; each volume left out in turn, {} frames: median \
+                 error {:.1} %, scatter {:.3})",
+                q.frames,
+                100.0 * q.median_error,
+                q.log_sd
+            );
+        }
+        if with.log_sd > plain.log_sd {
+            factor = Factor::none();
+        }
+    }
+    Ok((model, factor))
 }
 
-/// Tasks of a recorded path: its frames at the reference step, predicted from recordings of other volumes.
+/// Tasks of a recorded path: its frames at the reference step, predicted from `training`, recordings of other
+/// volumes with the same transfer function, with a probe of `probe_side` rays along each side.
 ///
 /// # Errors
 /// When there are no frames to fit to, a file cannot be read, or a prediction fails.
-pub fn tasks_of_trace(trace: &Trace, fitting: &Fitting<'_>) -> Result<Vec<Task>> {
-    let TaskPredictor { mut predictor, volume_features, factor } = task_predictor(fitting)?;
+pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: usize) -> Result<Vec<Task>> {
+    let (mut predictor, factor) = task_predictor(training, probe_side)?;
     let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
-    let mut features = FrameFeatures::with_probe_side(fitting.probe_side);
+    let mut features = FrameFeatures::with_probe_side(probe_side);
     let mut tasks = Vec::with_capacity(trace.frames.len());
     let mut took = std::time::Duration::ZERO;
     for (index, at) in path.frames.iter().enumerate() {
@@ -182,7 +146,7 @@ pub fn tasks_of_trace(trace: &Trace, fitting: &Fitting<'_>) -> Result<Vec<Task>>
             setting,
             changes: Changes::default(),
             camera: at.parallel_scale.map_or(at.camera, |_| features.pose()),
-            volume_features: volume_features.as_deref(),
+            volume_features: None,
             lobes: lobes.as_deref(),
         })?;
         let seconds = f64::from(predicted.seconds) * factor.of(&features, &setting, at.camera);

@@ -2,9 +2,9 @@
 //! tables in all shading modes, models of the machine, a path with switches, and a report. Every step is stored
 //! when it is finished, so that an interrupted run can be continued.
 
-pub mod pictures;
-pub mod report;
-pub mod steps;
+pub(crate) mod pictures;
+pub(crate) mod report;
+pub(crate) mod steps;
 
 use anyhow::{Context, Result};
 use entire_io::files::{read_text, write_json};
@@ -14,7 +14,7 @@ use std::path::Path;
 /// State of a step at its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum State {
+pub(crate) enum State {
     /// Completed.
     Done,
     /// Ended at its time limit; its partial result is used.
@@ -29,7 +29,7 @@ pub enum State {
 
 impl State {
     /// The state in words.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Done => "done",
             Self::CutShort => "cut short",
@@ -40,27 +40,27 @@ impl State {
     }
 
     /// True if the step need not run again.
-    pub fn is_over(self) -> bool {
+    pub(crate) fn is_over(self) -> bool {
         matches!(self, Self::Done | Self::CutShort)
     }
 }
 
 /// Outcome of a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Outcome {
+pub(crate) struct Outcome {
     /// The step's name.
-    pub step: String,
+    pub(crate) step: String,
     /// Its state at the end.
-    pub state: State,
+    pub(crate) state: State,
     /// Wall seconds of the step.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// The last line of its output.
-    pub said: String,
+    pub(crate) said: String,
 }
 
 /// The outcomes in a folder, stored after each step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Outcomes(pub Vec<Outcome>);
+pub(crate) struct Outcomes(pub(crate) Vec<Outcome>);
 
 impl Outcomes {
     const FILE: &str = "steps.json";
@@ -69,7 +69,7 @@ impl Outcomes {
     ///
     /// # Errors
     /// When the file exists but holds no outcomes.
-    pub fn of(folder: &Path) -> Result<Self> {
+    pub(crate) fn of(folder: &Path) -> Result<Self> {
         let path = folder.join(Self::FILE);
         if !path.exists() {
             return Ok(Self::default());
@@ -79,7 +79,7 @@ impl Outcomes {
     }
 
     /// True if a step need not run again.
-    pub fn has(&self, step: &str) -> bool {
+    pub(crate) fn has(&self, step: &str) -> bool {
         self.0.iter().any(|o| o.step == step && o.state.is_over())
     }
 
@@ -87,7 +87,7 @@ impl Outcomes {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn keep(&mut self, outcome: Outcome, folder: &Path) -> Result<()> {
+    pub(crate) fn keep(&mut self, outcome: Outcome, folder: &Path) -> Result<()> {
         match self.0.iter_mut().find(|o| o.step == outcome.step) {
             Some(old) => *old = outcome,
             None => self.0.push(outcome),

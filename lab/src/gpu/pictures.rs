@@ -16,19 +16,19 @@ const CAMERAS: [(f32, f32, f32); 4] =
 
 /// Difference of a picture from the CPU version's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Difference {
+pub(crate) struct Difference {
     /// The volume file's name.
-    pub volume: String,
+    pub(crate) volume: String,
     /// Shading mode.
-    pub shading: String,
+    pub(crate) shading: String,
     /// The camera's number.
-    pub camera: usize,
+    pub(crate) camera: usize,
     /// Largest difference of a channel, on a scale of 0 to 255.
-    pub largest: u8,
+    pub(crate) largest: u8,
     /// Mean difference of the channels, on a scale of 0 to 255.
-    pub mean: f64,
+    pub(crate) mean: f64,
     /// True if device and CPU version count the same samples; `None` where one of them does not count.
-    pub same_samples: Option<bool>,
+    pub(crate) same_samples: Option<bool>,
 }
 
 /// Draws every volume in every shading mode from every camera on the device and on the CPU version. The
@@ -36,7 +36,12 @@ pub struct Difference {
 ///
 /// # Errors
 /// When a volume cannot be read or a renderer fails.
-pub fn compare(device: Device, volumes: &[PathBuf], side: u32, folder: &Path) -> Result<Vec<Difference>> {
+pub(crate) fn compare(
+    device: Device,
+    volumes: &[PathBuf],
+    side: u32,
+    folder: &Path,
+) -> Result<Vec<Difference>> {
     let mut renderer = device::open(device)?;
     let mut twin = CpuRaycaster::new();
     renderer.count_work(true);

@@ -10,24 +10,24 @@ use serde::Deserialize;
 use serde_json::Value;
 
 /// The shading modes, in the order of their cost.
-pub const MODES: [&str; 3] = ["none", "local", "scatter"];
+pub(crate) const MODES: [&str; 3] = ["none", "local", "scatter"];
 
 /// Results of a run. A missing one is of a step that did not run or failed.
-pub struct Found {
+pub(crate) struct Found {
     /// Outcomes of the steps.
-    pub outcomes: Outcomes,
+    pub(crate) outcomes: Outcomes,
     /// Output of `entire probe --json`.
-    pub probe: Option<Value>,
+    pub(crate) probe: Option<Value>,
     /// Comparison of pictures with the CPU version.
-    pub pictures: Vec<Difference>,
+    pub(crate) pictures: Vec<Difference>,
     /// Tables: kind (`frames`, `large`), mode, frames.
-    pub tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
+    pub(crate) tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
     /// Evaluations: kind, mode, output of `entire evaluate`.
-    pub evaluations: Vec<(&'static str, &'static str, Value)>,
+    pub(crate) evaluations: Vec<(&'static str, &'static str, Value)>,
     /// Output of `entire steer`.
-    pub switches: Option<Value>,
+    pub(crate) switches: Option<Value>,
     /// The clock of the reported times.
-    pub clock: Clock,
+    pub(crate) clock: Clock,
 }
 
 fn number(value: &Value, path: &[&str]) -> Option<f64> {
@@ -45,7 +45,7 @@ fn shown(value: Option<f64>, factor: f64, digits: usize) -> Cell {
 
 impl Found {
     /// Outcomes of the steps, as a table.
-    pub fn steps(&self) -> Table {
+    pub(crate) fn steps(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("step"),
             Column::text("state"),
@@ -65,7 +65,7 @@ impl Found {
     }
 
     /// Errors of the machine's models on held-out volumes.
-    pub fn errors(&self) -> Table {
+    pub(crate) fn errors(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("shading"),
             Column::text("frames"),
@@ -92,7 +92,7 @@ impl Found {
     }
 
     /// Median seconds by mode and image size.
-    pub fn times(&self) -> Table {
+    pub(crate) fn times(&self) -> Table {
         const EDGES: [u64; 4] = [0, 128 * 128, 512 * 512, u64::MAX];
         let mut columns =
             vec![Column::text("shading"), Column::text("frames"), Column::number("voxels, most")];
@@ -114,7 +114,7 @@ impl Found {
     }
 
     /// Frame times of each controller against the target.
-    pub fn held(&self) -> Table {
+    pub(crate) fn held(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("controller"),
             Column::number("> 1.1 T / %"),
@@ -136,17 +136,17 @@ impl Found {
     }
 
     /// Number of steps that failed, were skipped or are unfinished.
-    pub fn missing(&self) -> usize {
+    pub(crate) fn missing(&self) -> usize {
         self.outcomes.0.iter().filter(|o| !o.state.is_over()).count()
     }
 
     /// Largest difference of any picture from the CPU version's, on a scale of 0 to 255; `None` if none was drawn.
-    pub fn worst_picture(&self) -> Option<u8> {
+    pub(crate) fn worst_picture(&self) -> Option<u8> {
         self.pictures.iter().map(|d| d.largest).max()
     }
 
     /// The report as a page.
-    pub fn page(&self, device: String) -> Page {
+    pub(crate) fn page(&self, device: String) -> Page {
         let mut page = Page::new(
             "Study of a device",
             "Pictures against the CPU version, the cost of each part of a frame, frame times in three \

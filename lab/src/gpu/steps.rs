@@ -17,36 +17,36 @@ const GRACE: Duration = Duration::from_secs(10);
 
 /// Size of the study.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
+pub(crate) struct Extent {
     /// Frames per volume of the tables.
-    pub frames: u32,
+    pub(crate) frames: u32,
     /// Longest image side of the tables, pixels.
-    pub max_size: u32,
+    pub(crate) max_size: u32,
     /// Enlargement of volumes along each axis.
-    pub enlarge: u32,
+    pub(crate) enlarge: u32,
     /// Enlargement along each axis in the tables of large volumes; 0 for no such tables.
-    pub enlarge_large: u32,
+    pub(crate) enlarge_large: u32,
     /// Duration of each mode's calibration, seconds.
-    pub calibration: f64,
+    pub(crate) calibration: f64,
     /// Maximum number of frames of a calibration.
-    pub calibration_frames: u32,
+    pub(crate) calibration_frames: u32,
     /// Maximum number of volumes of a calibration; 0 for all.
-    pub calibration_volumes: usize,
+    pub(crate) calibration_volumes: usize,
     /// Time limit of collecting a table, seconds.
-    pub table: f64,
+    pub(crate) table: f64,
     /// Sides of the image in the steering step, pixels.
-    pub held_size: u32,
+    pub(crate) held_size: u32,
     /// Number of frames in the steering step.
-    pub held_frames: u32,
+    pub(crate) held_frames: u32,
     /// Maximum number of volumes of the tables.
-    pub volumes: usize,
+    pub(crate) volumes: usize,
     /// Sides of the pictures that are compared, pixels.
-    pub picture: u32,
+    pub(crate) picture: u32,
 }
 
 impl Extent {
     /// For a device that draws a frame in milliseconds.
-    pub const FULL: Self = Self {
+    pub(crate) const FULL: Self = Self {
         frames: 40,
         max_size: 1024,
         enlarge: 2,
@@ -61,7 +61,7 @@ impl Extent {
         picture: 256,
     };
     /// For tests on a software driver.
-    pub const SHORT: Self = Self {
+    pub(crate) const SHORT: Self = Self {
         frames: 6,
         max_size: 96,
         enlarge: 1,
@@ -79,19 +79,19 @@ impl Extent {
 
 /// A command that runs as a separate process.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Step {
+pub(crate) struct Step {
     /// Name of the step and of its log.
-    pub name: String,
+    pub(crate) name: String,
     /// Arguments of the command.
-    pub arguments: Vec<String>,
+    pub(crate) arguments: Vec<String>,
     /// Time limit, wall seconds.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// True if a partial result is of use.
-    pub partial: bool,
+    pub(crate) partial: bool,
     /// The file of its standard output, beside the logs.
-    pub output: Option<String>,
+    pub(crate) output: Option<String>,
     /// Files of an earlier attempt, which are removed before the command runs.
-    pub anew: Vec<PathBuf>,
+    pub(crate) anew: Vec<PathBuf>,
 }
 
 fn step(name: String, seconds: f64, partial: bool, arguments: Vec<String>) -> Step {
@@ -106,7 +106,7 @@ fn words(parts: &[&str]) -> Vec<String> {
 ///
 /// # Errors
 /// When the folder cannot be read or holds none.
-pub fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
+pub(crate) fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
     let help = "name a folder like the project's data/ with --data";
     let found =
         held_out_in(data).with_context(|| format!("cannot read the folder {}; {help}", data.display()))?;
@@ -124,7 +124,7 @@ pub fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
 ///
 /// # Errors
 /// When the folder cannot be read.
-pub fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>> {
+pub(crate) fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>> {
     if count == 0 {
         return Ok(Vec::new());
     }
@@ -135,7 +135,7 @@ pub fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>> {
 
 /// The steps of a shading mode: calibrate a model (on the given volumes, or on those that `entire calibrate` finds),
 /// collect frames of held-out volumes, and evaluate the model on them.
-pub fn of_mode(
+pub(crate) fn of_mode(
     mode: &str,
     out: &Path,
     (calibrated, volumes): (&[PathBuf], &[PathBuf]),
@@ -183,13 +183,13 @@ pub fn of_mode(
 }
 
 /// The step that measures the device's rates.
-pub fn probe(device: &str) -> Step {
+pub(crate) fn probe(device: &str) -> Step {
     let arguments = words(&["probe", "--json", "--device", device]);
     Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }
 }
 
 /// The steering step: a path with three switches, with a target, under five controllers.
-pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, extent: Extent) -> Step {
+pub(crate) fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, extent: Extent) -> Step {
     let (device, clock) = device;
     let mut steer = words(&["steer", &volume.to_string_lossy(), "--generate", "switches"]);
     steer.extend(words(&["--device", device, "--clock", clock, "--model"]));
@@ -207,7 +207,13 @@ pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, ex
 ///
 /// # Errors
 /// When the command cannot be started, or the user asked to stop.
-pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &AtomicBool) -> Result<Outcome> {
+pub(crate) fn run(
+    step: &Step,
+    entire: &Path,
+    out: &Path,
+    deadline: Instant,
+    stop: &AtomicBool,
+) -> Result<Outcome> {
     let begin = Instant::now();
     let own = begin + Duration::from_secs_f64(step.seconds);
     let end = deadline.min(own);
@@ -227,7 +233,7 @@ pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &Ato
         .stdout(output)
         .stderr(said)
         .spawn()
-        .with_context(|| format!("cannot run {}; name the command with --entire", entire.display()))?;
+        .with_context(|| format!("cannot run {}", entire.display()))?;
     let over = || interrupt::requested(stop) || Instant::now() >= end;
     let child::Ended { status, asked: cut } = child::wait(&mut child, over, Signal::SIGINT, GRACE)?;
     ensure!(!interrupt::requested(stop), "stopped; the same command continues from here");

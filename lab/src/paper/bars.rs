@@ -11,15 +11,15 @@ use crate::bars::Bar;
 
 /// A table or figure of the paper in our report.
 #[derive(Clone, Debug)]
-pub struct Shown {
+pub(crate) struct Shown {
     /// The paper's label.
-    pub label: String,
+    pub(crate) label: String,
     /// True if there is a table or figure of ours.
-    pub there: bool,
+    pub(crate) there: bool,
     /// The command that makes it.
-    pub command: String,
+    pub(crate) command: String,
     /// Our number and the paper's, in words.
-    pub summary: String,
+    pub(crate) summary: String,
 }
 
 /// Errors of our predictor on a split.
@@ -42,7 +42,7 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
 
 /// The bars; one without a value is short. Bars on a data set are about the paper's base mode and the split that the
 /// paper uses for it.
-pub fn bars(
+pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],
     shown: &[Shown],

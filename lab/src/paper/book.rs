@@ -13,7 +13,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// The page's file name.
-pub const PAGE: &str = "paper-tables.md";
+pub(crate) const PAGE: &str = "paper-tables.md";
 
 /// The folder of its charts and pictures, beside it.
 const IMAGES: &str = "images/paper";
@@ -22,7 +22,7 @@ const IMAGES: &str = "images/paper";
 ///
 /// # Errors
 /// When a file cannot be read or written.
-pub fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
+pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
     let images = pages.join(IMAGES);
     make_folder(&images)?;
     let mut out = String::from(

@@ -5,13 +5,13 @@ use super::judge::{NETWORK, OURS};
 use super::results::{Fact, MEASURED, ORBIT_CHART, Results, read_all, write};
 use anyhow::Result;
 use entire_farm::{Method, Plan, Task, plan};
-use entire_io::files::{fnv1a, make_folder_of, write_whole};
+use entire_io::files::{fnv1a_text, make_folder_of, write_whole};
 use entire_io::metrics::percentile;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Numbers of nodes.
-pub const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
+pub(crate) const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
 /// Name of the assignment by equal times, as without any prediction.
 const UNIFORM: &str = "uniform";
 /// Name of the assignment by measured times.
@@ -25,7 +25,7 @@ pub(super) fn slowest_node(all: &[Results], predictor: &str) -> Option<f64> {
 }
 
 /// Path of the list of the orbit's tasks, which `entire-lab farm` reads.
-pub fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
+pub(crate) fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
     out.join("cases").join(format!("tasks-{set}-{mode}.csv"))
 }
 
@@ -34,7 +34,7 @@ pub fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
 ///
 /// # Errors
 /// When results cannot be read or written.
-pub fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
+pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
     let all = read_all(out, Vec::new())?;
     for from in all.iter().filter(|r| r.panel == Panel::Varied) {
         let times = |name: &str| -> Option<Vec<f64>> {
@@ -49,7 +49,7 @@ pub fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
             continue;
         }
         let text = serde_json::to_string(&(&measured, &network, &ours))?;
-        let mark = format!("{:016x}", fnv1a(text.as_bytes()));
+        let mark = fnv1a_text(text.as_bytes());
         let mut results = Results::new(Panel::Balancing, &from.set, &from.mode, mark);
         (results.device, results.machine) = (from.device.clone(), from.machine.clone());
         results.encoder.clone_from(&from.encoder);

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 /// Frames of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub(crate) enum Kind {
     /// Random frames of every volume.
     Random,
     /// One parameter varied at a time, and an orbit.
@@ -28,7 +28,7 @@ pub enum Kind {
 }
 
 /// The table of a data set and mode; `low` is that of its low-resolution proxy.
-pub fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> PathBuf {
+pub(crate) fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> PathBuf {
     let kind = if kind == Kind::Varied { "-varied" } else { "" };
     let low = if low { "-low" } else { "" };
     out.join("tables").join(format!("{set}-{mode}{kind}{low}.csv"))
@@ -38,7 +38,7 @@ pub fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> P
 ///
 /// # Errors
 /// For an unknown mode.
-pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
+pub(crate) fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
     let own = paper.in_mode.get(mode).copied().unwrap_or_default();
     Ok(Protocol {
         frames: paper.frames.training,
@@ -61,13 +61,13 @@ pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
 }
 
 /// Experiments with one varied parameter, by the thousands digit of their frame numbers.
-pub const EXPERIMENTS: [&str; 4] = ["volume", "image resolution", "transfer function", "camera pose"];
+pub(crate) const EXPERIMENTS: [&str; 4] = ["volume", "image resolution", "transfer function", "camera pose"];
 /// First frame number of the orbit for load balancing: poses around several volumes.
-pub const ORBIT: u64 = 10_000;
+pub(crate) const ORBIT: u64 = 10_000;
 /// First frame number of the same orbit with a random transfer function for every pose.
-pub const DRAWN_ORBIT: u64 = 20_000;
+pub(crate) const DRAWN_ORBIT: u64 = 20_000;
 /// Number of frame numbers that are reserved for each experiment.
-pub const PER_EXPERIMENT: u64 = 1_000;
+pub(crate) const PER_EXPERIMENT: u64 = 1_000;
 
 /// A frame to render: its number, the index of its volume among the jobs, its scene without shading mode and
 /// voxels.
@@ -229,7 +229,7 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, a table of other settings, and being stopped.
-pub fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
+pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     make_folder(&work.out.join("tables"))?;
     let template = "collect [{bar:30}] {pos}/{len}, {eta} left  {wide_msg}";
     for place in places {

@@ -13,7 +13,7 @@ use entire_cli::steering::calibrate::response;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::play::ActsOn;
 use entire_core::scene::Frame;
-use entire_io::files::{fnv1a, make_folder, read_bytes, read_text, write_whole};
+use entire_io::files::{fnv1a_text, make_folder, read_bytes, read_text, write_whole};
 use entire_report::{Axis, Chart, Column, Mark, Series, Table, encode_png};
 use entire_steer::features::PROBE_SIDE;
 use entire_vk_raycaster::{Image, Renderer};
@@ -76,15 +76,15 @@ const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
 const SIDE: u32 = 128;
 
 /// Replayed paths of a data set.
-pub struct Played<'a> {
+pub(crate) struct Played<'a> {
     /// The recorded paths.
-    pub traces: &'a [PathBuf],
+    pub(crate) traces: &'a [PathBuf],
     /// Output of `entire-lab replay` with the paper's network.
-    pub network: &'a Path,
+    pub(crate) network: &'a Path,
     /// Output for the hybrid controller with its own predictor.
-    pub ours: &'a Path,
+    pub(crate) ours: &'a Path,
     /// The calibration table, from which G, the curve of frame time over ray step, is made.
-    pub calibration: &'a Path,
+    pub(crate) calibration: &'a Path,
 }
 
 /// A frame of `frames.csv`.
@@ -115,7 +115,7 @@ fn rows(folder: &Path) -> Result<Vec<Row>> {
 ///
 /// # Errors
 /// When the folder or a path in it cannot be read.
-pub fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
+pub(crate) fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
     files.retain(|p| p.to_string_lossy().ends_with(".json") || p.to_string_lossy().ends_with(".json.gz"));
@@ -135,7 +135,7 @@ pub fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
 ///
 /// # Errors
 /// When a file cannot be read or written, and when the renderer fails.
-pub fn keep(
+pub(crate) fn keep(
     work: &Work<'_>,
     played: &Played<'_>,
     (set, mode): (&str, &str),
@@ -150,7 +150,7 @@ pub fn keep(
     };
     let (text, network) = scores(played.network)?;
     let (ours_text, ours) = scores(played.ours)?;
-    let mark = format!("{:016x}", fnv1a((text + &ours_text).as_bytes()));
+    let mark = fnv1a_text((text + &ours_text).as_bytes());
     let mut results = Results::new(Panel::Steering, set, mode, mark);
     let traces = network["traces"].as_array().cloned().unwrap_or_default();
     let provenance = traces.first().map(|t| t["provenance"].clone()).unwrap_or_default();

@@ -18,113 +18,113 @@ pub(super) const BY_MODALITY: &str = "modality";
 /// Contents of a description file. Paths are relative to the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Paper {
+pub(crate) struct Paper {
     /// Title of the report.
-    pub title: String,
+    pub(crate) title: String,
     /// Clock of the frame times.
-    pub clock: String,
+    pub(crate) clock: String,
     /// Seed of the scenes.
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Frames per volume.
-    pub frames: FrameCounts,
+    pub(crate) frames: FrameCounts,
     /// Renderings of each frame.
-    pub repeats: u32,
+    pub(crate) repeats: u32,
     /// Renderings discarded after each volume is loaded.
-    pub warm_up: u32,
+    pub(crate) warm_up: u32,
     /// Enlargement of the volumes at load.
-    pub enlarge: usize,
+    pub(crate) enlarge: usize,
     /// Voxels per side of the volumes of the low-resolution proxy (LVRP).
-    pub proxy: usize,
+    pub(crate) proxy: usize,
     /// Distribution of the scenes.
-    pub scenes: SceneDistribution,
+    pub(crate) scenes: SceneDistribution,
     /// Other settings for modes whose frames take far longer.
     #[serde(default)]
-    pub in_mode: BTreeMap<String, InMode>,
+    pub(crate) in_mode: BTreeMap<String, InMode>,
     /// Data sets.
-    pub data_sets: Vec<DataSet>,
+    pub(crate) data_sets: Vec<DataSet>,
     /// Collection of frames that yt draws.
-    pub yt: YtFrames,
+    pub(crate) yt: YtFrames,
     /// VolumeNets to train, and their training.
-    pub encoders: Encoders,
+    pub(crate) encoders: Encoders,
     /// Number of training runs of each network, with different seeds.
-    pub runs: usize,
+    pub(crate) runs: usize,
     /// Recipe of the paper's network.
-    pub network: Recipe,
+    pub(crate) network: Recipe,
     /// Recipe of our predictor, by mode.
-    pub ours: BTreeMap<String, Recipe>,
+    pub(crate) ours: BTreeMap<String, Recipe>,
     /// Shares of the training frames to train on, in the study of their number.
-    pub shares: Vec<f64>,
+    pub(crate) shares: Vec<f64>,
     /// Names of PredNet's layers to compare.
-    pub depths: Vec<String>,
+    pub(crate) depths: Vec<String>,
     /// Name of the PredNet with which encoders are compared.
-    pub encoder_depth: String,
+    pub(crate) encoder_depth: String,
     /// The two architectures of the final selection: the encoder's input side and features, PredNet's layers.
-    pub finalists: Vec<(usize, usize, String)>,
+    pub(crate) finalists: Vec<(usize, usize, String)>,
     /// Fine-tuning.
-    pub tuning: Tuning,
+    pub(crate) tuning: Tuning,
     /// Load balancing.
-    pub orbit: Orbit,
+    pub(crate) orbit: Orbit,
     /// Experiments on the causes of the network's error.
-    pub trials: Trials,
+    pub(crate) trials: Trials,
     /// For each part of the study, the data sets and modes that it is made of; `overall` is made of all.
-    pub panels: BTreeMap<Panel, Vec<(String, String)>>,
+    pub(crate) panels: BTreeMap<Panel, Vec<(String, String)>>,
     /// The paper's tables and figures.
-    pub labels: Vec<Label>,
+    pub(crate) labels: Vec<Label>,
     /// Limits of the bars.
-    pub limits: Limits,
+    pub(crate) limits: Limits,
 }
 
 /// Settings of one mode; `None` for the settings of all modes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct InMode {
+pub(crate) struct InMode {
     /// Renderings of each frame.
-    pub repeats: Option<u32>,
+    pub(crate) repeats: Option<u32>,
     /// Longest image side, pixels.
-    pub max_size: Option<u32>,
+    pub(crate) max_size: Option<u32>,
 }
 
 /// Frames per volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct FrameCounts {
+pub(crate) struct FrameCounts {
     /// Frames of a training volume.
-    pub training: u32,
+    pub(crate) training: u32,
     /// Frames of a validation or test volume; and, for every volume, frames at low resolution, to which the
     /// proxy's line is fitted.
-    pub held_out: u32,
+    pub(crate) held_out: u32,
     /// Frames of an experiment with one varied parameter.
-    pub varied: u32,
+    pub(crate) varied: u32,
 }
 
 /// A data set.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct DataSet {
+pub(crate) struct DataSet {
     /// Name of its folder, in the data folder or in `ensembles` there.
-    pub name: String,
+    pub(crate) name: String,
     /// The name in reports.
-    pub title: String,
+    pub(crate) title: String,
     /// Name of the data set in the paper, if the paper has it.
     #[serde(default)]
-    pub paper: Option<String>,
+    pub(crate) paper: Option<String>,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
-    pub modes: Vec<String>,
+    pub(crate) modes: Vec<String>,
     /// True if it holds volumes of another kind, on which models of the other data sets are only tested.
     #[serde(default)]
-    pub only_tests: bool,
+    pub(crate) only_tests: bool,
     /// The paper's split of this data set.
     #[serde(default)]
-    pub rule: Rule,
+    pub(crate) rule: Rule,
     /// The members of the split by member.
     #[serde(default)]
-    pub members: Option<MemberSplit>,
+    pub(crate) members: Option<MemberSplit>,
 }
 
 /// The split by which the paper tests on a data set; the paper's main numbers are those of this split.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Rule {
+pub(crate) enum Rule {
     /// Random volumes, as for MAESTROeX.
     #[default]
     Volumes,
@@ -134,7 +134,7 @@ pub enum Rule {
 
 impl Rule {
     /// The split's name in results.
-    pub const fn split(self) -> &'static str {
+    pub(crate) const fn split(self) -> &'static str {
         match self {
             Self::Volumes => BY_VOLUMES,
             Self::Members => BY_MEMBERS,
@@ -142,7 +142,7 @@ impl Rule {
     }
 
     /// The rule of the split on which the paper does not test.
-    pub const fn other(self) -> Self {
+    pub(crate) const fn other(self) -> Self {
         match self {
             Self::Volumes => Self::Members,
             Self::Members => Self::Volumes,
@@ -153,158 +153,158 @@ impl Rule {
 /// Roles of ensemble members in the split by member; all others are for training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MemberSplit {
+pub(crate) struct MemberSplit {
     /// Members that decide when training stops; if empty, a tenth of the other members' volumes does.
     #[serde(default)]
-    pub validation: BTreeSet<String>,
+    pub(crate) validation: BTreeSet<String>,
     /// Members for testing.
-    pub test: BTreeSet<String>,
+    pub(crate) test: BTreeSet<String>,
 }
 
 /// Collection of frames that yt draws.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct YtFrames {
+pub(crate) struct YtFrames {
     /// The Python program that collects them.
-    pub script: PathBuf,
+    pub(crate) script: PathBuf,
     /// Renderings of each frame.
-    pub repeats: u32,
+    pub(crate) repeats: u32,
     /// Shortest image side, pixels.
-    pub min_size: u32,
+    pub(crate) min_size: u32,
     /// Longest image side, pixels.
-    pub max_size: u32,
+    pub(crate) max_size: u32,
 }
 
 /// The VolumeNets to train, and their training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Encoders {
+pub(crate) struct Encoders {
     /// The training script.
-    pub script: PathBuf,
+    pub(crate) script: PathBuf,
     /// Sides of the input, voxels.
-    pub sizes: Vec<usize>,
+    pub(crate) sizes: Vec<usize>,
     /// Lengths of the feature vector.
-    pub features: Vec<usize>,
+    pub(crate) features: Vec<usize>,
     /// Maximum number of epochs.
-    pub epochs: usize,
+    pub(crate) epochs: usize,
     /// Epochs without a better validation loss after which training stops.
-    pub patience: usize,
-    /// Input side and features of the main encoder: the one in all parts that compare no encoders.
-    pub main: (usize, usize),
+    pub(crate) patience: usize,
+    /// Input side and number of features of the main encoder: every part uses it that does not compare encoders.
+    pub(crate) main: (usize, usize),
     /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main encoder.
-    pub shipped: Vec<PathBuf>,
+    pub(crate) shipped: Vec<PathBuf>,
     /// The capacity sweep.
-    pub capacity: Capacity,
+    pub(crate) capacity: Capacity,
 }
 
 /// The capacity sweep: quality of the reconstruction by the number of channels of the encoder's blocks.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Capacity {
+pub(crate) struct Capacity {
     /// Data sets.
-    pub data_sets: Vec<String>,
+    pub(crate) data_sets: Vec<String>,
     /// Side of the input, voxels.
-    pub size: usize,
+    pub(crate) size: usize,
     /// Length of the feature vector.
-    pub features: usize,
+    pub(crate) features: usize,
     /// Output channels of the blocks of each VolumeNet to train.
-    pub channels: Vec<Vec<usize>>,
+    pub(crate) channels: Vec<Vec<usize>>,
 }
 
 /// Fine-tuning of a pre-trained network.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Tuning {
+pub(crate) struct Tuning {
     /// Mode of the frames for pre-training, which uses all data sets together.
-    pub mode: String,
+    pub(crate) mode: String,
     /// Numbers of frames for fine-tuning.
-    pub frames: Vec<usize>,
+    pub(crate) frames: Vec<usize>,
     /// Epochs of fine-tuning.
-    pub epochs: usize,
+    pub(crate) epochs: usize,
     /// Tables of other renderers: name, training table, test table. If both tables are the same, random halves of
     /// its frames serve for training and for testing.
-    pub renderers: Vec<(String, PathBuf, PathBuf)>,
+    pub(crate) renderers: Vec<(String, PathBuf, PathBuf)>,
     /// Tables of the same renderer on other machines, in the same form.
     #[serde(default)]
-    pub machines: Vec<(String, PathBuf, PathBuf)>,
+    pub(crate) machines: Vec<(String, PathBuf, PathBuf)>,
 }
 
 /// Load balancing: images of a few time steps from many poses of an orbit.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Orbit {
+pub(crate) struct Orbit {
     /// Number of time steps.
-    pub volumes: usize,
+    pub(crate) volumes: usize,
     /// Number of poses for each time step.
-    pub poses: usize,
+    pub(crate) poses: usize,
     /// Sides of the images, pixels.
-    pub size: u32,
+    pub(crate) size: u32,
 }
 
 /// Experiments on the causes of the network's error, on frames of the repository.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Trials {
+pub(crate) struct Trials {
     /// Tables of measured frames, one entry per mode; the changes are tried in the first mode.
-    pub tables: Vec<TrialTables>,
+    pub(crate) tables: Vec<TrialTables>,
     /// Table of frames of the first mode's training volumes, whose times (labels) a teacher model predicted.
-    pub labels: PathBuf,
+    pub(crate) labels: PathBuf,
     /// Trainings on labels: number of labels of each volume, and number of epochs.
-    pub frames: Vec<(usize, usize)>,
+    pub(crate) frames: Vec<(usize, usize)>,
     /// Number of runs of each training on labels.
-    pub label_runs: usize,
+    pub(crate) label_runs: usize,
     /// Number of training runs of each change.
-    pub runs: usize,
+    pub(crate) runs: usize,
     /// Number of epochs on the measured frames.
-    pub epochs: usize,
+    pub(crate) epochs: usize,
     /// Changes of the recipe, tried one at a time.
-    pub changes: Vec<Change>,
+    pub(crate) changes: Vec<Change>,
 }
 
 /// Tables of measured frames of one mode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TrialTables {
+pub(crate) struct TrialTables {
     /// The mode.
-    pub mode: String,
+    pub(crate) mode: String,
     /// Training and validation frames.
-    pub training: PathBuf,
+    pub(crate) training: PathBuf,
     /// The same frames as rendered by the low-resolution proxy.
-    pub training_low: PathBuf,
+    pub(crate) training_low: PathBuf,
     /// Test frames, of ensemble members that are not in the training table.
-    pub test: PathBuf,
+    pub(crate) test: PathBuf,
     /// The same frames as rendered by the low-resolution proxy.
-    pub test_low: PathBuf,
+    pub(crate) test_low: PathBuf,
 }
 
 /// A change of the paper's recipe.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Change {
+pub(crate) struct Change {
     /// Name in tables.
-    pub name: String,
+    pub(crate) name: String,
     /// True to sort the Gaussian lobes by ascending center.
-    pub sorted_lobes: bool,
+    pub(crate) sorted_lobes: bool,
     /// True to train on every frame with its Gaussian lobes in each order, with the same number of optimizer steps.
-    pub every_order: bool,
+    pub(crate) every_order: bool,
     /// True to take logarithms of image sides, and of widths and heights of lobes.
-    pub log_inputs: bool,
+    pub(crate) log_inputs: bool,
     /// True to state the image's size as one number, the geometric mean of its sides.
-    pub one_resolution: bool,
+    pub(crate) one_resolution: bool,
     /// Output of the network; `None` for that of the recipe.
-    pub target: Option<TargetChoice>,
+    pub(crate) target: Option<TargetChoice>,
     /// Frames per optimizer step; `None` for those of the recipe.
-    pub batch: Option<usize>,
+    pub(crate) batch: Option<usize>,
     /// True to leave gradients unclipped.
-    pub no_clipping: bool,
+    pub(crate) no_clipping: bool,
     /// Frames by whose error the epoch of the weights is chosen.
-    pub validation: Validation,
+    pub(crate) validation: Validation,
 }
 
 /// Frames by whose error the epoch of the weights is chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Validation {
+pub(crate) enum Validation {
     /// The description's number of frames of each validation volume.
     #[default]
     Few,
@@ -318,7 +318,7 @@ pub enum Validation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
-pub enum Panel {
+pub(crate) enum Panel {
     /// The network, our predictor and both baselines on every data set and mode; by volumes, members and modality.
     Overall,
     /// The network without one of its inputs, each input in turn.
@@ -349,7 +349,7 @@ pub enum Panel {
 
 impl Panel {
     /// Name of the part in files and commands.
-    pub fn name(self) -> String {
+    pub(crate) fn name(self) -> String {
         serde_json::to_value(self).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
     }
 }
@@ -357,82 +357,82 @@ impl Panel {
 /// A table or figure of the paper.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Label {
+pub(crate) struct Label {
     /// The paper's label.
-    pub label: String,
+    pub(crate) label: String,
     /// Title of the table or figure.
-    pub title: String,
+    pub(crate) title: String,
     /// The part of the study with our counterpart.
-    pub panel: Panel,
+    pub(crate) panel: Panel,
     /// The command that makes our counterpart.
-    pub command: String,
+    pub(crate) command: String,
     /// The paper's numbers.
     #[serde(default)]
-    pub paper: Option<Numbers>,
+    pub(crate) paper: Option<Numbers>,
     /// Our picture, if it is in the repository.
     #[serde(default)]
-    pub picture: Option<PathBuf>,
+    pub(crate) picture: Option<PathBuf>,
     /// Note on a difference from the paper that cannot be avoided.
     #[serde(default)]
-    pub note: String,
+    pub(crate) note: String,
 }
 
 /// A table of the paper's numbers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Numbers {
+pub(crate) struct Numbers {
     /// Headings of the columns; the first column holds the names of the rows.
-    pub columns: Vec<String>,
+    pub(crate) columns: Vec<String>,
     /// Rows: a name, then numbers; `None` for missing ones.
-    pub rows: Vec<(String, Vec<Option<f64>>)>,
+    pub(crate) rows: Vec<(String, Vec<Option<f64>>)>,
 }
 
 /// Limits of the bars.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Limits {
+pub(crate) struct Limits {
     /// RMSE of the network over that of the mean of 15 % of the frames, by data set: in the base mode, on the
     /// paper's split.
-    pub over_constant: BTreeMap<String, f64>,
+    pub(crate) over_constant: BTreeMap<String, f64>,
     /// The same ratio on frames that yt drew, for each of these data sets.
-    pub yt_over_constant: f64,
+    pub(crate) yt_over_constant: f64,
     /// RMSE of the network over LVRP's, at the paper's ratio of voxels.
-    pub over_lvrp: f64,
+    pub(crate) over_lvrp: f64,
     /// Voxels of the paper's volumes over those that its LVRP renders.
-    pub lvrp_voxels: f64,
+    pub(crate) lvrp_voxels: f64,
     /// RMSE of ours over the network's.
-    pub ours_over_network: f64,
+    pub(crate) ours_over_network: f64,
     /// Error without the feature vector over that with it, where volumes differ in sparsity: in the ablation, and
     /// where the volume alone varies.
-    pub feature_vector: (f64, f64),
+    pub(crate) feature_vector: (f64, f64),
     /// Peak signal-to-noise ratio of reconstructed held-out volumes, dB.
-    pub psnr: f64,
+    pub(crate) psnr: f64,
     /// Number of data sets that must reach this ratio.
-    pub data_sets: usize,
+    pub(crate) data_sets: usize,
     /// Mean distance from the target of Algorithm 1 with the network over that of OLP: in the first frame after a
     /// change, and over all frames.
-    pub algorithm1_over_olp: (f64, f64),
+    pub(crate) algorithm1_over_olp: (f64, f64),
     /// Load of the slowest node when tasks are assigned by the network's times, over that by measured times.
-    pub slowest_node: f64,
+    pub(crate) slowest_node: f64,
     /// Seconds that the report may take.
-    pub report_seconds: f64,
+    pub(crate) report_seconds: f64,
 }
 
 /// Modes of our raycaster.
-pub const RAYCASTER_MODES: [&str; 3] = ["none", "local", "scatter"];
+pub(crate) const RAYCASTER_MODES: [&str; 3] = ["none", "local", "scatter"];
 /// The base mode: the paper's raycaster shades by local lighting.
-pub const BASE_MODE: &str = "local";
+pub(crate) const BASE_MODE: &str = "local";
 /// The mode of frames that yt drew.
-pub const YT: &str = "yt";
+pub(crate) const YT: &str = "yt";
 
 impl Paper {
     /// A data set by its name.
-    pub fn data_set(&self, name: &str) -> Option<&DataSet> {
+    pub(crate) fn data_set(&self, name: &str) -> Option<&DataSet> {
         self.data_sets.iter().find(|d| d.name == name)
     }
 
     /// The paper's split of a data set.
-    pub fn rule(&self, set: &str) -> Rule {
+    pub(crate) fn rule(&self, set: &str) -> Rule {
         self.data_set(set).map_or_else(Rule::default, |d| d.rule)
     }
 
@@ -440,7 +440,7 @@ impl Paper {
     ///
     /// # Errors
     /// If the description has none.
-    pub fn ours_for(&self, mode: &str) -> Result<&Recipe> {
+    pub(crate) fn ours_for(&self, mode: &str) -> Result<&Recipe> {
         self.ours.get(mode).with_context(|| format!("the description has no recipe `ours` for mode {mode:?}"))
     }
 }
@@ -449,7 +449,7 @@ impl Paper {
 ///
 /// # Errors
 /// When the file cannot be read or holds an invalid value.
-pub fn read(path: &Path) -> Result<Paper> {
+pub(crate) fn read(path: &Path) -> Result<Paper> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut paper: Paper = serde_json::from_str(&text)
         .with_context(|| format!("{} is no description of the paper's study", path.display()))?;

@@ -20,26 +20,26 @@ use std::time::Duration;
 const GRACE: Duration = Duration::from_secs(600);
 
 /// Name of the encoder that is trained on all data sets.
-pub const ALL: &str = "all";
+pub(crate) const ALL: &str = "all";
 /// Name of the shipped encoders, which were trained on all data sets, with whole members held out.
-pub const SHIPPED: &str = "shipped";
+pub(crate) const SHIPPED: &str = "shipped";
 
 /// An encoder to train.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Encoder {
+pub(crate) struct Encoder {
     /// A data set, or [`ALL`].
-    pub set: String,
+    pub(crate) set: String,
     /// Input side.
-    pub size: usize,
+    pub(crate) size: usize,
     /// Length of the feature vector.
-    pub features: usize,
+    pub(crate) features: usize,
     /// Output channels of the blocks; those of the script if empty.
-    pub channels: Vec<usize>,
+    pub(crate) channels: Vec<usize>,
 }
 
 impl Encoder {
     /// Path of the model file.
-    pub fn path(&self, out: &Path) -> PathBuf {
+    pub(crate) fn path(&self, out: &Path) -> PathBuf {
         let Self { set, size, features, channels } = self;
         let widths: Vec<String> = channels.iter().map(ToString::to_string).collect();
         let widths = if widths.is_empty() { String::new() } else { format!("-c{}", widths.join("-")) };
@@ -50,7 +50,7 @@ impl Encoder {
     ///
     /// # Errors
     /// When the record cannot be read.
-    pub fn record(&self, out: &Path) -> Result<Option<Record>> {
+    pub(crate) fn record(&self, out: &Path) -> Result<Option<Record>> {
         let path = self.path(out).with_extension("json");
         if !path.exists() {
             return Ok(None);
@@ -62,44 +62,49 @@ impl Encoder {
 
 /// Record that the training script writes beside a model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Record {
+pub(crate) struct Record {
     /// Inputs and results of the training.
-    pub provenance: Provenance,
+    pub(crate) provenance: Provenance,
     /// Seconds of the training.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
 }
 
 /// Inputs and results of a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Provenance {
+pub(crate) struct Provenance {
     /// Mean peak signal-to-noise ratio over volumes, dB, by part and data set.
-    pub psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
+    pub(crate) psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
     /// Epochs that ran.
-    pub epochs_run: usize,
+    pub(crate) epochs_run: usize,
     /// The epoch of the stored weights.
-    pub best_epoch: usize,
+    pub(crate) best_epoch: usize,
     /// Reason for the end of the training.
-    pub stopped: String,
+    pub(crate) stopped: String,
     /// Machine and library.
-    pub machine: String,
+    pub(crate) machine: String,
     /// Number of volumes by part.
-    pub volumes: BTreeMap<String, usize>,
+    pub(crate) volumes: BTreeMap<String, usize>,
 }
 
 impl Record {
     /// True if the training was completed.
-    pub fn complete(&self) -> bool {
+    pub(crate) fn complete(&self) -> bool {
         !self.provenance.stopped.starts_with("interrupted")
     }
 
     /// Mean peak signal-to-noise ratio over the volumes of a part (`train`, `validation`, `test`) of a data set, dB.
-    pub fn psnr(&self, part: &str, set: &str) -> Option<f64> {
+    pub(crate) fn psnr(&self, part: &str, set: &str) -> Option<f64> {
         self.provenance.psnr_db.get(part)?.get(set).copied()
     }
 }
 
 /// Every encoder of the study that can be trained on the available data sets, filtered by size and length.
-pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[usize]) -> Vec<Encoder> {
+pub(crate) fn encoders(
+    work: &Work<'_>,
+    places: &[Place],
+    sizes: &[usize],
+    features: &[usize],
+) -> Vec<Encoder> {
     let asked = &work.paper.encoders;
     let wanted = |list: &[usize], n: usize| list.is_empty() || list.contains(&n);
     let mut out = Vec::new();
@@ -133,7 +138,12 @@ pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[
 ///
 /// # Errors
 /// When Python or the script fails, and when it is stopped.
-pub fn encode(work: &Work<'_>, places: &[Place], encoders: &[Encoder], threads: Option<usize>) -> Result<()> {
+pub(crate) fn encode(
+    work: &Work<'_>,
+    places: &[Place],
+    encoders: &[Encoder],
+    threads: Option<usize>,
+) -> Result<()> {
     make_folder(&work.out.join("volumenet"))?;
     let root = places.first().context("no data set")?.root.clone();
     for (i, encoder) in encoders.iter().enumerate() {

@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use entire_cli::commands::features;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Clock, Table};
-use entire_io::files::{fnv1a, open_model, read_bytes};
+use entire_io::files::{fnv1a_text, open_model, read_bytes};
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_train::fit::Recipe;
 use entire_train::split::TimedFrames;
@@ -221,7 +221,7 @@ pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table
     }
     for split in [BY_VOLUMES, BY_MEMBERS] {
         let bytes = read_bytes(&main_encoder(work, set, split)?.0)?;
-        text += &format!(" {:016x}", fnv1a(&bytes));
+        text += &format!(" {}", fnv1a_text(&bytes));
     }
-    Ok(format!("{:016x}", fnv1a(text.as_bytes())))
+    Ok(fnv1a_text(text.as_bytes()))
 }

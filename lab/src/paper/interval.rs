@@ -15,11 +15,11 @@ const SEED: u64 = 1;
 
 /// Squared errors on the frames of one volume.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Errors {
+pub(crate) struct Errors {
     /// Number of frames.
-    pub frames: usize,
+    pub(crate) frames: usize,
     /// Sum of squared errors over the frames, seconds squared, by training run.
-    pub squared: Vec<f64>,
+    pub(crate) squared: Vec<f64>,
 }
 
 /// Squared errors by volume.

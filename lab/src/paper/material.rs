@@ -12,37 +12,37 @@ use std::path::Path;
 
 /// An encoder, with its quality of reconstruction.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Reconstruction {
+pub(crate) struct Reconstruction {
     /// The encoder.
-    pub encoder: Encoder,
+    pub(crate) encoder: Encoder,
     /// Record of its training.
-    pub record: Record,
+    pub(crate) record: Record,
 }
 
 impl Reconstruction {
     /// Mean peak signal-to-noise ratio over the test volumes of the encoder's data set, dB.
-    pub fn psnr(&self) -> Option<f64> {
+    pub(crate) fn psnr(&self) -> Option<f64> {
         self.record.psnr("test", &self.encoder.set)
     }
 }
 
 /// Inputs of the report.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Material {
+pub(crate) struct Material {
     /// Results of all parts.
-    pub all: Vec<Results>,
+    pub(crate) all: Vec<Results>,
     /// Encoders with their quality of reconstruction.
-    pub reconstructions: Vec<Reconstruction>,
+    pub(crate) reconstructions: Vec<Reconstruction>,
     /// PNG files by name.
     #[serde(with = "base64_files")]
-    pub pictures: BTreeMap<String, Vec<u8>>,
+    pub(crate) pictures: BTreeMap<String, Vec<u8>>,
 }
 
 /// Reads the results of every step from a folder, and those that it lacks from a file written by [`keep`].
 ///
 /// # Errors
 /// When a file cannot be read.
-pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
+pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
     let kept = kept.map(read).transpose()?.unwrap_or_default();
     let all = read_all(out, kept.all)?;
     let asked = &paper.encoders;
@@ -102,7 +102,7 @@ fn read(path: &Path) -> Result<Material> {
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn keep(material: &Material, path: &Path) -> Result<()> {
+pub(crate) fn keep(material: &Material, path: &Path) -> Result<()> {
     make_folder_of(path)?;
     write_whole(path, &gzip(&serde_json::to_vec(material)?)?)
 }

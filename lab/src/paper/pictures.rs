@@ -9,7 +9,7 @@ use super::volumes::Place;
 use anyhow::{Context, Result, bail};
 use entire_core::scene::Arcball;
 use entire_io::dataset::{Scene, parse_lobes};
-use entire_io::files::{fnv1a, make_folder, write_whole};
+use entire_io::files::{fnv1a_text, make_folder, write_whole};
 use entire_io::volume::Volume;
 use entire_report::encode_png;
 use entire_vk_raycaster::Renderer;
@@ -27,7 +27,7 @@ const POSES: [(f32, f32); 3] = [(15.0, 20.0), (35.0, 140.0), (60.0, -100.0)];
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, and being stopped.
-pub fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
+pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     let folder = work.out.join("pictures");
     make_folder(&folder)?;
     for place in places {
@@ -36,7 +36,7 @@ pub fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> R
         };
         let encoders = reconstructed(work, place)?;
         let text = format!("{LOBES} {SIDE} {} {:?}", place.jobs.len(), encoders);
-        let mark = format!("{:016x}", fnv1a(text.as_bytes()));
+        let mark = fnv1a_text(text.as_bytes());
         let set = &place.set.name;
         if kept(work.out, Panel::Pictures, set, mode, &mark)?.is_some() {
             continue;

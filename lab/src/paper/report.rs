@@ -7,19 +7,19 @@ use super::section::Section;
 use super::sections::{section, trials};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
-use entire_io::files::{make_folder, read_bytes, write_json, write_whole};
+use entire_io::files::{make_folder, read_bytes, write_json};
 use entire_io::machine;
 use entire_report::{Column, Page, Table};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Writes report.html, rows.md, and rows.json; returns the bars. `started` is the time at which the report was
+/// Writes report.html and rows.json; returns the bars. `started` is the time at which the report was
 /// begun.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -> Result<Vec<Bar>> {
+pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -> Result<Vec<Bar>> {
     make_folder(out)?;
     let mut page = Page::new(
         paper.title.as_str(),
@@ -41,7 +41,7 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
         })
         .collect();
     page.heading("Row by row");
-    page.table(&rows_table(paper, &shown, ""), "");
+    page.table(&rows_table(paper, &shown), "");
     for (label, section) in &sections {
         page.heading(&format!("{} ({})", label.title, label.label));
         if let Some(numbers) = &label.paper {
@@ -102,7 +102,6 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
     facts.push(("Rendered by", devices.join("; ")));
     page.facts(facts);
     page.write(&out.join("report.html"))?;
-    write_whole(&out.join("rows.md"), rows_table(paper, &shown, "`").to_markdown().as_bytes())?;
     let rows: Vec<serde_json::Value> = shown
         .iter()
         .map(|s| json!({ "label": s.label, "there": s.there, "ours": s.summary, "command": s.command }))
@@ -119,8 +118,8 @@ pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     }
 }
 
-/// Table with a row per label. `quote` is put around commands, for Markdown.
-fn rows_table(paper: &Paper, shown: &[Shown], quote: &str) -> Table {
+/// Table with a row per label.
+fn rows_table(paper: &Paper, shown: &[Shown]) -> Table {
     let mut table = Table::new(vec![
         Column::text("label"),
         Column::text("title"),
@@ -133,7 +132,7 @@ fn rows_table(paper: &Paper, shown: &[Shown], quote: &str) -> Table {
             label.label.as_str().into(),
             label.title.as_str().into(),
             ours.into(),
-            format!("{quote}{}{quote}", s.command).into(),
+            s.command.as_str().into(),
         ]);
     }
     table

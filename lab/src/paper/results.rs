@@ -15,57 +15,57 @@ pub(super) const LVRP: &str = "LVRP";
 
 /// Errors of a predictor on some frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Row {
+pub(crate) struct Row {
     /// The predictor.
-    pub name: String,
+    pub(crate) name: String,
     /// The split, or the experiment.
-    pub split: String,
+    pub(crate) split: String,
     /// Number of test frames.
-    pub frames: usize,
+    pub(crate) frames: usize,
     /// Number of training runs.
-    pub runs: usize,
+    pub(crate) runs: usize,
     /// Mean RMSE over the runs, seconds.
-    pub rmse: f64,
+    pub(crate) rmse: f64,
     /// Standard deviation of the RMSE over the runs, seconds.
-    pub rmse_sd: f64,
+    pub(crate) rmse_sd: f64,
     /// Median RMSE over the runs, seconds.
-    pub rmse_median: f64,
+    pub(crate) rmse_median: f64,
     /// Standard deviation of the measured seconds.
-    pub sd: f64,
+    pub(crate) sd: f64,
     /// Mean of the measured seconds.
-    pub mean: f64,
+    pub(crate) mean: f64,
     /// RMSE over that of the mean of 15 % of the frames.
-    pub over_constant: Option<f64>,
+    pub(crate) over_constant: Option<f64>,
     /// RMSE over that of the low-resolution proxy, on the frames that were rendered at low resolution.
-    pub over_lvrp: Option<f64>,
+    pub(crate) over_lvrp: Option<f64>,
     /// Median of |predicted − measured| / measured, mean over the runs.
-    pub mdape: f64,
+    pub(crate) mdape: f64,
     /// Seconds of one prediction, if it was measured.
-    pub latency: Option<f64>,
+    pub(crate) latency: Option<f64>,
     /// Percentiles of the squared errors of all runs: 5th, 25th, 50th, 75th, 95th.
-    pub squared_errors: [f64; 5],
+    pub(crate) squared_errors: [f64; 5],
     /// Squared errors by volume, from which intervals are computed.
     #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
-    pub by_volume: ByVolume,
+    pub(crate) by_volume: ByVolume,
     /// The same, only on frames that were rendered at low resolution, too.
     #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
-    pub of_twins: ByVolume,
+    pub(crate) of_twins: ByVolume,
     /// Other numbers, by name.
     #[serde(default)]
-    pub more: BTreeMap<String, f64>,
+    pub(crate) more: BTreeMap<String, f64>,
 }
 
 /// A line of a chart.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Curve {
+pub(crate) struct Curve {
     /// The chart that it belongs to.
-    pub chart: String,
+    pub(crate) chart: String,
     /// Name of the curve.
-    pub name: String,
+    pub(crate) name: String,
     /// Quantity along x.
-    pub x: String,
+    pub(crate) x: String,
     /// Points (x, y).
-    pub points: Vec<(f64, f64)>,
+    pub(crate) points: Vec<(f64, f64)>,
 }
 
 /// Name of the chart of the orbit's times; its curve of measured times is [`MEASURED`].
@@ -79,52 +79,52 @@ pub(super) const SORTED: &str = "frames, by their measured time";
 
 /// Named numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Fact {
+pub(crate) struct Fact {
     /// Name of the group of numbers.
-    pub name: String,
+    pub(crate) name: String,
     /// The numbers by name.
-    pub values: BTreeMap<String, f64>,
+    pub(crate) values: BTreeMap<String, f64>,
 }
 
 /// Results of one part of the study for one data set and mode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Results {
+pub(crate) struct Results {
     /// Hash of the inputs of the computation.
-    pub identity: String,
+    pub(crate) identity: String,
     /// The part of the study.
-    pub panel: Panel,
+    pub(crate) panel: Panel,
     /// The data set.
-    pub set: String,
+    pub(crate) set: String,
     /// The mode.
-    pub mode: String,
+    pub(crate) mode: String,
     /// Training, validation and test frames, by split.
-    pub frames: BTreeMap<String, [usize; 3]>,
+    pub(crate) frames: BTreeMap<String, [usize; 3]>,
     /// The network's encoder, in words.
-    pub encoder: String,
+    pub(crate) encoder: String,
     /// Device that the frames were measured on.
-    pub device: String,
+    pub(crate) device: String,
     /// Machine of that device.
-    pub machine: String,
+    pub(crate) machine: String,
     /// Errors of predictors.
-    pub rows: Vec<Row>,
+    pub(crate) rows: Vec<Row>,
     /// Lines of charts.
-    pub curves: Vec<Curve>,
+    pub(crate) curves: Vec<Curve>,
     /// Other numbers.
-    pub facts: Vec<Fact>,
+    pub(crate) facts: Vec<Fact>,
     /// Names of the pictures' files, with captions.
     #[serde(default)]
-    pub pictures: Vec<(String, String)>,
+    pub(crate) pictures: Vec<(String, String)>,
     /// Date of the computation.
-    pub made: String,
+    pub(crate) made: String,
     /// Version of the program.
-    pub program: String,
+    pub(crate) program: String,
     /// Seconds of the computation.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
 }
 
 impl Results {
     /// Empty results with the present date.
-    pub fn new(panel: Panel, set: &str, mode: &str, identity: String) -> Self {
+    pub(crate) fn new(panel: Panel, set: &str, mode: &str, identity: String) -> Self {
         Self {
             identity,
             panel,
@@ -145,7 +145,7 @@ impl Results {
     }
 
     /// The interval of a row's RMSE over that of the mean of 15 % of the frames.
-    pub fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
+    pub(crate) fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
         let constant = self.row(&row.split, CONSTANT)?;
         // A row on fewer frames is that of the low-resolution proxy.
         let under = if row.frames == constant.frames { &constant.by_volume } else { &constant.of_twins };
@@ -153,12 +153,12 @@ impl Results {
     }
 
     /// The interval of a row's RMSE over LVRP's.
-    pub fn over_lvrp_interval(&self, row: &Row) -> Option<(f64, f64)> {
+    pub(crate) fn over_lvrp_interval(&self, row: &Row) -> Option<(f64, f64)> {
         interval::of_ratio(&row.of_twins, &self.row(&row.split, LVRP)?.of_twins)
     }
 
     /// The errors of a predictor on a split.
-    pub fn row(&self, split: &str, name: &str) -> Option<&Row> {
+    pub(crate) fn row(&self, split: &str, name: &str) -> Option<&Row> {
         self.rows.iter().find(|r| r.split == split && r.name == name)
     }
 }

@@ -392,7 +392,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
     s.summary = of.iter().flat_map(|r| &r.facts).map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ");
 }
 
-/// Adds charts of the times of single frames of each target of fine-tuning.
+/// For each fine-tuning target, adds charts of the times of single frames.
 fn tuned_frames(of: &[&Results], s: &mut Section) {
     let mut all: Vec<&str> = Vec::new();
     for r in of {

@@ -39,7 +39,7 @@ const BY_SET: [Panel; 7] = [
 ///
 /// # Errors
 /// When tables cannot be read, a training fails, and when it is stopped.
-pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
+pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     let wanted = |p: Panel| panels.is_empty() || panels.contains(&p);
     let bar = templated_bar("train [{bar:30}] {pos}/{len} parts  {wide_msg}");

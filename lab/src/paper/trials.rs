@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::GroupKind;
 use entire_core::nn::Target;
 use entire_io::dataset::{Clock, Table};
-use entire_io::files::{fnv1a, make_folder, read_text, write_json};
+use entire_io::files::{fnv1a_text, make_folder, read_text, write_json};
 use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
 use entire_train::fit::{Recipe, TargetChoice};
@@ -109,7 +109,7 @@ impl Measured {
 ///
 /// # Errors
 /// When tables cannot be read, a training fails, and when it is stopped.
-pub fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
+pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     for panel in [Panel::Procedure, Panel::Frames].into_iter().filter(|p| panels.contains(p)) {
         for (i, tables) in work.paper.trials.tables.iter().enumerate() {
@@ -339,7 +339,7 @@ impl Trial {
             bytes.extend(rows.seconds.iter().flat_map(|v| v.to_le_bytes()));
         }
         bytes.extend(self.test.iter().flat_map(|v| v.to_le_bytes()));
-        Ok(format!("{:016x}", fnv1a(&bytes)))
+        Ok(fnv1a_text(&bytes))
     }
 }
 
@@ -377,7 +377,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     if work.stop() {
         bail!("{}", work.stopped());
     }
-    let mark = format!("{:016x}", fnv1a(identities.concat().as_bytes()));
+    let mark = fnv1a_text(identities.concat().as_bytes());
     if kept(work.out, panel, SETS, mode, &mark)?.is_some() {
         return Ok(());
     }

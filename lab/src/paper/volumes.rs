@@ -9,36 +9,36 @@ use std::path::{Path, PathBuf};
 
 /// Selection of the study's parts; everything by default.
 #[derive(Clone, Debug, Default)]
-pub struct Selection {
+pub(crate) struct Selection {
     /// Data sets.
-    pub data_sets: Vec<String>,
+    pub(crate) data_sets: Vec<String>,
     /// Modes.
-    pub modes: Vec<String>,
+    pub(crate) modes: Vec<String>,
 }
 
 impl Selection {
     /// True if a data set is selected.
-    pub fn has(&self, set: &str) -> bool {
+    pub(crate) fn has(&self, set: &str) -> bool {
         self.data_sets.is_empty() || self.data_sets.iter().any(|n| n == set)
     }
 
     /// True if a mode is selected.
-    pub fn has_mode(&self, mode: &str) -> bool {
+    pub(crate) fn has_mode(&self, mode: &str) -> bool {
         self.modes.is_empty() || self.modes.iter().any(|n| n == mode)
     }
 }
 
 /// Training, validation and test volumes, by name; no volume is in two parts.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Parts {
+pub(crate) struct Parts {
     /// Name of the split: `volumes` or `members`.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Training volumes.
-    pub training: BTreeSet<String>,
+    pub(crate) training: BTreeSet<String>,
     /// Volumes that decide when training stops.
-    pub validation: BTreeSet<String>,
+    pub(crate) validation: BTreeSet<String>,
     /// Test volumes.
-    pub test: BTreeSet<String>,
+    pub(crate) test: BTreeSet<String>,
 }
 
 /// Name of a split in words.
@@ -52,15 +52,15 @@ pub(super) fn in_words(split: &str) -> &str {
 
 /// A data set with its folder, volumes and splits.
 #[derive(Clone, Debug)]
-pub struct Place {
+pub(crate) struct Place {
     /// The data set.
-    pub set: DataSet,
+    pub(crate) set: DataSet,
     /// The folder that the names of its volumes start from.
-    pub root: PathBuf,
+    pub(crate) root: PathBuf,
     /// Its volumes in order; frame numbers follow from the index of the volume. Paths start from `root`.
-    pub jobs: Vec<Job>,
+    pub(crate) jobs: Vec<Job>,
     /// Splits of the volumes; empty where the set is only for tests.
-    pub splits: Vec<Parts>,
+    pub(crate) splits: Vec<Parts>,
 }
 
 impl Place {
@@ -68,7 +68,7 @@ impl Place {
     ///
     /// # Errors
     /// When its folder cannot be read or holds no volume.
-    pub fn find(set: &DataSet, data: &Path) -> Result<Option<Self>> {
+    pub(crate) fn find(set: &DataSet, data: &Path) -> Result<Option<Self>> {
         let Some(root) = roots(data).into_iter().find(|r| r.join(&set.name).is_dir()) else {
             return Ok(None);
         };
@@ -82,14 +82,14 @@ impl Place {
     }
 
     /// Number of frames of a volume: that of training volumes if it is one in some split.
-    pub fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
+    pub(crate) fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
         let name = name_of(job);
         let learned = self.splits.iter().any(|s| s.training.contains(&name));
         if learned { paper.frames.training } else { paper.frames.held_out }
     }
 
     /// The split with a name.
-    pub fn split(&self, name: &str) -> Option<&Parts> {
+    pub(crate) fn split(&self, name: &str) -> Option<&Parts> {
         self.splits.iter().find(|s| s.name == name)
     }
 }
@@ -159,7 +159,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
 ///
 /// # Errors
 /// When one cannot be read, or none exists.
-pub fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<Place>> {
+pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<Place>> {
     for name in &selection.data_sets {
         let known = || paper.data_sets.iter().map(|d| d.name.as_str()).collect::<Vec<_>>().join(", ");
         ensure!(paper.data_set(name).is_some(), "--data-sets names {name:?}; there are {}", known());

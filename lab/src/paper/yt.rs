@@ -24,7 +24,7 @@ fn part(work: &Work<'_>, job: &Job, low: bool) -> PathBuf {
 ///
 /// # Errors
 /// When Python, yt or the collector fails, and when it is stopped.
-pub fn collect(work: &Work<'_>, place: &Place) -> Result<()> {
+pub(crate) fn collect(work: &Work<'_>, place: &Place) -> Result<()> {
     if !place.set.modes.iter().any(|m| m == YT) || !work.selection.has_mode(YT) {
         return Ok(());
     }

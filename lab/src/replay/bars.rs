@@ -23,7 +23,7 @@ const REACTIVE: [ControllerKind; 9] = [
 ///
 /// # Errors
 /// When a controller that the bars compare did not play.
-pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
+pub(crate) fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     let of = |kind: ControllerKind| {
         players.iter().position(|p| p.kind == kind).map(|i| &scores[i]).with_context(|| {
             format!("the bars need {}, which did not play; leave out --controllers", kind.name())
@@ -58,7 +58,7 @@ pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
 }
 
 /// Bars on the number of played paths: one for all `paths`, and one that is short for each path that was not played.
-pub fn played(paths: usize, unplayed: &[String]) -> Vec<Bar> {
+pub(crate) fn played(paths: usize, unplayed: &[String]) -> Vec<Bar> {
     let mut out =
         vec![Bar::at_least("steer-paths-played", Some((paths - unplayed.len()) as f64), paths as f64)];
     out.extend(unplayed.iter().map(|name| Bar::at_least(format!("steer-played/{name}"), None, 1.0)));

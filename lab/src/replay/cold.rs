@@ -16,12 +16,12 @@ const EVERY: usize = 8;
 const PROMISED: f64 = 0.95;
 
 /// Frame ranges of sessions with `frames` frames each that start at regular intervals on a path of `n` frames.
-pub fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usize>> {
+pub(crate) fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usize>> {
     (0..(n + 1).saturating_sub(frames)).step_by(EVERY).map(move |start| start..start + frames)
 }
 
 /// The hybrid controller with a predictor.
-pub fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {
+pub(crate) fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {
     Contender {
         name: "hybrid".into(),
         session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
@@ -31,7 +31,7 @@ pub fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> C
 }
 
 /// The hybrid controller without a model.
-pub fn without_model(options: HybridOptions) -> Contender {
+pub(crate) fn without_model(options: HybridOptions) -> Contender {
     hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
 }
 
@@ -40,7 +40,7 @@ pub fn without_model(options: HybridOptions) -> Contender {
 ///
 /// # Errors
 /// When a prediction fails.
-pub fn second_in_bound(traces: &[Replayable], trials: &[Trial], limits: StepLimits) -> Result<Bar> {
+pub(crate) fn second_in_bound(traces: &[Replayable], trials: &[Trial], limits: StepLimits) -> Result<Bar> {
     let (mut seconds, mut inside) = (0u32, 0u32);
     for trial in trials {
         for frames in starts(trial.targets.len(), 2) {

@@ -7,7 +7,7 @@ use entire_steer::calibrate::{FittedQuality, Picture, fit_quality};
 
 /// Mean structural similarity of the settings that each rule picks among those that meet the target, on
 /// traces that the quality law was not fitted to.
-pub struct Frontier {
+pub(crate) struct Frontier {
     pub(super) law: FittedQuality,
     frames: usize,
     by_model: f64,
@@ -17,7 +17,7 @@ pub struct Frontier {
 
 impl Frontier {
     /// The result in a sentence.
-    pub fn sentence(&self) -> String {
+    pub(crate) fn sentence(&self) -> String {
         format!(
             "Quality model (step and image size) on {} choices of traces that it was not fitted to: mean \
              SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
@@ -28,7 +28,7 @@ impl Frontier {
 
 /// Fits the quality law to every other trace and tests it on the remaining ones; `None` if the law cannot be fitted
 /// or no frame has a choice.
-pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
+pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
     // Frames that were also drawn with step and image size coarsened together, with the points of that grid.
     let points = |odd: bool| {
         traces

@@ -1,21 +1,21 @@
 //! Replay of traces: controllers act on recorded time curves and are scored beside an oracle that knows the curves.
 
 mod bars;
-pub mod cold;
+pub(crate) mod cold;
 mod disturbance;
 mod frontier;
 mod player;
-pub mod report;
+pub(crate) mod report;
 mod score;
 mod trials;
-pub mod tune;
+pub(crate) mod tune;
 
-pub use bars::{bars, played};
+pub(crate) use bars::{bars, played};
 pub use disturbance::{Disturbance, Slowdown};
-pub use frontier::{Frontier, frontier};
+pub(crate) use frontier::frontier;
 pub use player::Player;
 pub use score::{Score, Tally, Three};
-pub use trials::{Outcome, Trial, play, trials, trials_of_all};
+pub(crate) use trials::{Outcome, Trial, play, trials, trials_of_all};
 
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
@@ -254,7 +254,7 @@ pub fn replay(
 }
 
 /// True for a useful target of a trace: some allowed step meets it exactly in at least half of the frames.
-pub fn worth_playing(recorded: &Replayable, target: f64, limits: StepLimits) -> bool {
+fn worth_playing(recorded: &Replayable, target: f64, limits: StepLimits) -> bool {
     let (finest, coarsest) = (f64::from(limits.finest), f64::from(limits.coarsest));
     let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();
     2 * reachable >= recorded.curves.len()

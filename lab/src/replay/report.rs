@@ -18,17 +18,17 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Results of all replays, for reports.
-pub struct Results<'a> {
+pub(crate) struct Results<'a> {
     /// Controllers.
-    pub players: &'a [Player],
+    pub(crate) players: &'a [Player],
     /// Recorded paths.
-    pub traces: &'a [Replayable],
+    pub(crate) traces: &'a [Replayable],
     /// Paths with their targets.
-    pub trials: &'a [Trial],
+    pub(crate) trials: &'a [Trial],
     /// Outcome of each trial.
-    pub outcomes: &'a [Outcome],
+    pub(crate) outcomes: &'a [Outcome],
     /// Scores over all trials, per controller.
-    pub scores: &'a [Score],
+    pub(crate) scores: &'a [Score],
 }
 
 fn percent(v: f64) -> Option<String> {
@@ -37,7 +37,7 @@ fn percent(v: f64) -> Option<String> {
 
 impl Results<'_> {
     /// Score of the oracle, which misses targets only because of the frames' noise.
-    pub fn oracle(&self) -> Score {
+    pub(crate) fn oracle(&self) -> Score {
         let mut total = Tally::default();
         for frames in self.outcomes.iter().filter_map(|o| o.frames.first()) {
             let played: Vec<Replayed> = frames.iter().map(Replayed::by_oracle).collect();
@@ -47,7 +47,7 @@ impl Results<'_> {
     }
 
     /// Scores of every controller.
-    pub fn table(&self) -> Table {
+    pub(crate) fn table(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("controller"),
             Column::text("acts on"),
@@ -152,7 +152,7 @@ impl Results<'_> {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn write_csv(&self, path: &Path) -> Result<()> {
+    pub(crate) fn write_csv(&self, path: &Path) -> Result<()> {
         let mut out = csv::Writer::from_writer(Vec::new());
         out.write_record([
             "trace",
@@ -210,7 +210,7 @@ impl Results<'_> {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn write_json(&self, path: &Path, calibrated: &Calibrated) -> Result<()> {
+    pub(crate) fn write_json(&self, path: &Path, calibrated: &Calibrated) -> Result<()> {
         let by_name = |scores: Vec<Score>| -> serde_json::Map<String, serde_json::Value> {
             self.players.iter().zip(scores).map(|(p, s)| (p.kind.name().to_owned(), json!(s))).collect()
         };
@@ -241,7 +241,7 @@ impl Results<'_> {
     }
 
     /// The report.
-    pub fn page(
+    pub(crate) fn page(
         &self,
         calibrated: &Calibrated,
         response: &StepResponse,

@@ -10,28 +10,28 @@ use entire_steer::control::Prior;
 use entire_steer::control::StepLimits;
 
 /// One trace with one target or a series of targets.
-pub struct Trial {
+pub(crate) struct Trial {
     /// Index of the trace.
-    pub trace: usize,
+    pub(crate) trace: usize,
     /// Name of the target in reports.
-    pub label: String,
+    pub(crate) label: String,
     /// Target of each frame, seconds.
-    pub targets: Vec<f64>,
+    pub(crate) targets: Vec<f64>,
 }
 
 /// Outcome of a trial, per controller.
-pub struct Outcome {
+pub(crate) struct Outcome {
     /// Index of the trial.
-    pub trial: usize,
+    pub(crate) trial: usize,
     /// Frames of the first round, by controller.
-    pub frames: Vec<Vec<Replayed>>,
+    pub(crate) frames: Vec<Vec<Replayed>>,
     /// Sums over all rounds, by controller.
-    pub tallies: Vec<Tally>,
+    pub(crate) tallies: Vec<Tally>,
 }
 
 /// The useful trials: every trace with every target that some allowed step meets in half of its frames, and
 /// with a series of those targets.
-pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits) -> Vec<Trial> {
+pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {
         let n = trace.path.frames.len();
@@ -52,7 +52,7 @@ pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits
 /// As [`trials`], with a target for every trace that has no useful one: halfway, in ln(seconds), between its median
 /// frame times at the finest and at the coarsest step. Also returns the names of the traces for which that target
 /// is not useful either.
-pub fn trials_of_all(
+pub(crate) fn trials_of_all(
     traces: &[Replayable],
     targets: &[(f64, &str)],
     limits: StepLimits,
@@ -90,7 +90,7 @@ fn own_target(trace: &Replayable, limits: StepLimits) -> Option<f64> {
 /// # Errors
 /// When a prediction fails.
 #[expect(clippy::too_many_arguments, reason = "a trial is told everything once, in one place")]
-pub fn play(
+pub(crate) fn play(
     index: usize,
     trial: &Trial,
     trace: &Replayable,

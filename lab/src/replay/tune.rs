@@ -38,21 +38,21 @@ const COLD_FRAMES: usize = 6;
 
 /// All constants of the search.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Constants {
+pub(crate) struct Constants {
     /// Constants of the controller.
-    pub hybrid: HybridConstants,
+    pub(crate) hybrid: HybridConstants,
     /// Constants of its online correction.
-    pub correction: CorrectionConstants,
+    pub(crate) correction: CorrectionConstants,
 }
 
 impl Constants {
     /// Name of every constant, in the order of [`Constants::values`].
-    pub fn names() -> impl Iterator<Item = &'static str> {
+    pub(crate) fn names() -> impl Iterator<Item = &'static str> {
         HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES).copied()
     }
 
     /// Every constant in turn, to read or to change.
-    pub fn values(&mut self) -> impl Iterator<Item = &mut f64> {
+    pub(crate) fn values(&mut self) -> impl Iterator<Item = &mut f64> {
         self.hybrid.values().into_iter().chain(self.correction.values())
     }
 
@@ -80,24 +80,28 @@ const WITHOUT: [(&str, f64); 10] = [
 
 /// Effect of a constant on the cost.
 #[derive(Clone, Debug, Serialize)]
-pub struct Removed {
+pub(crate) struct Removed {
     /// Name of the constant.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Its value.
-    pub value: f64,
+    pub(crate) value: f64,
     /// The value at which it has no effect, or as little as its guards allow.
-    pub without: f64,
+    pub(crate) without: f64,
     /// Increase of the paths' mean cost without it.
-    pub more: f64,
+    pub(crate) more: f64,
     /// Standard error of the increase, among paths.
-    pub standard_error: f64,
+    pub(crate) standard_error: f64,
 }
 
 /// Effect of each constant: the paths' cost without it, with the others unchanged.
 ///
 /// # Errors
 /// As [`Course::cost`].
-pub fn removed(courses: &[Course<'_>], mut constants: Constants, now: &[Cost]) -> Result<Vec<Removed>> {
+pub(crate) fn removed(
+    courses: &[Course<'_>],
+    mut constants: Constants,
+    now: &[Cost],
+) -> Result<Vec<Removed>> {
     let values: Vec<f64> = constants.values().map(|v| *v).collect();
     Constants::names()
         .zip(values)
@@ -115,7 +119,7 @@ pub fn removed(courses: &[Course<'_>], mut constants: Constants, now: &[Cost]) -
 
 /// A renderer with another time curve than the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Law {
+pub(crate) enum Law {
     /// The recorded time curve.
     Recorded,
     /// Nine tenths of a frame's time at its coarsest step are subtracted: the remaining time falls nearly with
@@ -127,10 +131,10 @@ pub enum Law {
 
 impl Law {
     /// All laws.
-    pub const ALL: [Self; 3] = [Self::Recorded, Self::Steeper, Self::Flatter];
+    pub(crate) const ALL: [Self; 3] = [Self::Recorded, Self::Steeper, Self::Flatter];
 
     /// A path with the times that this renderer would have taken.
-    pub fn of(self, recorded: &Replayable) -> Replayable {
+    pub(crate) fn of(self, recorded: &Replayable) -> Replayable {
         let mut out = recorded.clone();
         let share = match self {
             Self::Recorded => return out,
@@ -152,7 +156,7 @@ impl Law {
 }
 
 /// A recorded path with its predictor and trials.
-pub struct Course<'a> {
+pub(crate) struct Course<'a> {
     /// The path on each renderer of [`Law::ALL`].
     recorded: &'a [Replayable; 3],
     /// Predictor fitted to other volumes than those of the path.
@@ -164,24 +168,24 @@ pub struct Course<'a> {
 
 /// Cost of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Cost {
+pub(crate) struct Cost {
     /// Scores with a fitted predictor.
-    pub fitted: Three,
+    pub(crate) fitted: Three,
     /// Share of these frames that were coarser than full quality although full quality met the target.
-    pub fitted_coarse: f64,
+    pub(crate) fitted_coarse: f64,
     /// Share of the calm frames of a fitted predictor at which the step jumps.
-    pub jumps: f64,
+    pub(crate) jumps: f64,
     /// Scores of sessions without a model, over the frames after the first.
-    pub cold: Three,
+    pub(crate) cold: Three,
     /// As `fitted_coarse`, for sessions without a model.
-    pub cold_coarse: f64,
+    pub(crate) cold_coarse: f64,
     /// Share of the second frames of sessions without a model that took no more than their upper bound.
-    pub second_in_bound: f64,
+    pub(crate) second_in_bound: f64,
 }
 
 impl Cost {
     /// The figure that the search lowers.
-    pub fn value(&self) -> f64 {
+    pub(crate) fn value(&self) -> f64 {
         let wrong = |t: &Three| (t.deviation + 1.0 - t.quality) / PROMISED + t.missed / PROMISED_MISSES;
         let others = self.jumps + self.fitted_coarse + self.cold_coarse;
         wrong(&self.fitted) + wrong(&self.cold) + others / PROMISED
@@ -209,22 +213,22 @@ impl Coarse {
 
 /// A change of a constant that the search has taken.
 #[derive(Clone, Debug, Serialize)]
-pub struct Taken {
+pub(crate) struct Taken {
     /// Name of the constant.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Value before.
-    pub from: f64,
+    pub(crate) from: f64,
     /// Value after.
-    pub to: f64,
+    pub(crate) to: f64,
     /// Mean cost of the paths before and after.
-    pub cost: [f64; 2],
+    pub(crate) cost: [f64; 2],
     /// Standard error of the difference, among paths.
-    pub standard_error: f64,
+    pub(crate) standard_error: f64,
 }
 
 impl<'a> Course<'a> {
     /// A path with every useful target.
-    pub fn new(
+    pub(crate) fn new(
         recorded: &'a [Replayable; 3],
         calibrated: &'a Calibrated,
         targets: &[(f64, &str)],
@@ -235,7 +239,7 @@ impl<'a> Course<'a> {
     }
 
     /// True if no target is met by an allowed step in half of the path's frames.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.trials[0].is_empty()
     }
 
@@ -243,7 +247,7 @@ impl<'a> Course<'a> {
     ///
     /// # Errors
     /// When a prediction fails.
-    pub fn cost(&self, constants: Constants) -> Result<Cost> {
+    pub(crate) fn cost(&self, constants: Constants) -> Result<Cost> {
         let chosen = &self.calibrated.chosen().fitted;
         let Constants { hybrid: constants, correction } = constants;
         let prior = self.calibrated.prior();
@@ -290,7 +294,7 @@ impl<'a> Course<'a> {
 ///
 /// # Errors
 /// As [`Course::cost`].
-pub fn costs(courses: &[Course<'_>], constants: Constants) -> Result<Vec<Cost>> {
+pub(crate) fn costs(courses: &[Course<'_>], constants: Constants) -> Result<Vec<Cost>> {
     courses.par_iter().map(|c| c.cost(constants)).collect()
 }
 
@@ -313,7 +317,7 @@ fn difference(before: &[Cost], after: &[Cost]) -> (f64, f64) {
 ///
 /// # Errors
 /// As [`Course::cost`].
-pub fn search(
+pub(crate) fn search(
     courses: &[Course<'_>],
     mut constants: Constants,
     mut now: Vec<Cost>,
@@ -352,4 +356,4 @@ pub fn search(
 }
 
 /// Number of values of a constant that a round of the search tries.
-pub const TRIED: usize = FACTORS.len();
+pub(crate) const TRIED: usize = FACTORS.len();

@@ -11,6 +11,8 @@ use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source, TERMS};
 const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;
 const COARSEST: f32 = 32.0;
+/// Seconds that do not depend on the step, as the predictor assumes them.
+const FIXED: f64 = 2e-3;
 
 /// Time of a frame that the controller is told.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,9 +35,8 @@ struct Shot {
     work: f64,
     /// Factor on all seconds, from the machine or from effects that no predictor models.
     speed: f64,
-    /// Factor on the predictor's seconds; and the fixed seconds that it assumes (`fixed_known`).
+    /// Factor on the predictor's seconds.
     wrong: f64,
-    fixed_known: f64,
     changes: Changes,
     target: f64,
     heard: Heard,
@@ -46,11 +47,10 @@ struct Shot {
 
 impl Shot {
     const PLAIN: Self = Self {
-        fixed: 2e-3,
+        fixed: FIXED,
         work: 60e-3,
         speed: 1.0,
         wrong: 1.0,
-        fixed_known: 2e-3,
         changes: STEADY,
         target: 25e-3,
         heard: Heard::True,
@@ -107,7 +107,7 @@ fn play_script(
         let shot = (script.shot)(i, &mut noise);
         let mut cost = |step: f32| {
             let mut parts = [0.0; TERMS];
-            parts[0] = (shot.wrong * shot.fixed_known) as f32;
+            parts[0] = (shot.wrong * FIXED) as f32;
             parts[4] = (shot.wrong * shot.work * f64::from(step).powf(-EXPONENT)) as f32;
             CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
         };
@@ -191,7 +191,7 @@ impl Wrong {
 }
 
 /// Plays a scene of this file; `None` for other scenes. `soak` is the number of frames of the long run.
-pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
+pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let (frames, spikes) = (400, 0.005);
     let go = |shot: &mut dyn FnMut(usize, &mut Noise) -> Shot, limits: Limits| {

@@ -5,9 +5,9 @@
 //! scenes of real geometry, whose work is counted by the CPU version of the raycaster. Both run on a scripted
 //! clock, the same in every run.
 
-pub mod law;
-pub mod report;
-pub mod world;
+pub(crate) mod law;
+pub(crate) mod report;
+pub(crate) mod world;
 
 use crate::bars::Bar;
 use entire_cli::steering::contenders::ControllerKind;
@@ -17,17 +17,17 @@ use serde::Serialize;
 
 /// A stress scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Scene {
+pub(crate) struct Scene {
     /// Number in the list of scenes.
-    pub number: usize,
+    pub(crate) number: usize,
     /// Description of the scene.
-    pub title: &'static str,
+    pub(crate) title: &'static str,
     /// Rule for passing.
-    pub rule: &'static str,
+    pub(crate) rule: &'static str,
 }
 
 /// The scenes. The rules are the same for every method, except for parts that need an upper bound.
-pub const SCENES: [Scene; 31] = [
+pub(crate) const SCENES: [Scene; 31] = [
     Scene {
         number: 1,
         title: "abrupt transfer-function switches, then one in every frame",
@@ -190,84 +190,84 @@ pub const SCENES: [Scene; 31] = [
 
 /// A frame as played, with the data that rules use.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Seen {
+pub(crate) struct Seen {
     /// Target, seconds.
-    pub target: f64,
+    pub(crate) target: f64,
     /// True seconds.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
     /// True seconds without noise.
-    pub clean: f64,
+    pub(crate) clean: f64,
     /// Step that the controller chose.
-    pub step: f64,
+    pub(crate) step: f64,
     /// The step that meets the target, clamped to the limits.
-    pub oracle: f64,
+    pub(crate) oracle: f64,
     /// True if the coarsest step meets the target.
-    pub feasible: bool,
+    pub(crate) feasible: bool,
     /// Upper bound; NaN from methods without one.
-    pub upper: f64,
+    pub(crate) upper: f64,
     /// Expected seconds; NaN from methods that make no prediction.
-    pub predicted: f64,
+    pub(crate) predicted: f64,
     /// True if it is the first frame of an announced change.
-    pub first: bool,
+    pub(crate) first: bool,
     /// True if the rule ignores the frame (a pipeline is built, say).
-    pub excused: bool,
+    pub(crate) excused: bool,
     /// Index of the part of the script, for rules that distinguish parts.
-    pub part: usize,
+    pub(crate) part: usize,
 }
 
 /// Limits of a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub(crate) struct Limits {
     /// Largest share of feasible frames over 1.1 targets.
-    pub missed: f64,
+    pub(crate) missed: f64,
     /// Longest allowed run of feasible frames over 1.1 targets.
-    pub run: usize,
+    pub(crate) run: usize,
     /// Least mean of oracle step over step.
-    pub quality: f64,
+    pub(crate) quality: f64,
     /// Smallest share of first frames below their bound, for methods with one.
-    pub inside: f64,
+    pub(crate) inside: f64,
 }
 
 impl Limits {
     /// A rule that limits misses only.
-    pub const fn missed(missed: f64) -> Self {
+    pub(crate) const fn missed(missed: f64) -> Self {
         Self { missed, run: usize::MAX, quality: 0.0, inside: 0.0 }
     }
 }
 
 /// Result of a method in a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Verdict {
+pub(crate) struct Verdict {
     /// The scene's number.
-    pub scene: usize,
+    pub(crate) scene: usize,
     /// The method.
-    pub method: &'static str,
+    pub(crate) method: &'static str,
     /// Failures, in words; empty where it passed.
-    pub failures: Vec<String>,
+    pub(crate) failures: Vec<String>,
     /// Share of feasible frames over 1.1 targets.
-    pub missed: f64,
+    pub(crate) missed: f64,
     /// Longest run of feasible frames over 1.1 targets.
-    pub run: usize,
+    pub(crate) run: usize,
     /// Mean of oracle step over step, at most 1.
-    pub quality: f64,
+    pub(crate) quality: f64,
     /// Largest true time over target among feasible frames.
-    pub worst: f64,
+    pub(crate) worst: f64,
 }
 
 impl Verdict {
     /// True if the method is entire's own controller.
-    pub fn is_ours(&self) -> bool {
+    pub(crate) fn is_ours(&self) -> bool {
         self.method == ControllerKind::Hybrid.name()
     }
 
     /// True if it passed.
-    pub fn passed(&self) -> bool {
+    pub(crate) fn passed(&self) -> bool {
         self.failures.is_empty()
     }
 }
 
 /// Applies the limits of a rule to the frames of a scene. `broken` are failures that are known already.
-pub fn judge(
+pub(crate) fn judge(
     scene: usize,
     method: ControllerKind,
     frames: &[Seen],
@@ -308,22 +308,22 @@ pub fn judge(
 
 /// A deterministic source of noise.
 #[derive(Clone, Debug)]
-pub struct Noise(u64);
+pub(crate) struct Noise(u64);
 
 impl Noise {
     /// Noise that follows from a seed.
-    pub fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
 
     /// A uniformly distributed number in (0, 1).
-    pub fn uniform(&mut self) -> f64 {
+    pub(crate) fn uniform(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64
     }
 
     /// A number with the standard normal distribution.
-    pub fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         libm::sqrt(-2.0 * libm::log(self.uniform())) * libm::cos(std::f64::consts::TAU * self.uniform())
     }
 }
@@ -332,7 +332,7 @@ impl Noise {
 ///
 /// # Errors
 /// When a scene cannot be set up.
-pub fn run(
+pub(crate) fn run(
     scenes: &[usize],
     methods: &[ControllerKind],
     soak: u64,
@@ -359,7 +359,7 @@ pub fn run(
 ///
 /// # Errors
 /// When a scene cannot be set up or the renderer fails.
-pub fn run_real(
+pub(crate) fn run_real(
     scenes: &[usize],
     methods: &[ControllerKind],
     renderer: &mut dyn Renderer,
@@ -389,7 +389,7 @@ fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
 
 /// Bars on the scenes on a scripted clock: entire's controller passes each of them, and each is failed by at least one
 /// other method, or it tests nothing. A scene that was not played is neither passed nor failed by any method.
-pub fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
+pub(crate) fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
     let harmless = harmless(verdicts);
     vec![
         passed("stress-scenes-passed", verdicts, SCENES.len()),
@@ -398,12 +398,12 @@ pub fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
 }
 
 /// Bars on the scenes that can be played on a real renderer.
-pub fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
+pub(crate) fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
     vec![passed("stress-scenes-passed-on-device", verdicts, world::REAL.len())]
 }
 
 /// The scenes that no method but entire's fails.
-pub fn harmless(verdicts: &[Verdict]) -> Vec<usize> {
+pub(crate) fn harmless(verdicts: &[Verdict]) -> Vec<usize> {
     let fails = |scene: usize| verdicts.iter().any(|v| v.scene == scene && !v.is_ours() && !v.passed());
     SCENES.iter().map(|s| s.number).filter(|n| !fails(*n)).collect()
 }

@@ -11,7 +11,7 @@ fn of(verdicts: &[Verdict], scene: usize, method: ControllerKind) -> Option<&Ver
 }
 
 /// Table with a row per scene and a column per method: `ok`, or the first failure.
-pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
+pub(crate) fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
     let mut columns = vec![Column::number("#"), Column::text("scene")];
     columns.extend(methods.iter().map(|m| Column::text(m.name())));
     let mut table = Table::new(columns);
@@ -39,7 +39,7 @@ pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
 /// The report as a page.
 ///
 /// `real` are verdicts of scenes that were also played on a real renderer, under `real_methods`.
-pub fn page(
+pub(crate) fn page(
     verdicts: &[Verdict],
     methods: &[ControllerKind],
     (real, real_methods): (&[Verdict], &[ControllerKind]),

@@ -39,7 +39,7 @@ fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) 
 
 /// Bars of a study: one for every limit of its sets, short where it could not be measured. Most are about the
 /// predictor that the rule selects, or about the best on the test frames where it selects none.
-pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
+pub(crate) fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();
     let mut at_most = |name: String, value: Option<f64>, limit: f64| {
         out.push(Bar::at_most(name, value, limit));

@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use entire_core::model::ModelFile;
 use entire_io::dataset::Table;
 use entire_io::dataset::feature_table::FeatureTable;
-use entire_io::files::{fnv1a, read_bytes, read_model_file, write_whole};
+use entire_io::files::{fnv1a_text, read_bytes, read_model_file, write_whole};
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
 use entire_train::fit::Recipe;
@@ -29,7 +29,7 @@ pub(super) fn identity(
     let from = |path: &Option<PathBuf>| -> Result<String> {
         let Some(path) = path else { return Ok("none".into()) };
         let bytes = read_bytes(path).with_context(|| format!("cannot read {}", path.display()))?;
-        Ok(format!("{:016x}", fnv1a(&bytes)))
+        Ok(fnv1a_text(&bytes))
     };
     let bare = Recipe { volumenet: None, fine_tune: None, file: None, ..recipe.clone() };
     let mut text = format!(
@@ -51,13 +51,13 @@ pub(super) fn identity(
                 bytes.extend(v.to_le_bytes());
             }
         }
-        text += &format!(" {:016x}", fnv1a(&bytes));
+        text += &format!(" {}", fnv1a_text(&bytes));
     }
     if !residuals.is_empty() {
         let bytes: Vec<u8> = residuals.iter().flat_map(|r| r.to_le_bytes()).collect();
-        text += &format!(" {:016x}", fnv1a(&bytes));
+        text += &format!(" {}", fnv1a_text(&bytes));
     }
-    Ok(format!("{:016x}", fnv1a(text.as_bytes())))
+    Ok(fnv1a_text(text.as_bytes()))
 }
 
 /// Path of the model file of a predictor with this key and identity.

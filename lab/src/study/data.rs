@@ -72,23 +72,16 @@ impl Folds {
         frames.parted(|f| self.groups[k].contains(&self.by.group(&f.scene))).0
     }
 
-    /// Training and validation frames without the held-out folds.
-    pub(super) fn without<'a>(
-        &self,
-        held: &[usize],
-        all: &TimedFrames<'a>,
-    ) -> (TimedFrames<'a>, TimedFrames<'a>) {
-        let (_, rest) = all.parted(|f| {
-            let group = self.by.group(&f.scene);
-            held.iter().any(|&k| self.groups[k].contains(&group))
-        });
+    /// Training and validation frames without those of the groups of a fold.
+    pub(super) fn without<'a>(&self, k: usize, all: &TimedFrames<'a>) -> (TimedFrames<'a>, TimedFrames<'a>) {
+        let (_, rest) = all.parted(|f| self.groups[k].contains(&self.by.group(&f.scene)));
         let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
         (training, validation)
     }
 
-    /// The key of a predictor that is trained without some folds.
-    pub(super) fn key(of_all: &str, held: &[usize]) -> String {
-        held.iter().fold(format!("{of_all}-without"), |key, k| format!("{key}-{}", k + 1))
+    /// The key of a predictor that is trained without a fold.
+    pub(super) fn key(of_all: &str, k: usize) -> String {
+        format!("{of_all}-without-{}", k + 1)
     }
 }
 

@@ -11,21 +11,21 @@ use std::path::{Path, PathBuf};
 /// Contents of a description file. Paths are relative to the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Study {
+pub(crate) struct Study {
     /// Title of the report.
-    pub title: String,
+    pub(crate) title: String,
     /// Clock of the frame times.
     #[serde(default = "cpu")]
-    pub clock: String,
+    pub(crate) clock: String,
     /// Data sets, each of one shading mode or renderer.
-    pub sets: Vec<Set>,
+    pub(crate) sets: Vec<Set>,
     /// Predictors, each made for every set.
-    pub predictors: Vec<Named>,
+    pub(crate) predictors: Vec<Named>,
     /// Files that `entire-lab study --ship` writes for every set.
     #[serde(default)]
-    pub ship: Vec<Ship>,
+    pub(crate) ship: Vec<Ship>,
     /// Volume on which latencies are measured, and its enlargement.
-    pub latency_volume: (PathBuf, usize),
+    pub(crate) latency_volume: (PathBuf, usize),
 }
 
 fn cpu() -> String {
@@ -38,111 +38,111 @@ pub(crate) const SELECTED: &str = "selected";
 /// A predictor to ship.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Ship {
+pub(crate) struct Ship {
     /// Name of the predictor, or `selected` for the one that the rule selects.
-    pub predictor: String,
+    pub(crate) predictor: String,
     /// Storage format of its weights.
     #[serde(default)]
-    pub dtype: DtypeChoice,
+    pub(crate) dtype: DtypeChoice,
 }
 
 /// A data set.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Set {
+pub(crate) struct Set {
     /// Name of the set.
-    pub name: String,
+    pub(crate) name: String,
     /// Training tables. A tenth of their ensemble members decides when training stops; a tenth of their volumes if
     /// there are fewer than ten members.
-    pub training: Vec<PathBuf>,
+    pub(crate) training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
-    pub other_steps: Vec<PathBuf>,
+    pub(crate) other_steps: Vec<PathBuf>,
     /// Tables whose frames only determine the upper bounds of predictors that are not cross-validated;
     /// default: the validation frames.
     #[serde(default)]
-    pub bounds: Vec<PathBuf>,
+    pub(crate) bounds: Vec<PathBuf>,
     /// Test tables, by split.
-    pub splits: Vec<SplitTables>,
+    pub(crate) splits: Vec<SplitTables>,
     /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
-    pub low_resolution: BTreeMap<String, PathBuf>,
+    pub(crate) low_resolution: BTreeMap<String, PathBuf>,
     /// Name of the split to a hundred frames of which predictors are calibrated.
     #[serde(default)]
-    pub calibration_split: Option<String>,
+    pub(crate) calibration_split: Option<String>,
     /// Group of sets of one shading mode on several machines: the shipped predictor must be the smallest good
     /// one on all of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub group: Option<String>,
+    pub(crate) group: Option<String>,
     /// Limits of the bars; a missing limit means no bar.
     #[serde(default)]
-    pub limits: Limits,
+    pub(crate) limits: Limits,
 }
 
 /// Tables of a split.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SplitTables {
+pub(crate) struct SplitTables {
     /// Name of the split: `member`, `time step`, `modality`.
-    pub name: String,
+    pub(crate) name: String,
     /// Tables of the split.
-    pub tables: Vec<PathBuf>,
+    pub(crate) tables: Vec<PathBuf>,
     /// True if the main bars are about this split.
     #[serde(default)]
-    pub main: bool,
+    pub(crate) main: bool,
 }
 
 /// Limits of the bars.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Limits {
+pub(crate) struct Limits {
     /// Largest RMSE/SD of the best predictor on the main split.
-    pub rmse_over_sd: Option<f64>,
+    pub(crate) rmse_over_sd: Option<f64>,
     /// Smallest ratio of the constant baseline's RMSE to that of the predictor `paper`.
-    pub constant_over_paper: Option<f64>,
+    pub(crate) constant_over_paper: Option<f64>,
     /// Smallest ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
-    pub proxy_over_paper: Option<f64>,
+    pub(crate) proxy_over_paper: Option<f64>,
     /// True if the bars of the calibration split apply.
-    pub modality: bool,
+    pub(crate) modality: bool,
     /// True if the bars on latency apply.
-    pub latency: bool,
+    pub(crate) latency: bool,
 }
 
 /// A predictor.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Named {
+pub(crate) struct Named {
     /// Name in every table. Some bars are on the predictor `paper`.
-    pub name: String,
+    pub(crate) name: String,
     /// Recipe of the predictor.
     #[serde(default)]
-    pub recipe: Recipe,
+    pub(crate) recipe: Recipe,
     /// True for boosted trees on the recipe's inputs: a reference that no model file can hold.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub trees: bool,
+    pub(crate) trees: bool,
     /// Sets for which it is trained; default: all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sets: Vec<String>,
+    pub(crate) sets: Vec<String>,
     /// Other recipes for some sets, by name: shading modes need different ones.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub in_set: BTreeMap<String, Recipe>,
+    pub(crate) in_set: BTreeMap<String, Recipe>,
     /// The table in which it is listed: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
-    pub panel: String,
+    pub(crate) panel: String,
     /// True if it is cross-validated: trained again without each of its folds of ensemble members and evaluated on
     /// the fold. The selection and the upper bounds follow from these errors. For the table `main` only.
     #[serde(default = "yes")]
-    pub cross_validated: bool,
+    pub(crate) cross_validated: bool,
 }
 
 impl Named {
     /// True for a set for which it is trained.
-    pub fn is_of(&self, set: &str) -> bool {
+    pub(crate) fn is_of(&self, set: &str) -> bool {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }
 
     /// Recipe for a set.
-    pub fn recipe_for(&self, set: &str) -> &Recipe {
+    pub(crate) fn recipe_for(&self, set: &str) -> &Recipe {
         self.in_set.get(set).unwrap_or(&self.recipe)
     }
 }
@@ -160,7 +160,7 @@ fn yes() -> bool {
 ///
 /// # Errors
 /// When the file cannot be read or holds an invalid value.
-pub fn read(path: &Path) -> Result<Study> {
+pub(crate) fn read(path: &Path) -> Result<Study> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut study: Study =
         serde_json::from_str(&text).with_context(|| format!("{} is no study file", path.display()))?;
@@ -200,7 +200,7 @@ pub fn read(path: &Path) -> Result<Study> {
 ///
 /// # Errors
 /// For an unknown name.
-pub fn clock(name: &str) -> Result<Clock> {
+pub(crate) fn clock(name: &str) -> Result<Clock> {
     [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu]
         .into_iter()
         .find(|c| c.name() == name)

@@ -16,16 +16,16 @@ use std::path::PathBuf;
 const ROUNDS: usize = 200;
 
 /// Share of the rounds inside an interval.
-pub const LEVEL: f64 = 0.9;
+pub(crate) const LEVEL: f64 = 0.9;
 
 /// Bootstrap intervals over volumes at the level [`LEVEL`]. They state how much an error depends on the choice of test
 /// volumes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Intervals {
+pub(crate) struct Intervals {
     /// Interval of RMSE/SD.
-    pub rmse_over_sd: (f64, f64),
+    pub(crate) rmse_over_sd: (f64, f64),
     /// Interval of the median error.
-    pub mdape: (f64, f64),
+    pub(crate) mdape: (f64, f64),
 }
 
 impl Intervals {
@@ -43,14 +43,14 @@ impl Intervals {
     }
 
     /// RMSE/SD with its interval, `0.047 (0.041–0.055)`.
-    pub fn beside_rmse(of: Option<&Self>, metrics: &Metrics) -> String {
+    pub(crate) fn beside_rmse(of: Option<&Self>, metrics: &Metrics) -> String {
         let interval =
             of.map_or(String::new(), |i| format!(" ({:.3}–{:.3})", i.rmse_over_sd.0, i.rmse_over_sd.1));
         format!("{:.3}{interval}", metrics.rmse_over_sd)
     }
 
     /// The median error with its interval in per cent, `5.6 (5.1–6.2)`.
-    pub fn beside_mdape(of: Option<&Self>, metrics: &Metrics) -> String {
+    pub(crate) fn beside_mdape(of: Option<&Self>, metrics: &Metrics) -> String {
         let interval =
             of.map_or(String::new(), |i| format!(" ({:.1}–{:.1})", 100.0 * i.mdape.0, 100.0 * i.mdape.1));
         format!("{:.1}{interval}", 100.0 * metrics.mdape)
@@ -59,117 +59,117 @@ impl Intervals {
 
 /// Errors of a predictor on its training frames, and in cross-validation on the training tables.
 #[derive(Clone, Debug, Serialize)]
-pub struct Fit {
+pub(crate) struct Fit {
     /// Name of the set.
-    pub set: String,
+    pub(crate) set: String,
     /// Name of the predictor.
-    pub predictor: String,
+    pub(crate) predictor: String,
     /// Errors on its training frames.
-    pub seen: Metrics,
+    pub(crate) seen: Metrics,
     /// Intervals of the errors on its training frames.
-    pub seen_intervals: Option<Intervals>,
+    pub(crate) seen_intervals: Option<Intervals>,
     /// Errors in cross-validation: on frames of ensemble members that it was trained without.
-    pub crossed: Option<Metrics>,
+    pub(crate) crossed: Option<Metrics>,
     /// Intervals of the errors in cross-validation.
-    pub crossed_intervals: Option<Intervals>,
+    pub(crate) crossed_intervals: Option<Intervals>,
     /// Number of folds.
-    pub folds: usize,
+    pub(crate) folds: usize,
     /// Number of fitted numbers: weights, biases, and unit costs.
-    pub numbers: usize,
+    pub(crate) numbers: usize,
     /// Number of rays along each side of its probe.
-    pub probe_side: usize,
+    pub(crate) probe_side: usize,
 }
 
 /// Errors of a predictor on a split.
 #[derive(Clone, Debug, Serialize)]
-pub struct SplitResult {
+pub(crate) struct SplitResult {
     /// Name of the set.
-    pub set: String,
+    pub(crate) set: String,
     /// Name of the split.
-    pub split: String,
+    pub(crate) split: String,
     /// Name of the predictor.
-    pub predictor: String,
+    pub(crate) predictor: String,
     /// See [`super::Named::panel`]; `baseline` for those without a model file.
-    pub panel: String,
+    pub(crate) panel: String,
     /// Errors.
-    pub metrics: Metrics,
+    pub(crate) metrics: Metrics,
     /// Intervals of RMSE/SD and of the median error.
-    pub intervals: Option<Intervals>,
+    pub(crate) intervals: Option<Intervals>,
     /// Figures of the upper bound, if the predictor has one.
-    pub bound: Option<BoundMetrics>,
+    pub(crate) bound: Option<BoundMetrics>,
     /// Errors by kind of frame: image size, camera inside.
-    pub parts: Vec<(String, Metrics)>,
+    pub(crate) parts: Vec<(String, Metrics)>,
     /// ln(predicted / measured) at the 1st, 5th, 25th, 50th, 75th, 95th and 99th percentile.
-    pub log_errors: [f64; 7],
+    pub(crate) log_errors: [f64; 7],
 }
 
 /// Error of a predictor on other data after calibration to a hundred frames of that data.
 #[derive(Clone, Debug, Serialize)]
-pub struct CalibratedResult {
+pub(crate) struct CalibratedResult {
     /// Name of the set.
-    pub set: String,
+    pub(crate) set: String,
     /// Name of the split.
-    pub split: String,
+    pub(crate) split: String,
     /// Name of the predictor.
-    pub predictor: String,
+    pub(crate) predictor: String,
     /// Errors on volumes that were not used for calibration.
-    pub metrics: Metrics,
+    pub(crate) metrics: Metrics,
 }
 
 /// All results of a study.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Findings {
+pub(crate) struct Findings {
     /// Errors by set, split and predictor.
-    pub results: Vec<SplitResult>,
+    pub(crate) results: Vec<SplitResult>,
     /// Errors on the training tables.
-    pub fits: Vec<Fit>,
+    pub(crate) fits: Vec<Fit>,
     /// Latencies by set and predictor.
-    pub latencies: Vec<(String, String, Latency)>,
+    pub(crate) latencies: Vec<(String, String, Latency)>,
     /// RMSE with eight-bit weights over that with the weights as stored, on the main split, by set and predictor.
-    pub eight_bit: Vec<(String, String, f64)>,
+    pub(crate) eight_bit: Vec<(String, String, f64)>,
     /// Noise floor and number of frames, by set and split.
-    pub noise: Vec<(String, String, NoiseFloor, usize)>,
+    pub(crate) noise: Vec<(String, String, NoiseFloor, usize)>,
     /// The predictor that the rule selects, by set.
-    pub selected: BTreeMap<String, String>,
+    pub(crate) selected: BTreeMap<String, String>,
     /// Errors after calibration to other data.
-    pub calibrated: Vec<CalibratedResult>,
+    pub(crate) calibrated: Vec<CalibratedResult>,
     /// Predictors that could not be trained, with the reason.
-    pub left_out: Vec<(String, String, String)>,
+    pub(crate) left_out: Vec<(String, String, String)>,
     /// Model file by set and predictor.
     #[serde(skip)]
-    pub files: Vec<(String, String, PathBuf)>,
+    pub(crate) files: Vec<(String, String, PathBuf)>,
 }
 
 impl Findings {
     /// The errors of a predictor on a split.
-    pub fn of(&self, set: &str, split: &str, predictor: &str) -> Option<&SplitResult> {
+    pub(crate) fn of(&self, set: &str, split: &str, predictor: &str) -> Option<&SplitResult> {
         self.results.iter().find(|r| r.set == set && r.split == split && r.predictor == predictor)
     }
 
     /// The errors of a predictor on the training tables.
-    pub fn fit(&self, set: &str, predictor: &str) -> Option<&Fit> {
+    pub(crate) fn fit(&self, set: &str, predictor: &str) -> Option<&Fit> {
         self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
     }
 
     /// The latency of a predictor.
-    pub fn latency(&self, set: &str, predictor: &str) -> Option<Latency> {
+    pub(crate) fn latency(&self, set: &str, predictor: &str) -> Option<Latency> {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
     }
 
     /// Median absolute relative error of a perfect predictor, due to the noise of repeats: 0.6745 standard
     /// deviations of a frame's median.
-    pub fn noise_mdape(&self, set: &str, split: &str) -> f64 {
+    pub(crate) fn noise_mdape(&self, set: &str, split: &str) -> f64 {
         self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| n.2.mdape())
     }
 }
 
 /// Number of frames to which predictors are calibrated.
-pub const CALIBRATION_FRAMES: usize = 100;
+pub(crate) const CALIBRATION_FRAMES: usize = 100;
 
 /// The name of the constant baseline.
-pub const CONSTANT: &str = "constant (mean of 15 % probes)";
+pub(crate) const CONSTANT: &str = "constant (mean of 15 % probes)";
 /// The name of the low-resolution proxy.
-pub const PROXY: &str = "LVRP (64³ render, linear fit)";
+pub(crate) const PROXY: &str = "LVRP (64³ render, linear fit)";
 
 /// Measures predictions on a split; `None` if it has no frames.
 pub(super) fn judge(

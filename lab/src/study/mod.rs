@@ -10,19 +10,17 @@ mod calibrated;
 mod data;
 mod description;
 mod findings;
-pub mod report;
+pub(crate) mod report;
 mod rule;
 mod runner;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use bars::bars;
 pub(crate) use baselines::{Line, twins};
-pub(crate) use runner::Bounds;
-
-pub use bars::bars;
-pub(crate) use description::SELECTED;
-pub use description::{Limits, Named, Set, Ship, SplitTables, Study, clock, read};
-pub use findings::{CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult};
-pub(crate) use rule::SENTENCE;
-pub use rule::{by_rule, shipped};
-pub use runner::Runner;
+pub(crate) use description::{Named, SELECTED, Set, Ship, Study, clock, read};
+pub(crate) use findings::{
+    CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult,
+};
+pub(crate) use rule::{SENTENCE, by_rule, shipped};
+pub(crate) use runner::{Bounds, Runner};

@@ -16,7 +16,7 @@ pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volu
 
 /// Table of the errors, bounds and latencies of every predictor on a split. If `panel` is given, only of the predictors
 /// listed there and of the baselines.
-pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
+pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
         Column::number("RMSE, ms"),
@@ -73,7 +73,7 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
 
 /// Table of the errors on training frames, in cross-validation, and on the main split, each with its interval over
 /// volumes.
-pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
+pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
         Column::number("RMSE/SD (90 %), training frames"),
@@ -227,7 +227,7 @@ fn spread(found: &Findings, set: &str, split: &str) -> Chart {
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
+pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
     make_folder(out)?;
     let put = |name: &str, text: &str| write_whole(&out.join(name), text.as_bytes());
     write_json(&out.join("study.json"), &serde_json::json!({ "study": study, "findings": found }))?;

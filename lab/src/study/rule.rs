@@ -43,7 +43,7 @@ fn may_choose(named: &Named, set: &str) -> bool {
 }
 
 /// The predictor that the rule selects for a set, by the errors of cross-validation in all sets of its group.
-pub fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a Named> {
+pub(crate) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a Named> {
     let of = study.sets.iter().find(|s| s.name == set)?;
     let group: Vec<&str> = study
         .sets
@@ -70,7 +70,7 @@ pub fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a 
 }
 
 /// The predictor that ships under a name in the study's list: `selected` is the one that the rule selects.
-pub fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &'a str) -> Option<&'a str> {
+pub(crate) fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &'a str) -> Option<&'a str> {
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }
 

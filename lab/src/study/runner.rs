@@ -101,15 +101,15 @@ impl StudyPredictor {
 }
 
 /// Context of a study besides its description.
-pub struct Runner<'a> {
+pub(crate) struct Runner<'a> {
     /// Threads for training and prediction.
-    pub pool: &'a rayon::ThreadPool,
+    pub(crate) pool: &'a rayon::ThreadPool,
     /// Folder of stored models.
-    pub models: PathBuf,
+    pub(crate) models: PathBuf,
     /// Progress over all trainings.
-    pub bar: &'a ProgressBar,
+    pub(crate) bar: &'a ProgressBar,
     /// Called often; the study stops once it returns true.
-    pub stop: &'a dyn Fn() -> bool,
+    pub(crate) stop: &'a dyn Fn() -> bool,
 }
 
 impl Runner<'_> {
@@ -195,9 +195,9 @@ impl Runner<'_> {
         let (mut groups, mut volumes) = (Vec::new(), Vec::new());
         for k in 0..folds.groups.len() {
             let held = folds.part(k, judged);
-            let (training, validation) = folds.without(&[k], all);
+            let (training, validation) = folds.without(k, all);
             let none = TimedFrames::default();
-            let key = Folds::key(key, &[k]);
+            let key = Folds::key(key, k);
             let made = self.any(&key, method, context, (&training, &validation), &Bounds::Frames(&none))?;
             predicted.extend(made.predict(context, &held.frames)?);
             groups.extend(held.frames.iter().map(|f| folds.by.group(&f.scene)));
@@ -212,7 +212,7 @@ impl Runner<'_> {
     ///
     /// # Errors
     /// When tables cannot be read, a baseline's tables do not fit, or it was stopped.
-    pub fn run(&self, study: &Study) -> Result<Findings> {
+    pub(crate) fn run(&self, study: &Study) -> Result<Findings> {
         let clock = clock(&study.clock)?;
         let mut out = Findings::default();
         let (path, factor) = &study.latency_volume;

@@ -128,7 +128,7 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
     let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);
     let judged = table("judged.csv", &|i, p| i % 8 == 3 && (p == 2 || p == 5), &slower);
     let (model, tuned) = (dir.path().join("model.safetensors"), dir.path().join("tuned.safetensors"));
-    let file = fit_network(&samples_of(&[made_on], PROBE_SIDE).unwrap(), 1).unwrap();
+    let file = fit_network(&samples_of(&[made_on], PROBE_SIDE).unwrap()).unwrap();
     std::fs::write(&model, file.to_bytes().unwrap()).unwrap();
     let path = |p: &Path| p.to_str().unwrap().to_owned();
     let options = Train::parse_from([

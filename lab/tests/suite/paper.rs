@@ -74,15 +74,15 @@ fn description(to: &Path) {
 }
 
 fn paper(folder: &Path, step: &str, more: &[&str]) -> (Output, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
-        .args(["paper", step, "--threads", "2", "--device", "cpu", "--description", "paper.json"])
-        .arg("--data")
-        .arg(repository().join("data"))
-        .args(if more.contains(&"--out") { &[][..] } else { &["--out", "out"] })
-        .args(more)
-        .current_dir(folder)
-        .output()
-        .unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_entire-lab"));
+    command.args(["paper", step, "--description", "paper.json"]);
+    if step != "report" {
+        command.args(["--threads", "2", "--device", "cpu", "--data"]).arg(repository().join("data"));
+    }
+    if !more.contains(&"--out") {
+        command.args(["--out", "out"]);
+    }
+    let output = command.args(more).current_dir(folder).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!said.contains("panicked"), "{said}");
     (output, said)

@@ -10,7 +10,7 @@ use entire_core::scene::{
 };
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::{Session, StepLimits};
-use entire_steer::features::{SummaryOptions, VolumeSummary};
+use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::error::Error;
 
@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut renderer = CpuRaycaster::new();
     renderer.set_volume(&volume)?;
     let mut session = Session::untrained();
-    session.set_volume(VolumeSummary::new(&volume, SummaryOptions::default())?, None);
+    session.set_volume(VolumeSummary::new(&volume)?, None);
     session.set_limits(StepLimits { finest: 0.5, coarsest: 8.0 })?;
 
     // The budget: two thirds of what the first view takes at the reference step.

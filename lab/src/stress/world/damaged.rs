@@ -9,9 +9,7 @@ use entire_cli::steering::rivals::StepResponse;
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Camera, Frame, TransferFunction};
 use entire_steer::control::Prior;
-use entire_steer::features::{
-    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-};
+use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{Inputs, load};
 
 /// Plays the scene.
@@ -20,7 +18,7 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     let model = fitted(machine)?;
     let good = model.to_model_file()?.to_bytes()?;
     let block = Block::ball(16, 0.0);
-    let summary = VolumeSummary::new(&block.view()?, SummaryOptions::default())?;
+    let summary = VolumeSummary::new(&block.view()?)?;
     let table = TransferFunction::Gaussian(shell()).to_table()?;
     let mut transfer = TransferSummary::new(&summary, &table)?;
     let frame = Frame::new(Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?, 64, 64)?;

@@ -14,9 +14,7 @@ use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction,
 use entire_io::dataset::Clock;
 use entire_steer::control::StepLimits;
 use entire_steer::control::{ObserveFlags, Prior};
-use entire_steer::features::{
-    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
-};
+use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{AnalyticModel, Measurement, UnitCosts};
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
@@ -34,7 +32,7 @@ fn law(pixels: f64, counts: &WorkCounts) -> f64 {
 }
 
 /// Renderer and clock.
-pub enum Machine<'a> {
+pub(crate) enum Machine<'a> {
     /// The CPU version counts work and `law` converts it to seconds: the same in every run.
     Scripted(Box<CpuRaycaster>),
     /// A real renderer and its clock. Images are [`GROWN`] times as wide and high, so that times are measurable.
@@ -42,11 +40,11 @@ pub enum Machine<'a> {
 }
 
 /// Factor on image sides on a real renderer.
-pub const GROWN: u32 = 4;
+pub(crate) const GROWN: u32 = 4;
 
 /// Scenes that can be played on a real renderer. The images of scene 12 are too large for a software driver;
 /// scene 28 draws nothing.
-pub const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
+pub(crate) const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 
 impl Machine<'_> {
     fn renderer(&mut self) -> &mut dyn Renderer {
@@ -85,7 +83,7 @@ impl Machine<'_> {
 fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
     let block = Block::ball(32, 0.05);
     let view = block.view()?;
-    let summary = VolumeSummary::new(&view, SummaryOptions::default())?;
+    let summary = VolumeSummary::new(&view)?;
     machine.renderer().set_volume(&view)?;
     let mut rows = Vec::new();
     let mut features = FrameFeatures::default();
@@ -142,7 +140,7 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
 ///
 /// # Errors
 /// When the scene cannot be set up, or is not in this file.
-pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
+pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     if number == 28 {
         return damaged(method, machine);
     }
@@ -165,7 +163,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
     who.session.set_limits(limits)?;
     let views: Vec<VolumeView<'_>> = world.blocks.iter().map(Block::view).collect::<Result<_>>()?;
     let summaries: Vec<VolumeSummary> =
-        views.iter().map(|v| Ok(VolumeSummary::new(v, SummaryOptions::default())?)).collect::<Result<_>>()?;
+        views.iter().map(|v| Ok(VolumeSummary::new(v)?)).collect::<Result<_>>()?;
     let mut noise = Noise::new(number as u64);
     let mut seen: Vec<Seen> = Vec::with_capacity(world.frames);
     let mut broken = Vec::new();
