@@ -1,6 +1,6 @@
-//! Passes the commit that the program is built from to the compiler, so that tables and reports can state
-//! it, with the words "with local changes" if files differed from it when this crate was built. Edits in the
-//! crates that use this one do not build it again, since all of them would then be built again at every edit.
+//! Passes the git commit of the build to the compiler, so that tables and reports can state it. The words
+//! "with local changes" follow if files differed from the commit when this crate was built. Edits of crates
+//! that depend on this one do not rebuild it: that would rebuild all of them at every edit.
 
 use std::path::Path;
 use std::process::Command;

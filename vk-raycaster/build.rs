@@ -18,7 +18,7 @@ fn main() {
         for skipping in 0..3u32 {
             for fetch in 0..3u32 {
                 for [counting, packets, bricks] in [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1]] {
-                    // Packets are only for software devices, and only skipping differs in them.
+                    // Packets are only for software devices, and they change only the skipping.
                     if packets == 1 && (fetch != 2 || skipping == 0) {
                         continue;
                     }

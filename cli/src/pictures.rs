@@ -2,7 +2,7 @@
 
 use entire_vk_raycaster::Image;
 
-/// Maximum PSNR in tables and means, decibels: equal pictures count as this.
+/// Maximum PSNR in tables and means, decibels; equal pictures get this value.
 pub const BEST_PSNR: f64 = 100.0;
 
 /// Resizes a picture bilinearly; where it shrinks, by a triangle filter whose half width is one new pixel.
@@ -40,9 +40,9 @@ pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     Some(Image { width, height, rgba })
 }
 
-/// Pixels of one axis that each new pixel is made of, and their weights, which sum to 1.
+/// Source pixels along one axis of each new pixel, and their weights, which sum to 1.
 struct Taps {
-    /// For each new pixel, its first pixel and the range of its weights.
+    /// For each new pixel, its first source pixel and the range of its weights in `weights`.
     places: Vec<(usize, std::ops::Range<usize>)>,
     weights: Vec<f32>,
 }

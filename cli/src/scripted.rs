@@ -7,7 +7,8 @@ use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Render
 pub(crate) struct ScriptedRenderer {
     pub(crate) fixed: f64,
     pub(crate) per_sample: f64,
-    /// Standard deviation of the noise in ln(seconds), from a hash of the number of renderings.
+    /// Standard deviation of the noise in ln(seconds). The noise is computed from a hash of the number
+    /// of renderings.
     pub(crate) noise: f64,
     pub(crate) renderings: u64,
     volume: bool,

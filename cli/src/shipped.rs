@@ -12,7 +12,7 @@ macro_rules! selected {
     };
 }
 
-/// Names and bytes of a mode's models: the selected one, then those of other types of machine.
+/// Names and bytes of a mode's models: the selected one, then the models of other types of machine.
 fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
     match shading {
         Shading::None => vec![selected!("unshaded"), selected!("unshaded-epyc"), selected!("unshaded-xeon")],

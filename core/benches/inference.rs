@@ -1,5 +1,6 @@
 //! Times PredNet by network, level and storage, and VolumeNet and resampling by level, on one thread, and
-//! compares them with the machine's limits, measured in the same run.
+//! compares the times with the machine's limits, which are measured in the same run. Times in the table are
+//! in microseconds.
 //!
 //! ```text
 //! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
@@ -7,7 +8,7 @@
 //!
 //! | column | meaning |
 //! |---|---|
-//! | setup | packing the weights |
+//! | setup | time of packing the weights |
 //! | warm | minimum, median, 99th percentile and maximum of successive calls |
 //! | cold | median with the weights evicted from the first two cache levels before each call |
 //! | flushed | median with the weights (resampling: the voxels) flushed from every cache before each call; not for VolumeNet |
@@ -29,7 +30,7 @@ use std::fmt::Write;
 use std::hint::black_box;
 use std::time::{Duration, Instant, SystemTime};
 
-/// Networks: name, number of inputs, hidden widths including the halving tail.
+/// Networks: name, number of inputs, widths of the hidden layers.
 const NETWORKS: [(&str, usize, &[usize]); 5] = [
     ("2x64", 24, &[64, 64]),
     ("0C256", 16, &[256, 128, 64, 32, 16]),
@@ -289,7 +290,7 @@ mod limits {
 
     /// FLOP per second (integer operations with `int8`); `None` where the level lacks such instructions.
     pub(super) fn peak(level: super::Level, int8: bool) -> Option<f64> {
-        // Many short runs: the fastest one was not disturbed.
+        // Takes the fastest of many short runs, which is the one least disturbed by other processes.
         let best = |f: &dyn Fn() -> f64| Some((0..600).map(|_| f()).fold(0.0, f64::max));
         match level.isa() {
             // SAFETY: the level proves the instructions, here and below.

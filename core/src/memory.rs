@@ -3,7 +3,7 @@
 use crate::{Error, ErrorKind, Result};
 use alloc::vec::Vec;
 
-/// The error of a failed allocation. Its message is static: there may be no memory for another.
+/// The error of a failed allocation. Its message is static, because a formatted one would need memory.
 #[cold]
 pub(crate) fn no_memory() -> Error {
     Error::new(
@@ -49,13 +49,13 @@ pub(crate) fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
     bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())
 }
 
-/// A new vector of `len` zeros where the given one lacks the capacity, otherwise `None`; untouched pages of
-/// it take no memory.
+/// Returns a new vector of `len` zeros if the capacity of `vector` is below `len`, otherwise `None`.
+/// Untouched pages of the new vector take no memory.
 pub fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
     if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
 }
 
-/// Replaces the vector by the longer one, if any; otherwise resizes it to `len`.
+/// Replaces `vector` by `longer` if that is a vector; otherwise resizes `vector` to `len`.
 pub fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
     match longer {
         Some(longer) => *vector = longer,
@@ -63,8 +63,8 @@ pub fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Ve
     }
 }
 
-/// Reserves capacity for `len` elements in all, and for more where the vector has grown before, so that a
-/// vector that grows piece by piece is moved only a few times.
+/// Reserves capacity for `len` elements in total. May reserve more, so that a vector that grows step by step
+/// is reallocated only a few times.
 pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
     match vector.try_reserve(len.saturating_sub(vector.len())) {
         Ok(()) => Ok(()),
@@ -93,8 +93,8 @@ pub fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>
     Ok(out)
 }
 
-/// Checks that `bytes` bytes can be allocated, before work whose many small allocations would abort the
-/// process where they fail.
+/// Checks that `bytes` bytes can be allocated. Called before work with many small allocations, because a
+/// failure of one of them would abort the process.
 pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
 }

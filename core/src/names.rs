@@ -1,6 +1,6 @@
 //! The macro `names!`.
 
-/// Implements `name`, `Display` and the conversion to `&'static str` of an enum from a table of names.
+/// Implements `name`, `Display` and the conversion to `&'static str` for an enum, from a table of names.
 #[macro_export]
 macro_rules! names {
     ($type:ty: $($variant:ident $name:literal,)*) => {

@@ -83,7 +83,7 @@ struct App {
     /// Numbers of drawn frames, and of pictures that the window has shown.
     number: u64,
     shown: u64,
-    /// Number of shown pictures at the oldest event that no picture includes yet.
+    /// Number of pictures shown before the oldest event that no picture includes yet.
     event_at: Option<u64>,
     last_change: Instant,
     last_paint: Instant,
@@ -110,14 +110,14 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
     let steer = Steer::new(controllers, controller, options.target);
     let script = options.script.as_deref().map(Script::open).transpose()?;
     if script.is_some() && options.volumes.is_empty() {
-        bail!("a script needs a volume to begin with; give one");
+        bail!("a script needs an initial volume; give a volume file");
     }
     let log = options.log.as_deref().map(Log::create).transpose()?;
     let event_loop = EventLoop::<Wake>::with_user_event().build().map_err(|e| {
         anyhow!(
-            "no window can be opened: {e}; set DISPLAY (X11) or WAYLAND_DISPLAY, or give it a display of its own \
-             with `xvfb-run -s '-screen 0 1280x900x24' entire explore …`; `entire render` and `entire steer` need \
-             none"
+            "no window can be opened: {e}; set DISPLAY (X11) or WAYLAND_DISPLAY, or start it on a virtual \
+             display: `xvfb-run -s '-screen 0 1280x900x24' entire explore …`; `entire render` and `entire \
+             steer` need no display"
         )
     })?;
     let now = Instant::now();

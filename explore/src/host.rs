@@ -30,7 +30,7 @@ pub trait Steering: Send + Sync {
     /// VolumeNet's output for the volume, if the predictor uses it.
     fn volume_features(&self) -> Option<&[f32]>;
 
-    /// A new session under one of the [`Host::controllers`].
+    /// A new session with one of the [`Host::controllers`].
     ///
     /// # Errors
     /// When the predictor cannot be made.
@@ -70,7 +70,7 @@ pub trait Host: Send + Sync {
     fn calibration(&self, volume: &Path, shading: Shading) -> String;
 }
 
-/// Progress of reading a file, and a request to stop. The reader and the window use the same one.
+/// Progress of reading a file, and a request to stop. The reader and the window share one instance.
 #[derive(Debug, Default)]
 pub struct Progress {
     done: AtomicU64,

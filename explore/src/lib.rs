@@ -1,8 +1,8 @@
 //! The window of `entire`: a volume explorer that holds a target frame time.
 //!
-//! One window on the project's Vulkan raycaster. Every frame is planned by an [`entire_steer::Session`],
-//! which then observes its time; a graph shows the prediction with its bound beside the measured time. The
-//! picture never leaves the device: the compute shader writes it, the interface samples it.
+//! The window shows pictures of the project's Vulkan raycaster. An [`entire_steer::Session`] plans every
+//! frame and then observes the frame's time; a graph shows the prediction with its bound beside the measured
+//! time. The picture never leaves the device: the compute shader writes it, the interface samples it.
 //!
 //! Readers of volume files, predictors, controllers and path files come from the program that opens the
 //! window, through [`Host`].

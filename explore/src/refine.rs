@@ -21,7 +21,7 @@ pub(crate) struct Cursor {
     height: u32,
     x: u32,
     y: u32,
-    /// Expected seconds of the next piece: those per piece of the last region.
+    /// Expected seconds of the next piece: the seconds per piece of the last region.
     piece: f64,
     /// Seconds of the finished part.
     spent: f64,

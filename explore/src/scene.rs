@@ -35,7 +35,7 @@ pub(crate) struct Facts {
     /// The minimum and maximum of its voxels.
     pub(crate) own_range: (f32, f32),
     pub(crate) spacing: Vec3,
-    /// Half the extent of the whole box in its scene space.
+    /// Half extents of the whole volume's box, in its scene space.
     pub(crate) half_extent: Vec3,
 }
 
@@ -51,7 +51,7 @@ impl Facts {
         }
     }
 
-    /// The corners of a part, or of the whole, in the whole's scene space.
+    /// The corners of a part, or of the whole volume, in the scene space of the whole volume.
     pub(crate) fn corners(&self, crop: Option<Crop>) -> [Vec3; 2] {
         let end =
             |a: usize, voxel: usize| self.half_extent[a] * (2.0 * voxel as f32 / self.dims[a] as f32 - 1.0);
@@ -181,7 +181,7 @@ mod tests {
         for (x, y, z) in [(0, 0, 0), (1, 3, 3), (1, 0, 2)] {
             assert_eq!(cut.value(x, y, z), view.value(x + 1, y, z + 4));
         }
-        // A voxel's corner has the same world position in both.
+        // A voxel's corner has the same world position in the part and in the whole volume.
         let world = |v: &VolumeView<'_>, at: Vec3| {
             let corner = Vec3::from_array(v.shape().dims.map(|n| n as f32)) * v.shape().spacing * 0.5;
             at * v.shape().spacing - corner

@@ -48,7 +48,7 @@ pub(crate) struct Changed {
     pub(crate) transfer: bool,
     /// The transfer function was replaced.
     pub(crate) replaced: bool,
-    /// Modes, sizes, target, controller: the picture must be drawn again.
+    /// Modes, sizes, target or controller changed.
     pub(crate) settings: bool,
 }
 

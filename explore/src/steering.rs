@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// Number of frames in the graph.
 pub(crate) const REMEMBERED: usize = 300;
 
-/// Number of last frames from which the work besides ray casting of the next frame is estimated.
+/// Number of recent frames from which the next frame's seconds besides ray casting are estimated.
 const OTHER_WORK: usize = 15;
 
 /// Smallest share of the target that is planned for ray casting, however long the other work takes.
@@ -75,10 +75,10 @@ struct Known {
 pub(crate) struct Steer {
     /// Name and title.
     pub(crate) controllers: Vec<(&'static str, &'static str)>,
-    /// Index of the one that steers.
+    /// Index of the controller that steers.
     pub(crate) controller: usize,
     pub(crate) enabled: bool,
-    /// Seconds.
+    /// Target frame time, seconds.
     pub(crate) target: f64,
     /// The coarsest allowed step, reference steps.
     pub(crate) coarsest: f32,
@@ -127,7 +127,7 @@ impl Steer {
         }
     }
 
-    /// Sets a volume and its predictors. Sessions whose predictor is still the same keep its correction.
+    /// Sets a volume and its predictors. A session keeps its correction if its predictor stays the same.
     pub(crate) fn set_volume(&mut self, summary: VolumeSummary, steering: [Arc<dyn Steering>; 3]) {
         if let Some(known) = &self.known {
             let same = [0, 1, 2].map(|i| known.steering[i].identity() == steering[i].identity());
@@ -306,7 +306,7 @@ mod tests {
     use super::*;
     use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction, VolumeView};
 
-    /// Its number is the predictor's identity.
+    /// A predictor without a model; the number is the predictor's identity.
     struct Untrained(u32);
 
     impl Steering for Untrained {

@@ -55,7 +55,7 @@ impl WorkMap {
         Region { x, y, width, height }
     }
 
-    /// Counts the samples of cells for about `budget` seconds, of at least one cell.
+    /// Counts the samples of at least one cell, and of further cells for about `budget` seconds.
     ///
     /// # Errors
     /// Those of the raycaster.

@@ -73,7 +73,7 @@ class Person:
         return self.display.pixels((100, 120, 420, 320))
 
     def rests(self):
-        """True if the last frame is of full quality, or has been refined to it, as far as the log tells."""
+        """True if, according to the log, the last frame is at full quality or was refined to full quality."""
         rows = list(csv.DictReader(self.log.read_text().splitlines())) if self.log.exists() else []
         last = next((row for row in reversed(rows) if row["kind"] in ("frame", "rest")), None)
         if last is None or last["kind"] == "rest":
@@ -81,7 +81,7 @@ class Person:
         return float(last["step"]) <= 1 and float(last["image_sample_distance"]) <= 1
 
     def settle(self, seconds=40):
-        """Moves the pointer away and waits until the picture is still, at full quality if that comes in time."""
+        """Moves the pointer away and waits until the picture is still and, if time suffices, at full quality."""
         self.display.xdotool("mousemove", *AWAY)
         end = time.monotonic() + seconds
         before = self.view()
@@ -130,21 +130,21 @@ def a_person_explores(command, display, folder):
 
     person.drag((250, 300), (400, 340))
     turned = person.settle()
-    assert tools.mean_difference(first, turned) > 1, "dragging turned nothing"
+    assert tools.mean_difference(first, turned) > 1, "dragging did not turn the view"
 
     display.xdotool("mousemove", 300, 300)
     for _ in range(4):
         display.xdotool("click", 4)
         time.sleep(0.05)
     zoomed = person.settle()
-    assert tools.mean_difference(turned, zoomed) > 1, "scrolling zoomed nothing"
+    assert tools.mean_difference(turned, zoomed) > 1, "scrolling did not zoom the view"
 
     person.key("r")
     start = person.settle()
-    # The editor is in the upper right corner, 340 points wide. One of the drags down along its width catches an
-    # opacity handle. One edit is enough. It is checked after the editor's hint, which overlaps the view, is
-    # gone and the camera was reset: with slow frames a whole drag falls into one frame, and then the widget at its end
-    # gets it, which may be the view.
+    # The editor is in the upper right corner, 340 points wide. At least one of the drags catches an opacity handle, and
+    # one edit is enough. Before the check, the pointer leaves the editor, whose hint overlaps the view, and the camera
+    # is reset: with slow frames a whole drag falls into one frame and goes to the widget at its end, which may be the
+    # view.
     def changed():
         person.key("r")
         return tools.mean_difference(start, person.settle()) > 0.2
@@ -165,7 +165,7 @@ def a_person_explores(command, display, folder):
             break
     apart = tools.largest_difference(start, back)
     where = tools.where_different(start, back)
-    assert apart <= 2, f"what was edited is not taken back: {apart} of 255 {where}, at rest: {person.rests()}"
+    assert apart <= 2, f"undo does not restore the colors: {apart} of 255 {where}, at rest: {person.rests()}"
 
     for key in "123":
         person.key(key)
@@ -181,7 +181,7 @@ def a_person_explores(command, display, folder):
     assert tools.mean_difference(parallel, left) > 1, "Ctrl+2 does not look from the left"
     display.xdotool("mousemove", 300, 300, "click", "--repeat", 4, "--delay", 60, 4)
     zoomed = person.settle()
-    assert tools.mean_difference(left, zoomed) > 1, "scrolling zoomed no orthographic view"
+    assert tools.mean_difference(left, zoomed) > 1, "scrolling did not zoom the orthographic view"
     for key in ("5", "3", "r"):
         person.key(key)
     person.settle()
@@ -212,7 +212,7 @@ def a_person_explores(command, display, folder):
 
 
 def screenshots_are_those_of_render(command, display, folder):
-    """The same pixels as `entire render`, independent of the window."""
+    """Screenshots have the same pixels as pictures of `entire render`, independent of the window."""
     camera, size = [20, 35, 2.5], [333, 257]
     for shading, parallel in (("none", False), ("local", False), ("scatter", False), ("none", True), ("local", True)):
         name = f"{shading}-{'parallel' if parallel else 'perspective'}"
@@ -299,7 +299,7 @@ def a_script_switches_everything(command, display, folder):
 
 
 def a_series_plays_in_the_background(command, display, folder):
-    """Steps of a series follow one another while the previous one is shown."""
+    """The next step of a series is loaded while the previous step is shown."""
     steps = sorted((ROOT / "data/nyx_cosmology/m01").glob("*.nrrd"))[:2]
     if len(steps) < 2:
         steps = [BANANA, BANANA]
@@ -309,7 +309,7 @@ def a_series_plays_in_the_background(command, display, folder):
 
 
 def without_a_display_it_says_so(command, display, folder):
-    """One line with the remedy."""
+    """Without a display, the command prints one line with the remedy."""
     environment = {k: v for k, v in display.environment.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run([command, "explore", BANANA], env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1 and "xvfb-run" in done.stderr and done.stderr.count("\n") == 1, done.stderr
@@ -360,7 +360,7 @@ def main():
             begin = time.monotonic()
             try:
                 test(command, display, folder)
-            except Exception as error:  # noqa: BLE001: every failure is told, and the next test runs
+            except Exception as error:  # noqa: BLE001: every failure is reported, and the next test runs
                 failed += 1
                 print(f"test {test.__name__} ... FAILED: {type(error).__name__}: {error}", flush=True)
             else:

@@ -58,7 +58,7 @@ impl<'a> Database<'a> {
                 Entry::Done { answer, predicted_s } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
-                        // The last entry counts: a missing picture was rendered again.
+                        // A task whose picture was missing was rendered again, so its last entry is valid.
                         done.insert(task, Row { answer, predicted_s });
                     } else {
                         gone.extend(parse_id(&answer.task));
@@ -96,10 +96,10 @@ impl<'a> Database<'a> {
         Ok(new)
     }
 
-    /// Compares the input files with those of the last run. Removes the pictures of changed files, prints
-    /// notes on them and on other pictures without a task, and stores the files' identities in the journal.
-    /// `then`: the identities of the last run, by [`Job::shown`]; `gone`: ids in the journal that are no task
-    /// of the job.
+    /// Compares the input files with those of the last run. Removes the pictures of changed files, prints a
+    /// note on these files and one on pictures that belong to no task, and stores the files' identities in
+    /// the journal. `then`: the identities of the last run, keyed by [`Job::shown`]; `gone`: ids in the
+    /// journal that belong to no task of the job.
     fn compare_inputs(
         &mut self,
         then: Option<BTreeMap<String, Vec<Identity>>>,

@@ -1,5 +1,5 @@
-//! Choice of the next task: longest first with late binding. If loading is expensive, a node keeps its volume
-//! as long as that pays.
+//! Choice of the next task when a node asks for work (late binding): the longest first. If loading is
+//! expensive, a node keeps its loaded volume while this shortens the run.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -9,7 +9,7 @@ use std::collections::BinaryHeap;
 
 /// Maximum number of tasks in a bundle.
 const MOST: usize = 4096;
-/// Maximum and minimum of a bundle's expected seconds over the seconds of its overhead and loading.
+/// Maximum and minimum of a bundle's expected seconds, divided by the seconds of its overhead and loading.
 const WORTH: (f64, f64) = (50.0, 3.0);
 /// Minimum number of bundles into which the remaining work per slot is cut.
 const CUTS: f64 = 4.0;
@@ -28,8 +28,8 @@ pub(crate) struct Ask<'a> {
     pub(crate) slots: usize,
     /// Limit of the expected seconds of a bundle of several tasks.
     pub(crate) limit: f64,
-    /// True if expected times are only assumed: the size of a bundle is then a share of the number of waiting
-    /// tasks, up to the limit.
+    /// True if expected times are neither predicted nor measured. A bundle then has at most a fixed share of
+    /// the waiting tasks, and `limit` alone bounds its expected seconds.
     pub(crate) blind: bool,
 }
 
@@ -64,12 +64,13 @@ pub(crate) struct Dispatcher {
     counts: Vec<u32>,
     holders: Vec<u32>,
     heap: BinaryHeap<Front>,
-    /// Volumes with an entry in the heap; its seconds may be outdated and are checked when it is taken.
+    /// True for each volume with an entry in the heap. The seconds of an entry may be outdated; they are
+    /// checked when the entry is taken.
     listed: Vec<bool>,
     pending: usize,
     asked: u32,
     sent: Vec<u32>,
-    /// Interval of requests that are answered with a task for learning; 0 for never.
+    /// Interval, in requests, between answers with a task for learning; 0 for no such answer.
     explore: u32,
     /// True if loading costs enough to be considered, and the request at which that was decided.
     loading: bool,
@@ -130,7 +131,7 @@ impl Dispatcher {
         self.seconds[task as usize]
     }
 
-    /// The waiting tasks, in ascending number.
+    /// Numbers of the waiting tasks, ascending.
     pub(crate) fn waiting(&self) -> impl Iterator<Item = u32> + '_ {
         self.waits.iter().enumerate().filter(|(_, w)| **w).map(|(i, _)| i as u32)
     }
@@ -140,7 +141,7 @@ impl Dispatcher {
         self.explore = every;
     }
 
-    /// Takes all tasks as equally long, like a scheduler without predictions.
+    /// Treats all tasks as equally long, like a scheduler without predictions.
     pub(crate) fn set_uniform(&mut self) {
         self.uniform = true;
     }
@@ -220,7 +221,8 @@ impl Dispatcher {
         if self.arrival || self.uniform { -(task as f32) } else { self.seconds[task as usize] }
     }
 
-    /// The next task of a volume. Tasks that were sent meanwhile leave its lane.
+    /// The next waiting task of a volume. Removes tasks that were already sent from the end of the volume's
+    /// lane.
     fn front(&mut self, v: usize) -> Option<u32> {
         while let Some(&task) = self.lanes[v].last() {
             if self.waits[task as usize] {
@@ -254,7 +256,7 @@ impl Dispatcher {
         Some(task)
     }
 
-    /// Records that a node has loaded a volume instead of the one before.
+    /// Records that a node has replaced its loaded volume by another.
     pub(crate) fn hold(&mut self, before: Option<usize>, after: Option<usize>) {
         if let Some(v) = before {
             self.holders[v] = self.holders[v].saturating_sub(1);
@@ -320,7 +322,7 @@ impl Dispatcher {
                 None => {}
             }
         }
-        // Every volume with a task has an entry; none is left.
+        // Every volume with a waiting task has an entry, so no task waits.
         None
     }
 
@@ -343,11 +345,12 @@ impl Dispatcher {
 
     /// The volume that a node works on if loading is expensive.
     ///
-    /// A node keeps its volume while tasks on it wait. It leaves early only if another node keeps that
-    /// volume, for a volume without a node that would take one node longer than its own volume takes the
-    /// others, and longer than an equal share of all waiting work. When its volume is finished, it takes a
-    /// volume without a node, or else the one with the most work per node, unless the nodes there would
-    /// finish before it has loaded.
+    /// A node keeps its volume while tasks of this volume wait. It changes early to a volume that no node
+    /// holds, if other nodes hold its current volume too, and if the work of the new volume for one node
+    /// exceeds both the remaining work per other node of the current volume and, with loading, an equal share
+    /// of all waiting work. When no task of its volume waits, the node takes a volume that no node holds,
+    /// else the volume with the most work per node, unless the other nodes would finish that volume before
+    /// this node has loaded it.
     fn choose(&self, ask: &Ask<'_>, share: f64) -> Option<usize> {
         let held = ask.held.filter(|v| self.counts[*v] > 0);
         let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && held != Some(*v));

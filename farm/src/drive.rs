@@ -24,7 +24,7 @@ const TABLE_EVERY: Duration = Duration::from_secs(30);
 const RESTARTS: u32 = 3;
 /// Quantile of a bundle's seconds that its time request covers.
 const UPPER: f64 = 0.99;
-/// Interval of the views that a preview renders first.
+/// Interval, in views, between the views that a preview renders first.
 const PREVIEW: usize = 8;
 
 /// Result of a run.
@@ -40,7 +40,8 @@ pub struct Summary {
     pub now: usize,
     /// Seconds of this run.
     pub seconds: f64,
-    /// Estimates of the end: seconds since the run's start, share done, end at 5, 50, 95 percent.
+    /// Estimates of the end: seconds since the run's start, share of finished tasks, quantiles 0.05, 0.5 and
+    /// 0.95 of the end.
     pub said: Vec<(f64, f64, [f64; 3])>,
 }
 
@@ -303,7 +304,8 @@ impl Drive<'_, '_> {
             }
             // An assumed time excludes no task: the engine ends a bundle that takes longer than the limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
-                // The tasks of a bundle take at most half of this, unless it has one task.
+                // A bundle of several tasks is expected to take at most half of the limit, so this bundle has
+                // one task.
                 let why = format!(
                     "it is expected to take {:.0} s, and the engine runs nothing longer than {limit:.0} s",
                     sent.expected_s
@@ -500,7 +502,7 @@ impl Drive<'_, '_> {
         if self.idle_from.is_some() || self.over < 2 * slots {
             return;
         }
-        // Work of the running bundles so far: they are half done on average.
+        // Seconds that the running bundles have worked so far: on average half of their time.
         let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
         let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
         self.planner.set_overhead((idle / self.over as f64).clamp(0.001, 60.0));

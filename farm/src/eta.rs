@@ -15,7 +15,7 @@ const DRAWN: usize = 4096;
 const DRAWS: usize = 400;
 /// Minimum effective number of weighted draws.
 const COUNTING: f64 = 40.0;
-/// Number of tasks up to which the expected end simulates loads and bundles.
+/// Maximum number of tasks for which the estimate of the end simulates loading and bundles.
 const PLAYED: usize = 20_000;
 
 /// A running bundle.
@@ -33,11 +33,11 @@ impl Planner {
     /// Seconds until all tasks are done: quantiles 0.05, 0.5 and 0.95 of the draws.
     ///
     /// A running task takes at least the time it has run: its time is drawn from longer ones, and a draw of
-    /// the model is weighted by the probability that all running tasks still run. Without this, the estimate
-    /// would rely on finished tasks only, and at first only short tasks are finished.
+    /// the model is weighted by the probability that all running tasks still run. Otherwise the estimate
+    /// would rely on finished tasks only, and the first finished tasks are short ones.
     pub fn eta(&self, now: f64) -> [f64; 3] {
-        // The times since the last fit tend to be those of long tasks: without them the end would be too
-        // early.
+        // Times measured since the last fit tend to be those of long tasks. A fit without them would predict
+        // too early an end.
         if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
             let mut copy = self.clone();
             copy.learner.refit();
@@ -131,7 +131,8 @@ impl Planner {
         ((first / u.speed - run).max(0.0) + others, probable)
     }
 
-    /// Overhead of loading and dispatch over a plain queue, found by simulating the plan with expected times.
+    /// Seconds by which loading and dispatch delay the end `plain` of a plain queue. Simulates the plan with
+    /// expected times, or estimates the delay for more than [`PLAYED`] tasks.
     fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
         if all == 0 {
             return 0.0;
@@ -177,8 +178,8 @@ fn busy(under_way: &[UnderWay<'_>], slots: usize, mut rest: impl FnMut(&UnderWay
     busy
 }
 
-/// Quantiles 0.05, 0.5 and 0.95 of pairs of an end and its log weight. If the effective number of draws is
-/// below [`COUNTING`], the log weights are scaled towards 0.
+/// Quantiles 0.05, 0.5 and 0.95 of the ends in `ends`, each given with its log weight. If the effective
+/// number of draws is below [`COUNTING`], the log weights are scaled towards 0.
 fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     let most = ends.iter().map(|e| e.1).fold(f64::NEG_INFINITY, f64::max);
     let weights = |power: f64| -> Vec<f64> { ends.iter().map(|e| (power * (e.1 - most)).exp()).collect() };

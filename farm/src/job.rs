@@ -272,8 +272,8 @@ impl Job {
         volume * each..(volume + 1) * each
     }
 
-    /// Returns a function from a volume to the ids that its tasks have with earlier identities of its files.
-    /// `then`: these identities, by [`Job::shown`].
+    /// Returns a function that computes the task ids of a volume from earlier identities of its files.
+    /// `then`: these identities, keyed by [`Job::shown`].
     pub(crate) fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
         let mut volumes = self.volumes.clone();
         for (i, volume) in volumes.iter_mut().enumerate() {
@@ -285,7 +285,8 @@ impl Job {
         move |volume| self.tasks_of(volume).map(|t| self.id_with(hashes[volume], self.place(t))).collect()
     }
 
-    /// A volume's file in messages: relative to the job file's folder if it is below it.
+    /// Path of a volume's file for messages: relative to the job file's folder if the file is inside that
+    /// folder.
     pub fn shown(&self, volume: usize) -> String {
         let path = &self.volumes[volume].path;
         path.strip_prefix(&self.folder).unwrap_or(path).display().to_string()
@@ -348,7 +349,7 @@ impl Told {
 }
 
 /// Hashes of the volumes, for the ids of their tasks. Volumes with equal inputs have the same pictures; a
-/// count of the equal ones so far makes their hashes different.
+/// count of the equal volumes before each one makes their hashes different.
 fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     let mut same: HashMap<String, usize> = HashMap::new();
     let text = |v: &VolumeFile| {

@@ -53,9 +53,9 @@ fn default_steps() -> Vec<f32> {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VolumesEntry {
-    /// Its name; default: the first file's stem, or each file's own if `series` is false.
+    /// Its name; default: the first file's stem, or each file's own stem if `series` is false.
     pub name: Option<String>,
-    /// Files or glob patterns, sorted by name with numbers in them by value.
+    /// Files or glob patterns. The files are sorted by name; numbers in names are compared by value.
     pub files: Vec<String>,
     /// True if the files are time steps of one volume.
     #[serde(default)]
@@ -219,9 +219,9 @@ pub struct Predict {
     pub model: Option<PathBuf>,
     /// A task list with `task` (an id) and `predicted_s`.
     pub list: Option<PathBuf>,
-    /// True if the analytic model predicts the times where no model or list is given; default: true for the
-    /// project's raycaster. If false, expected times are proportional to pixels over step until tasks have
-    /// been measured.
+    /// True if the analytic model predicts the times if no model or list is given; default: true for the
+    /// project's raycaster. If false, expected times are proportional to pixels / step until tasks have been
+    /// measured.
     pub analytic: Option<bool>,
     /// Rays along each side of the probe of the analytic model.
     pub probe_side: Option<usize>,
@@ -233,7 +233,7 @@ pub struct Predict {
 pub struct Retry {
     /// Number of failures after which a task is quarantined.
     pub attempts: u32,
-    /// Number of workers lost during a task after which it is quarantined.
+    /// Number of workers lost during a task after which the task is quarantined.
     pub losses: u32,
 }
 

@@ -3,7 +3,7 @@
 //! ln(seconds / base) of a task is modeled as x·β + u + ε: x are features of the task (logarithms of base,
 //! pixels, step and distance, the view direction, its transfer function), u is a volume effect, ε an error of
 //! the task. β and u have normal priors; the variances of u and ε are estimated from the data by updates
-//! similar to REML (a mixed-effects model as of Laird and Ware 1982). The posterior is exact for given
+//! similar to REML. This is a mixed-effects model (Laird and Ware 1982). The posterior is exact for given
 //! variances. Volumes are eliminated by a Schur complement, so a job may have any number of them. Nodes have
 //! speeds, which are shrunk means of the residuals.
 
@@ -56,7 +56,7 @@ pub struct Shape {
     /// ln of the base seconds, by task.
     base: Vec<f32>,
     volume: Vec<u32>,
-    /// Row of `terms` by task, without base and transfer function.
+    /// Index of each task's row in `terms`, which leaves out the base and the transfer function.
     row: Vec<u32>,
     transfer: Vec<u16>,
     terms: Vec<[f32; FIXED]>,
@@ -71,7 +71,7 @@ impl Shape {
         Self { constant: sd, ..self }
     }
 
-    /// True if the base seconds come from a model or list, not from pixels over step.
+    /// True if the base seconds come from a model or list, not from pixels / step.
     pub(crate) fn has_model(&self) -> bool {
         self.constant < CONSTANT_SD_WITHOUT_MODEL
     }
@@ -257,7 +257,7 @@ impl Learner {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
 
-    /// Divisor of the residual's standard deviation for a task: over 1 for tasks longer than the average; 1
+    /// Divisor of the residual's standard deviation for a task: above 1 for tasks longer than the average; 1
     /// without a model or list.
     fn calm(&self, task: usize) -> f64 {
         if !self.shape.has_model() {
@@ -591,7 +591,8 @@ impl Learner {
         sums[((level * DRAWS as f64) as usize).min(DRAWS - 1)]
     }
 
-    /// As [`Learner::draw`], but draws only the effects of the volumes of every `stride`-th task of `tasks`.
+    /// As [`Learner::draw`], but takes every `stride`-th task of `tasks` and draws only the effects of these
+    /// tasks' volumes.
     fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
         let (beta, shift) = self.draw_beta(rng);
         let mut effects = self.effects.clone();

@@ -1,5 +1,5 @@
-//! Render farms: image databases that are planned, rendered on an engine, corrected by measured times, and
-//! recorded so that no result is lost.
+//! Render farms: image databases are planned, rendered on an engine, and recorded so that no result is lost.
+//! Measured times correct the plan.
 //!
 //! [`list`] has task lists and static assignments (`entire schedule`). The other modules are `entire farm`: a
 //! job file becomes tasks ([`job`]), tasks get expected times ([`predict`], [`learn`], [`load`]), a planner

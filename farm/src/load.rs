@@ -39,7 +39,7 @@ impl Loads {
         slot.0 += seconds;
         slot.1 += 1;
         // Weighted least squares on the mean times of the volumes. If sizes are about equal, or slope or
-        // offset would be negative, a slope without an offset.
+        // offset would be negative, only a slope is fitted.
         let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (bytes, seen) in self.bytes.iter().zip(&self.seen) {
             let (sum, count) = (seen[kind].0, f64::from(seen[kind].1));
@@ -69,8 +69,8 @@ impl Loads {
         let kind = usize::from(warm);
         let (offset, slope) = self.laws[kind];
         let law = offset + slope * self.bytes[volume];
-        // The mean of the volume's own measurements and the value of the affine function, counted as one
-        // more.
+        // The mean of the volume's own measurements and the affine function's value, which counts as one
+        // measurement.
         let (sum, n) = self.seen[volume][kind];
         (sum + law) / f64::from(n + 1)
     }

@@ -24,7 +24,7 @@ pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize) -> Vec<Vec<u32>> {
     let (mut sum, mut volume) = (f64::INFINITY, usize::MAX);
     for task in sorted {
         let seconds = planner.expected(task);
-        // Starts a new bundle where the time of the last one is closer to the target without this task.
+        // Starts a new bundle if the time of the current bundle is closer to the target without this task.
         if sum + 0.5 * seconds > target || shape.volume(task as usize) != volume {
             out.push(Vec::new());
             (sum, volume) = (0.0, shape.volume(task as usize));

@@ -13,7 +13,7 @@ pub struct Options {
     pub preview: bool,
     /// Order in which tasks are sent.
     pub order: crate::dispatch::Order,
-    /// True to take all tasks as equally long in the whole run, for comparison.
+    /// True to treat all tasks as equally long in the whole run, for comparison.
     pub uniform: bool,
     /// Initial estimate of a bundle's overhead, seconds; default: the engine's.
     pub overhead: Option<f64>,

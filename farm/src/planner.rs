@@ -11,7 +11,7 @@ mod eta;
 pub(crate) use eta::queue_end;
 
 /// Share of finished tasks up to which some requests are answered with a task for learning, and the interval
-/// of these requests.
+/// of these answers in requests.
 const EXPLORED: (f64, u32) = (0.1, 4);
 
 /// State of a task.
@@ -140,7 +140,7 @@ impl Planner {
         }
     }
 
-    /// Takes all tasks as equally long: they are sent in the order of the job.
+    /// Treats all tasks as equally long: they are sent in the order of the job.
     pub fn set_uniform(&mut self) {
         self.dispatcher.set_uniform();
     }
@@ -363,8 +363,8 @@ impl Planner {
         self.running.get(&bundle).and_then(|r| r.sent.slot)
     }
 
-    /// Bundles that take over a second longer than the 99.9 % quantile of their expected time, the longest
-    /// first.
+    /// Bundles that take more than one second longer than the 99.9 % quantile of their expected time, the
+    /// longest first.
     pub(crate) fn stragglers(&self, now: f64) -> Vec<Straggler> {
         let spread = 3.0 * self.learner.log_sd().hypot(0.05);
         let mut out: Vec<Straggler> = self

@@ -1,5 +1,5 @@
-//! Base seconds of tasks before anything was measured: from a model file, a list, the analytic model, or as
-//! pixels over step.
+//! Base seconds of tasks before anything was measured: from a model file, a list, the analytic model, or the
+//! quotient pixels / step.
 
 use super::job::{Job, Renderer, draw_settings};
 use super::record::parse_id;
@@ -29,7 +29,7 @@ pub fn source(job: &Job) -> String {
         }
         (_, Some(list)) => format!("the list {}", list.display()),
         _ if looks(job) => "the analytic model, its scale fitted to the first tasks".into(),
-        _ => "pixels over step, corrected by the first tasks".into(),
+        _ => "pixels / step, corrected by the first tasks".into(),
     }
 }
 

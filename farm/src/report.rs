@@ -100,8 +100,8 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
 }
 
 /// Assigns each task to a lane of the Gantt chart: the first lane of its node that is free when the task
-/// begins. Returns the lane of each task, and the names of the lanes: the node's, with a dot for all but its
-/// first lane.
+/// begins. Returns the lane of each task, and the names of the lanes: the node's name, with a dot added for
+/// all lanes but the node's first.
 fn lanes(done: &[(Answer, f64)]) -> (Vec<usize>, Vec<String>) {
     let mut order: Vec<usize> = (0..done.len()).collect();
     order.sort_by(|a, b| done[*a].0.begin.total_cmp(&done[*b].0.begin));

@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn a_program_that_reads_no_more_is_heard_to_its_last_line() {
         let dir = tempfile::tempdir().unwrap();
-        // It closes its input before the task, longer than a pipe holds, is written.
+        // The script closes its input before the task, which is longer than a pipe's buffer, is written.
         let script = "printf 'one\ntwo\n{\"task\": \"7\"}\n'; exec 0<&-";
         let command = ["sh", "-c", script].map(str::to_owned).to_vec();
         let order = Order {

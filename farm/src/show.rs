@@ -38,7 +38,7 @@ pub(crate) struct Show {
     lines: bool,
     line_at: Instant,
     named: Vec<String>,
-    /// Time to compute the display, which bounds how often it is updated.
+    /// Time to compute the contents of the display; it limits the update rate.
     pub(crate) cost: Duration,
 }
 

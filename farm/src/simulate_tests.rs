@@ -124,7 +124,7 @@ fn known_loads_are_waited_for_and_counted() {
     let out = simulate(&mut p, &w, &[]);
     let busy: f64 = out.ran.iter().map(|r| r.end - r.start).sum();
     assert!((busy - seconds.iter().sum::<f64>() - 8.0 * out.loads as f64).abs() < 1e-6);
-    // Six volumes on eight nodes need at least eight loads; a few more even it out.
+    // Six volumes on eight nodes need at least eight loads; a few more loads balance the work.
     assert!((8..=16).contains(&out.loads), "{}", out.loads);
 }
 

@@ -1,5 +1,5 @@
-//! Forecast of a job before it runs: the end on several numbers of nodes, node hours and money, the cheapest
-//! number of nodes for a deadline.
+//! Forecast of a job before it runs: end, node hours and price for several numbers of nodes, and the cheapest
+//! number of nodes that meets a deadline.
 
 use super::job::Job;
 use super::planner::{Planner, Setting};
@@ -14,7 +14,7 @@ const MOST: usize = 4096;
 struct Offer {
     /// Nodes.
     nodes: usize,
-    /// The end at 5, 50 and 95 percent, seconds.
+    /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds.
     end: [f64; 3],
     /// Node hours up to the median end.
     node_hours: f64,
@@ -47,7 +47,7 @@ fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Opt
     Some(best)
 }
 
-/// The text that a dry run prints. `deadline`: seconds; `price`: of a node hour.
+/// The text that a dry run prints. `deadline`: in seconds; `price`: price of a node hour.
 pub fn text(
     job: &Job,
     plan: &dyn Fn(usize) -> Planner,

@@ -1,5 +1,5 @@
-//! A worker: renders the tasks of bundles, one after another. It writes each image as a whole and then the
-//! answer to the spool. If the worker is killed, both stay.
+//! A worker: renders the tasks of bundles, one after another. It first writes each complete image, then the
+//! answer to the spool. Both remain if the worker is killed.
 
 use super::command::{Placeholders, fill};
 use super::job::{Renderer, draw_settings};

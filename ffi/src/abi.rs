@@ -39,7 +39,7 @@ pub(crate) unsafe trait ByValue: Copy {
     const NAME: &'static str;
     /// Size in bytes of the struct in its first release. A struct that has grown since then defines it.
     const FIRST_SIZE: usize = size_of::<Self>();
-    /// Default values: those of fields that the caller's older struct lacks, and those that `_init` writes.
+    /// Default values. `_init` writes them; they also replace the fields that an older caller's struct lacks.
     fn defaults() -> Self;
 }
 
@@ -104,7 +104,7 @@ pub(crate) unsafe fn check_output<T: ByValue>(at: *const T) -> Result<(), Failur
     check_size::<T>(unsafe { at.cast::<usize>().read_unaligned() })
 }
 
-/// Fills the fields that the caller's version of the struct has; its `struct_size` stays.
+/// Fills the fields that the caller's version of the struct has, except `struct_size`.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads and writes of the bytes that its `struct_size` states.
@@ -171,7 +171,7 @@ pub(crate) unsafe fn slice_mut<'a, T: Number>(
     }
     check_array(at, len, what)?;
     // SAFETY: not NULL, aligned, not longer than an object can be, writable as the caller promises; any bytes
-    // that come over the C boundary are a value of a number.
+    // are a valid value of a `Number`.
     Ok(unsafe { std::slice::from_raw_parts_mut(at, len) })
 }
 
@@ -189,7 +189,7 @@ fn check_array<T>(at: *const T, len: usize, what: &str) -> Result<(), Failure> {
     if !at.is_aligned() {
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
-            format!("{what} is not aligned to {} bytes; pass a pointer to such elements", align_of::<T>()),
+            format!("{what} is not aligned to {} bytes; pass an aligned pointer", align_of::<T>()),
         ));
     }
     if len.checked_mul(size_of::<T>()).is_none_or(|bytes| bytes > isize::MAX as usize) {

@@ -33,7 +33,7 @@ const _: () = {
     assert!(size_of::<PassShare>() == size_of::<entire_pass>());
 };
 
-/// The core's value of a caller's words.
+/// Views the caller's words as the core's type.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads and writes of a `C`.
@@ -43,7 +43,7 @@ unsafe fn value<'a, C, T: bytemuck::Pod>(at: *mut C, what: &str) -> Result<&'a m
     Ok(bytemuck::from_bytes_mut(bytemuck::cast_slice_mut(words)))
 }
 
-/// As [`value`], for reading.
+/// Copies the caller's words into the core's type.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads of a `C`.
@@ -63,7 +63,7 @@ fn check_seconds(seconds: f32, what: &str) -> Result<(), Failure> {
     ))
 }
 
-/// Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
+/// Begins a frame of the window, which will draw about `volumes` volumes. Pass 0 if the number is not known.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -75,10 +75,10 @@ pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget, volumes
     })
 }
 
-/// Computes the seconds that the next pass may take if the whole frame may take `target` seconds: the target
-/// for entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality,
-/// so that all are coarsened alike. Their sum is `target` less the median time that the last five frames took
-/// outside of the passes, and at least a fifth of `target`.
+/// Computes the seconds that the next pass may take if the whole frame may take `target` seconds; pass the
+/// result to entire_session_plan as its target. The shares of a frame's passes are in proportion to their
+/// times at full quality, so that all are coarsened alike. Their sum is `target` minus the median time
+/// outside of the passes over the last five frames, but at least a fifth of `target`.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -65,13 +65,15 @@ pub struct entire_frame {
     pub view: [f32; 16],
     /// World position of the volume's center, for ENTIRE_CAMERA_VIEW; default 0, 0, 0.
     pub volume_center: [f32; 3],
-    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: that of the
-    /// session's volume (entire_volume_info.bounding_radius), if world units are those of its spacing.
+    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the radius of the
+    /// session's volume (entire_volume_info.bounding_radius), which is correct if world units are those of
+    /// the volume's spacing.
     pub volume_radius: f32,
     /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. entire_session_predict
-    /// predicts for it; entire_session_plan ignores it unless steering is off, and then returns it.
+    /// predicts the time at this step. entire_session_plan returns this step if steering is off, else ignores
+    /// it.
     pub step: f32,
-    /// Accumulated opacity at which a ray stops, over 0 and up to 1; 1 for never. Default 0.99.
+    /// Accumulated opacity at which a ray stops, over 0 and up to 1; with 1 it never stops. Default 0.99.
     pub termination: f32,
     /// One of ENTIRE_SHADING_*; default ENTIRE_SHADING_NONE.
     pub shading: entire_shading,
@@ -118,7 +120,7 @@ unsafe impl ByValue for entire_frame {
 pub struct entire_setting {
     /// Ray step in multiples of the reference step.
     pub step: f32,
-    /// Image width in pixels; width to height should be as in the frame.
+    /// Image width in pixels; the ratio of width to height should be that of the frame.
     pub width: u32,
     /// Image height in pixels.
     pub height: u32,

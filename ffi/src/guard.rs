@@ -21,9 +21,9 @@ const TEXT_BYTES: usize = 2048;
 thread_local! {
     /// True if the last call of this thread failed; its text is in `TEXT`.
     static FAILED: Cell<bool> = const { Cell::new(false) };
-    /// Text of this thread's last failure. An array, since it has no destructor: a thread-local value with a
-    /// destructor is registered at its first use, for which the C library allocates memory and ends the
-    /// process if there is none.
+    /// Text of this thread's last failure. It is an array, because an array has no destructor. To register
+    /// the destructor of a thread-local value, the C library allocates memory, and ends the process if there
+    /// is none.
     static TEXT: RefCell<[u8; TEXT_BYTES]> = const { RefCell::new([0; TEXT_BYTES]) };
     /// Number of open guards on this thread, for the panic hook.
     static DEPTH: Cell<u32> = const { Cell::new(0) };
@@ -208,7 +208,7 @@ fn panicked(payload: Box<dyn Any + Send>) -> Failure {
 }
 
 /// Installs, once, a panic hook that stores the text of panics inside a guard instead of printing it; all
-/// others go to the previous hook. The hook belongs to this library's own copy of the Rust runtime.
+/// other panics go to the previous hook. The hook belongs to this library's own copy of the Rust runtime.
 #[inline]
 fn keep_panics_quiet() {
     static HOOK: Once = Once::new();

@@ -1,4 +1,5 @@
-//! libentire: the C ABI over `entire-core`. One file per C noun; conversions only, no arithmetic.
+//! libentire: the C ABI over `entire-core` and `entire-steer`. One file per C noun; conversions only, no
+//! arithmetic.
 //!
 //! Every entry point goes through [`guard`], which checks handles and pointers, turns panics into a result
 //! code and keeps the error text. The conventions that callers rely on stand at the top of

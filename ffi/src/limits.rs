@@ -6,7 +6,8 @@ use crate::result::entire_result::*;
 
 /// Maximum number of voxels along one axis of a volume.
 pub const ENTIRE_MAX_SIDE: usize = 1_048_576;
-/// Maximum number of voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
+/// Maximum number of voxels of a volume whose strides are zero or overlap, so that it has fewer elements in
+/// memory.
 pub const ENTIRE_MAX_REPEATED_VOXELS: usize = 134_217_728;
 /// Maximum number of bricks of a volume.
 pub const ENTIRE_MAX_BRICKS: usize = 134_217_728;

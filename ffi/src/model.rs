@@ -280,8 +280,8 @@ pub unsafe extern "C" fn entire_model_open(
 /// XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
 /// entire.clock says whether it predicts cpu, wall or device seconds.
 ///
-/// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the text says how to), else as
-/// entire_model_open.
+/// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
+/// else as entire_model_open.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_open_machine(
     shading: entire_shading,
@@ -296,7 +296,7 @@ pub unsafe extern "C" fn entire_model_open_machine(
             .ok_or_else(|| {
                 Failure::new(
                     ENTIRE_IO,
-                    "no home folder was found, where the machine's model would be; set XDG_DATA_HOME",
+                    "no home folder was found to look for the machine's model; set XDG_DATA_HOME",
                 )
             })?
             .join("entire")
@@ -336,7 +336,7 @@ fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
     std::fs::read(path).map_err(|e| match e.kind() {
         ErrorKind::OutOfMemory => Failure::new(
             ENTIRE_OUT_OF_MEMORY,
-            format!("{shown}: there is no memory for the file's {length} bytes; free some"),
+            format!("{shown}: there is no memory for the file's {length} bytes; free some memory"),
         ),
         _ => io(e.to_string()),
     })
@@ -570,7 +570,7 @@ pub unsafe extern "C" fn entire_model_predict(
 /// `rows` numbers. Equal to entire_model_predict on each row, up to rounding. Takes memory for `rows` numbers
 /// while it runs.
 ///
-/// Fails as entire_model_predict does, for the first row that does, and with ENTIRE_OUT_OF_MEMORY.
+/// Fails as entire_model_predict does, for the first row that fails, and with ENTIRE_OUT_OF_MEMORY.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_predict_batch(
     model: *const entire_model,
@@ -598,7 +598,8 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             }
             check_inputs(inputs, net.inputs(), rows)?;
             let scratch = || net.scratch(ROWS_AT_ONCE);
-            // In separate memory: a failed call leaves the caller's unchanged.
+            // Predictions are written to separate memory first: a failed call leaves the caller's array
+            // unchanged.
             let mut predicted = Vec::new();
             predicted.try_reserve_exact(rows)?;
             predicted.resize(rows, 0.0f32);
@@ -635,9 +636,9 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
 }
 
 /// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
-/// `capacity` bytes with its closing NUL; empty if none failed. `length`, if not NULL, receives the length of
-/// the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that length. On
-/// the thread whose call failed, entire_last_error is simpler.
+/// `capacity` bytes with its closing NUL; empty if no call has failed. `length`, if not NULL, receives the
+/// length of the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that
+/// length. On the thread whose call failed, entire_last_error is simpler.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

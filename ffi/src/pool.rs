@@ -31,7 +31,7 @@ impl<T> Pool<T> {
     /// A pool whose pieces are all made now: calls that get a slot allocate nothing.
     ///
     /// # Errors
-    /// The first of `make`.
+    /// The first error of `make`.
     pub(crate) fn filled<E>(mut make: impl FnMut() -> Result<T, E>) -> Result<Self, E> {
         let mut pool = Self::lazy();
         for slot in &mut pool.slots {
@@ -40,11 +40,11 @@ impl<T> Pool<T> {
         Ok(pool)
     }
 
-    /// Runs `body` with a piece for exclusive use; `make` makes one if the slot has none yet, or if all slots
-    /// are held (that one is dropped afterwards).
+    /// Runs `body` with a piece for exclusive use; `make` makes a piece if the slot has none yet. If all
+    /// slots are held, `make` makes a piece for this call alone.
     ///
     /// # Errors
-    /// That of `make`.
+    /// The error of `make`.
     pub(crate) fn with<R, E>(
         &self,
         make: impl FnOnce() -> Result<T, E>,
@@ -98,7 +98,7 @@ mod tests {
 
     const ROUNDS: usize = if cfg!(miri) { 5 } else { 500 };
 
-    /// Number of pieces made, present, and present at most at one time.
+    /// Numbers of pieces: made in total, present now, and the largest number present at one time.
     #[derive(Default)]
     struct Count {
         made: AtomicUsize,

@@ -1,8 +1,8 @@
 //! Reserve memory for when the system has none, so that small allocations (handles, texts, tables of a model)
 //! do not end the host's process.
 //!
-//! This library's allocator is the system's. If that refuses a piece of at most [`LARGEST`] bytes, the piece
-//! comes from a reserve in the library's image. Larger pieces are requested by code that returns
+//! This library's allocator is the system's. If the system refuses a piece of at most [`LARGEST`] bytes, the
+//! piece comes from a reserve in the library's image. Larger pieces are requested by code that returns
 //! ENTIRE_OUT_OF_MEMORY. Calls that make or set something first check that half of the reserve is free
 //! ([`check`]), so that an admitted call can finish.
 //!
@@ -105,7 +105,7 @@ struct Allocator;
 static ALLOCATOR: Allocator = Allocator;
 
 // SAFETY: pieces come from the system or from the reserve, whose memory the system never hands out, and go
-// back to where they came from. Neither unwinds.
+// back to where they came from. Neither allocator unwinds.
 unsafe impl GlobalAlloc for Allocator {
     #[inline]
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -180,7 +180,7 @@ pub(crate) fn check() -> Result<(), Failure> {
 fn no_memory() -> Failure {
     Failure::new(
         ENTIRE_OUT_OF_MEMORY,
-        "the system has no memory left for the library; free some, then try again",
+        "the system has no memory left for the library; free some memory, then try again",
     )
 }
 

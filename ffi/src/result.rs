@@ -5,7 +5,7 @@ use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
 
-/// Result of a call. The numbers never change; a retired one stays reserved.
+/// Result of a call. The numbers never change; the number of a removed code stays reserved.
 #[repr(u32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum entire_result {
@@ -148,7 +148,7 @@ impl From<TryReserveError> for Failure {
     fn from(_: TryReserveError) -> Self {
         Self::new(
             ENTIRE_OUT_OF_MEMORY,
-            "there is not enough memory for this call; free some, or pass less data",
+            "there is not enough memory for this call; free some memory, or pass less data",
         )
     }
 }

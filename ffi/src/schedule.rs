@@ -10,8 +10,8 @@ use entire_steer::schedule::assign_longest_first;
 
 /// Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
 /// `seconds` holds each task's time on a node of speed 1 and `speeds` each node's speed (2: takes half the
-/// time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task,
-/// and `makespan`, which may be NULL, the seconds until the last node is done.
+/// time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives the node of each task, counted
+/// from 0. `makespan`, which may be NULL, receives the seconds until the last node is done.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times whose sum
 /// overflows a double), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
@@ -54,7 +54,7 @@ pub unsafe extern "C" fn entire_schedule(
 fn check_counts(tasks: usize, nodes: usize) -> Result<(), Failure> {
     at_most("task_count", tasks, ENTIRE_MAX_TASKS, "ENTIRE_MAX_TASKS")?;
     at_most("node_count", nodes, ENTIRE_MAX_NODES, "ENTIRE_MAX_NODES")?;
-    // Both are small by now: the product fits.
+    // Both are below their limits here, so the product does not overflow.
     if tasks as u64 * nodes as u64 > ENTIRE_MAX_TASKS_TIMES_NODES {
         return Err(Failure::new(
             ENTIRE_SIZE_MISMATCH,

@@ -11,7 +11,7 @@ pub type entire_log_level = u32;
 pub const ENTIRE_LOG_OFF: entire_log_level = 0;
 /// A call failed; the text is that of its error.
 pub const ENTIRE_LOG_ERROR: entire_log_level = 1;
-/// A result may be worse than it could be.
+/// A call succeeded, but its results may be inaccurate.
 pub const ENTIRE_LOG_WARNING: entire_log_level = 2;
 /// Rare events: a model was loaded, a volume was read.
 pub const ENTIRE_LOG_INFO: entire_log_level = 3;

@@ -52,7 +52,7 @@ pub struct entire_color_node {
     pub sharpness: f64,
 }
 
-/// Unit of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
+/// Unit of length of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
 pub type entire_unit = u32;
 /// Multiples of the reference step, which is the volume's smallest voxel spacing.
 pub const ENTIRE_UNIT_REFERENCE_STEP: entire_unit = 1;
@@ -130,12 +130,13 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     }
 }
 
-/// Makes a transfer function of opacity and color nodes like those of VTK and ParaView, with the same values
-/// as vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values
-/// that map to 0 and 1: pass the volume's range. Nodes are in ascending order of position; two at the same
-/// position make a step. Without opacity nodes everything is transparent; without color nodes the built-in
-/// ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond them, which is
-/// VTK's default. The unit distance is one reference step until entire_transfer_function_set_unit_distance.
+/// Makes a transfer function of opacity and color nodes like those of VTK and ParaView, whose values equal
+/// those of vtkPiecewiseFunction and vtkColorTransferFunction (RGB) within 1e-6. `low` and `high` are the
+/// scalar values that map to 0 and 1: pass the volume's range. Nodes must be in ascending order of position;
+/// two nodes at the same position make a step. Without opacity nodes everything is transparent; without color
+/// nodes the built-in ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond
+/// them, which is VTK's default. The unit distance is one reference step until
+/// entire_transfer_function_set_unit_distance.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
 /// ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -173,9 +174,9 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     }
 }
 
-/// Makes a transfer function from a table: `entries` times red, green, blue, opacity in [0, 1], not
-/// premultiplied, the first entry at scalar value 0 and the last at 1, linear in between. The unit distance
-/// is one reference step.
+/// Makes a transfer function from a table: `entries` entries of red, green, blue and opacity in [0, 1], not
+/// premultiplied. The first entry is at scalar value 0, the last at 1; values in between are interpolated
+/// linearly. The unit distance is one reference step.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
 /// (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -207,7 +208,7 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         changing(transfer_function, |transfer| {
-            // Only a check of the distance: entire_session_set_transfer_function applies it.
+            // This only checks the distance; entire_session_set_transfer_function applies it.
             transfer.table.clone().with_unit_distance(distance)?;
             transfer.unit = match unit {
                 ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),

@@ -79,8 +79,9 @@ pub struct entire_volume_desc {
     /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
     pub spacing: [f32; 3],
     /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-    /// maximum of the voxels without a fill value. A fill value is the least or the greatest value of all,
-    /// occurs in at least one voxel of a thousand, and is far from all others.
+    /// maximum of the voxels without a fill value. A fill value is the least or the greatest value, at least
+    /// one voxel in 1024 has it, and its distance from all other values is at least an eighth of the width of
+    /// their range.
     pub range: [f32; 2],
     /// Must be 0.
     pub reserved: u32,
@@ -123,7 +124,8 @@ pub struct entire_brick_desc {
     /// Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
     /// including neighboring voxels that interpolation reads: two floats per brick. No default.
     pub bounds: *const f32,
-    /// Number of bricks: dims / brick_edge rounded up, multiplied. At most ENTIRE_MAX_BRICKS.
+    /// Number of bricks: dims / brick_edge, rounded up along each axis, multiplied. At most
+    /// ENTIRE_MAX_BRICKS.
     pub brick_count: usize,
 }
 
@@ -321,12 +323,13 @@ pub unsafe extern "C" fn entire_brick_desc_init(
     guard(|| unsafe { init_struct(desc, struct_size) })
 }
 
-/// Makes a volume of voxels. NaN voxels are treated as the low end of the range, infinities as its ends.
+/// Makes a volume of voxels. NaN and negative infinity count as the low end of the range, positive infinity
+/// as the high end.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
 /// borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
 /// sizes over the limits of entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs
-/// none), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
+/// no memory), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
 /// ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_new(

@@ -1,4 +1,4 @@
-//! Writes the seeds of the target `state`: the state of a new session, and of one after some frames.
+//! Writes the seeds of the target `state`: the states of a new session and of a session after some frames.
 //!
 //! `cargo run --manifest-path fuzz/Cargo.toml --example make_state_seeds`
 

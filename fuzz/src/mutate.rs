@@ -6,7 +6,7 @@ use crate::mutants::{Mutants, Random};
 /// returns the new number of used bytes.
 pub type Step = fn(&mut [u8], usize, usize) -> usize;
 
-/// Special numbers that readers must handle.
+/// Texts of special numbers that readers must handle.
 const WORDS: [&str; 22] = [
     "0",
     "1",

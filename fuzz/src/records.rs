@@ -5,7 +5,7 @@ use crate::farm::{By, Farm, Method, parse_tasks, plan, play, times};
 use crate::path::{MAX_FRAMES, PathFile};
 use std::fmt::Display;
 
-/// Number of frames of a path above which its frames are not computed here: a million of them take a second.
+/// Largest number of frames of a path whose frames are computed here; a million frames take a second.
 const MOST_PATH_FRAMES: u32 = 4096;
 
 /// An error has a message.
@@ -77,7 +77,7 @@ pub fn check_path(input: &[u8]) {
     }
 }
 
-/// Tasks of an accepted list can be planned by any method, and every plan contains each once.
+/// Tasks of an accepted list can be planned by any method, and every plan contains each task once.
 pub fn check_tasks(input: &[u8]) {
     let (json, input) = match input.split_first() {
         Some((b'j', rest)) => (true, rest),

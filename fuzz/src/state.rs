@@ -7,13 +7,13 @@ use entire_steer::control::Session;
 use entire_steer::features::VolumeSummary;
 use std::cell::RefCell;
 
-/// Bytes of the checksum at the end.
+/// Size of the checksum at the end of a state, bytes.
 const SEAL: usize = 4;
 
 /// Number of frames that are steered after a state was loaded.
 const FRAMES: usize = 12;
 
-/// Target of the steering, seconds.
+/// Target frame time, seconds.
 const TARGET: f32 = 0.02;
 
 fn frame(turn: f32) -> Frame {
@@ -103,7 +103,7 @@ pub fn check_state(input: &[u8]) {
             return;
         }
         let taken = session.save_state();
-        session.load_state(&taken).expect("what was saved can be taken up");
+        session.load_state(&taken).expect("a saved state can be loaded");
         assert_eq!(session.save_state(), taken);
         for i in 0..FRAMES {
             let plan = session.plan(&frame(5.0 * i as f32), TARGET).expect("a plan");

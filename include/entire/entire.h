@@ -93,7 +93,8 @@
 #define ENTIRE_MAX_SIDE 1048576
 
 /**
- * Maximum number of voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
+ * Maximum number of voxels of a volume whose strides are zero or overlap, so that it has fewer elements in
+ * memory.
  */
 #define ENTIRE_MAX_REPEATED_VOXELS 134217728
 
@@ -210,7 +211,7 @@
 #define ENTIRE_CHANGE_CAMERA 32
 
 /**
- * Result of a call. The numbers never change; a retired one stays reserved.
+ * Result of a call. The numbers never change; the number of a removed code stays reserved.
  */
 enum entire_result
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -437,8 +438,9 @@ typedef struct entire_volume_desc {
     float spacing[3];
     /**
      * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-     * maximum of the voxels without a fill value. A fill value is the least or the greatest value of all,
-     * occurs in at least one voxel of a thousand, and is far from all others.
+     * maximum of the voxels without a fill value. A fill value is the least or the greatest value, at least
+     * one voxel in 1024 has it, and its distance from all other values is at least an eighth of the width of
+     * their range.
      */
     float range[2];
     /**
@@ -478,7 +480,8 @@ typedef struct entire_brick_desc {
      */
     const float *bounds;
     /**
-     * Number of bricks: dims / brick_edge rounded up, multiplied. At most ENTIRE_MAX_BRICKS.
+     * Number of bricks: dims / brick_edge, rounded up along each axis, multiplied. At most
+     * ENTIRE_MAX_BRICKS.
      */
     size_t brick_count;
 } entire_brick_desc;
@@ -588,7 +591,7 @@ typedef struct entire_color_node {
 } entire_color_node;
 
 /**
- * Unit of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
+ * Unit of length of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
  */
 typedef uint32_t entire_unit;
 
@@ -647,17 +650,19 @@ typedef struct entire_frame {
      */
     float volume_center[3];
     /**
-     * World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: that of the
-     * session's volume (entire_volume_info.bounding_radius), if world units are those of its spacing.
+     * World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the radius of the
+     * session's volume (entire_volume_info.bounding_radius), which is correct if world units are those of
+     * the volume's spacing.
      */
     float volume_radius;
     /**
      * Ray step in multiples of the reference step, from 1/64 to 4096; default 1. entire_session_predict
-     * predicts for it; entire_session_plan ignores it unless steering is off, and then returns it.
+     * predicts the time at this step. entire_session_plan returns this step if steering is off, else ignores
+     * it.
      */
     float step;
     /**
-     * Accumulated opacity at which a ray stops, over 0 and up to 1; 1 for never. Default 0.99.
+     * Accumulated opacity at which a ray stops, over 0 and up to 1; with 1 it never stops. Default 0.99.
      */
     float termination;
     /**
@@ -720,17 +725,17 @@ typedef struct entire_session_options {
      */
     uint32_t damping;
     /**
-     * Rays along each side of the probe that measures frames for a linear cost model (no model, or an
-     * analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer rays
-     * estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which they
-     * were trained with.
+     * Number of rays along each side of the probe that measures frames for a linear cost model (no model, or
+     * an analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
+     * rays estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which
+     * they were trained with.
      */
     uint32_t probe_side;
     /**
      * Accepted error of the probe, as a share of the frame's time, 0 to 1. Over 0, plans start with a probe
      * of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
-     * larger than this and could change the plan; and while the view has hardly turned since rays were cast,
-     * their result is used again. Default 0: every plan casts all of its rays. Networks always use their own
+     * larger than this and could change the plan. While the view has hardly turned since rays were cast,
+     * their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
      * probe. Leave it 0 in a session that records frames.
      */
     float probe_tolerance;
@@ -885,7 +890,7 @@ typedef struct entire_setting {
      */
     float step;
     /**
-     * Image width in pixels; width to height should be as in the frame.
+     * Image width in pixels; the ratio of width to height should be that of the frame.
      */
     uint32_t width;
     /**
@@ -944,7 +949,7 @@ typedef struct entire_pass {
 #define ENTIRE_LOG_ERROR 1
 
 /**
- * A result may be worse than it could be.
+ * A call succeeded, but its results may be inaccurate.
  */
 #define ENTIRE_LOG_WARNING 2
 
@@ -1133,7 +1138,7 @@ typedef struct entire_pass {
 #define ENTIRE_REASON_FITS 1
 
 /**
- * As ENTIRE_REASON_FITS, but the step approaches that one slowly because nothing changed abruptly.
+ * The step moves slowly towards that of ENTIRE_REASON_FITS, because nothing changed abruptly.
  */
 #define ENTIRE_REASON_DAMPED 2
 
@@ -1271,8 +1276,8 @@ entire_result entire_model_open(const char *path, struct entire_model **model);
  * XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
  * entire.clock says whether it predicts cpu, wall or device seconds.
  *
- * Fails with ENTIRE_IO (this machine was not calibrated for the mode; the text says how to), else as
- * entire_model_open.
+ * Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
+ * else as entire_model_open.
  */
 entire_result entire_model_open_machine(entire_shading shading, struct entire_model **model);
 
@@ -1356,7 +1361,7 @@ entire_result entire_model_predict(const struct entire_model *model,
  * `rows` numbers. Equal to entire_model_predict on each row, up to rounding. Takes memory for `rows` numbers
  * while it runs.
  *
- * Fails as entire_model_predict does, for the first row that does, and with ENTIRE_OUT_OF_MEMORY.
+ * Fails as entire_model_predict does, for the first row that fails, and with ENTIRE_OUT_OF_MEMORY.
  */
 entire_result entire_model_predict_batch(const struct entire_model *model,
                                          const float *inputs,
@@ -1366,9 +1371,9 @@ entire_result entire_model_predict_batch(const struct entire_model *model,
 
 /**
  * Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
- * `capacity` bytes with its closing NUL; empty if none failed. `length`, if not NULL, receives the length of
- * the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that length. On
- * the thread whose call failed, entire_last_error is simpler.
+ * `capacity` bytes with its closing NUL; empty if no call has failed. `length`, if not NULL, receives the
+ * length of the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that
+ * length. On the thread whose call failed, entire_last_error is simpler.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -1394,12 +1399,13 @@ entire_result entire_volume_desc_init(struct entire_volume_desc *desc, size_t st
 entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t struct_size);
 
 /**
- * Makes a volume of voxels. NaN voxels are treated as the low end of the range, infinities as its ends.
+ * Makes a volume of voxels. NaN and negative infinity count as the low end of the range, positive infinity
+ * as the high end.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
  * borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
  * sizes over the limits of entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs
- * none), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
+ * no memory), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
  * ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_new(const struct entire_volume_desc *desc, struct entire_volume **volume);
@@ -1446,13 +1452,13 @@ entire_result entire_volume_last_error(const struct entire_volume *volume,
 void entire_volume_free(struct entire_volume *volume);
 
 /**
- * Sets the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes its
- * voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps the volume's;
- * any other range must equal the volume's. Precomputed features are removed, since they belong to the
- * previous time step. Then call entire_session_set_time_step for each session. No other call may use the
- * volume during this one.
+ * Sets the next time step of a volume. It must have the volume's sizes, spacing and scalar type. `desc`
+ * describes its voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps
+ * the volume's; any other range must equal the volume's. Precomputed features are removed, since they belong
+ * to the previous time step. After this call, call entire_session_set_time_step for each session. No other
+ * call may use the volume during this one.
  *
- * One pass over the voxels finds the changes, much faster than the scan of a new volume, and only changed
+ * One pass over the voxels finds the changes; it is much faster than the scan of a new volume. Only changed
  * cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
  * bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
  *
@@ -1490,12 +1496,13 @@ entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_l
                                                   struct entire_transfer_function **transfer_function);
 
 /**
- * Makes a transfer function of opacity and color nodes like those of VTK and ParaView, with the same values
- * as vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values
- * that map to 0 and 1: pass the volume's range. Nodes are in ascending order of position; two at the same
- * position make a step. Without opacity nodes everything is transparent; without color nodes the built-in
- * ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond them, which is
- * VTK's default. The unit distance is one reference step until entire_transfer_function_set_unit_distance.
+ * Makes a transfer function of opacity and color nodes like those of VTK and ParaView, whose values equal
+ * those of vtkPiecewiseFunction and vtkColorTransferFunction (RGB) within 1e-6. `low` and `high` are the
+ * scalar values that map to 0 and 1: pass the volume's range. Nodes must be in ascending order of position;
+ * two nodes at the same position make a step. Without opacity nodes everything is transparent; without color
+ * nodes the built-in ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond
+ * them, which is VTK's default. The unit distance is one reference step until
+ * entire_transfer_function_set_unit_distance.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
  * ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -1510,9 +1517,9 @@ entire_result entire_transfer_function_from_nodes(const struct entire_opacity_no
                                                   struct entire_transfer_function **transfer_function);
 
 /**
- * Makes a transfer function from a table: `entries` times red, green, blue, opacity in [0, 1], not
- * premultiplied, the first entry at scalar value 0 and the last at 1, linear in between. The unit distance
- * is one reference step.
+ * Makes a transfer function from a table: `entries` entries of red, green, blue and opacity in [0, 1], not
+ * premultiplied. The first entry is at scalar value 0, the last at 1; values in between are interpolated
+ * linearly. The unit distance is one reference step.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
  * (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -1593,8 +1600,8 @@ void entire_session_free(struct entire_session *session);
  *
  * `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
  * a learned factor with the session's probe, such as those in models/. NULL starts from the unit costs of a
- * software renderer. Not recorded are unusual and cancelled observations, the first frame of the session,
- * and the first frame of a volume.
+ * software renderer. Unusual and cancelled observations, the first frame of the session, and the first frame
+ * of a volume are not recorded.
  *
  * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
  * plan every frame as it was drawn, and observe its time.
@@ -1624,12 +1631,13 @@ entire_result entire_session_calibrate(const struct entire_session *session,
 /**
  * Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
  * model then contains this renderer's quality law (picture error as a function of ray step and image size),
- * and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw each of
- * at least 3 scenes (`scene`: the same number for the same view) at the same settings: a ray step of `step`
- * times the finest, and rays `image_sample_distance` pixels apart. Include full quality (1 and 1, `error`
- * 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for equal
- * pictures and grows with the difference, such as the root mean squared difference of colors, or 1 - SSIM.
- * Enlarge smaller pictures to full size before the comparison. The first 65536 are kept.
+ * and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw at least
+ * 3 scenes, all at the same settings. `scene` is a number that identifies the view, `step` is the ray step
+ * in multiples of the finest, and `image_sample_distance` is the distance of neighboring rays in pixels.
+ * Include full quality (1 and 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is
+ * any measure that is 0 for equal pictures and grows with the difference, such as the root mean squared
+ * difference of colors, or 1 - SSIM. Enlarge smaller pictures to full size before the comparison. The first
+ * 65536 pictures are kept.
  *
  * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
  * below 1, seconds that are not positive, a negative error, numbers that are not finite),
@@ -1663,9 +1671,9 @@ entire_result entire_session_set_model(struct entire_session *session, const str
  * Reports the measured time of a planned frame. The report may come late, as long as the plan is among the
  * last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
  *
- * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is
- * not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an unknown flag),
- * ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, a plan that was observed before, a
+ * time that is not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an
+ * unknown flag), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_observe(struct entire_session *session,
                                      uint64_t plan_id,
@@ -1699,8 +1707,8 @@ entire_result entire_session_predict(struct entire_session *session,
 
 /**
  * Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
- * with an upper bound of at most (1 + tolerance) times that. Draw with plan->step, then pass the frame's
- * time to entire_session_observe. Set plan->struct_size first. Does not allocate.
+ * with an upper bound of at most (1 + tolerance) times `target_seconds`. Draw with plan->step, then pass the
+ * frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
  *
  * Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
  * positive.
@@ -1711,11 +1719,11 @@ entire_result entire_session_plan(struct entire_session *session,
                                   struct entire_plan *plan);
 
 /**
- * Chooses among the caller's settings, best quality first: the first that is expected to meet the target,
- * with an upper bound of at most the target plus the session's tolerance, else the one expected to be
- * fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen settings, and `plan` their
- * plan, to be observed like any other. The step, size and modes in the frame itself are ignored. Does not
- * allocate.
+ * Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
+ * that are expected to meet the target, with an upper bound of at most the target plus the session's
+ * tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
+ * receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The step,
+ * size and modes in the frame itself are ignored. Does not allocate.
  *
  * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
  * range, and with ENTIRE_SIZE_MISMATCH for too many.
@@ -1772,13 +1780,13 @@ entire_result entire_session_set_limits(struct entire_session *session,
 
 /**
  * Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
- * along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
- * together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
- * entire_plan). Up to a step of `step_alone` times the finest, 1 to 64, only the step is coarsened: use 1,
- * or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1, the default, keeps
- * the full image size. The model must be a linear cost model, or a network that has the image size among its
- * inputs. One plan covers all sizes, which is cheaper and corrects predictions better than one plan per
- * size.
+ * along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Plans then coarsen ray step and image
+ * together (`step` and `image_sample_distance` in entire_plan), which changes the picture less than
+ * coarsening one of them alone. Up to a step of `step_alone` times the finest, 1 to 64, only the step is
+ * coarsened: use 1, or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1,
+ * the default, keeps the full image size. The model must be a linear cost model, or a network that has the
+ * image size among its inputs. One plan covers all sizes, which is cheaper and corrects predictions better
+ * than one plan per size.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a number outside 1 to 64), ENTIRE_NULL_ARGUMENT.
  */
@@ -1789,11 +1797,11 @@ entire_result entire_session_set_max_image_sample_distance(struct entire_session
 /**
  * Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
  * plans coarsen step or image, whichever adds less error. With a step of s times the finest, and rays d
- * pixels apart along each side, the picture error is proportional to
- * (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to
- * (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. The law
- * replaces `step_alone` of entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the
- * law: the session then uses that of its model, if the model was calibrated with pictures of this renderer.
+ * pixels apart along each side, the picture error is proportional to (s - 1)^step_exponent + image_weight *
+ * (d - 1)^image_exponent, and the time to (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to
+ * pictures of this renderer. The law replaces `step_alone` of entire_session_set_max_image_sample_distance.
+ * An `image_weight` of 0 removes the law: the session then uses the law of its model, if the model was
+ * calibrated with pictures of this renderer.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
  * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
@@ -1828,7 +1836,7 @@ entire_result entire_session_set_enabled(struct entire_session *session, uint32_
 /**
  * Announces that the next frame differs abruptly from the previous one in a way that the session cannot
  * detect: flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are detected
- * without it.
+ * without this call.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
  */
@@ -1838,10 +1846,11 @@ entire_result entire_session_mark(struct entire_session *session, uint32_t chang
  * Names the renderer whose frames are observed and the clock that times them, such as
  * "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
  * another: it is forgotten if a name that was not empty changes, saved states contain both names, and
- * entire_session_load_state refuses states with other names. Both names are empty in a new session, and
- * states saved then load only into sessions with empty names. Call it before loading and before saving. A
- * clock named "cpu", "wall" or "device" is compared with the model's (entire_session_clocks); if the result
- * of the comparison changes, the learned correction is forgotten, too.
+ * entire_session_load_state refuses states with other names. Both names are empty in a new session; a state
+ * saved with empty names loads only into a session with empty names. Call this function before states are
+ * loaded or saved. A clock named "cpu", "wall" or "device" is compared with the model's
+ * (entire_session_clocks); if the result of the comparison changes, the learned correction is forgotten,
+ * too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
  * ENTIRE_NULL_ARGUMENT.
@@ -1887,17 +1896,17 @@ entire_result entire_session_load_state(struct entire_session *session,
                                         size_t byte_count);
 
 /**
- * Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
+ * Begins a frame of the window, which will draw about `volumes` volumes. Pass 0 if the number is not known.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_budget_begin(struct entire_budget *budget, uint32_t volumes);
 
 /**
- * Computes the seconds that the next pass may take if the whole frame may take `target` seconds: the target
- * for entire_session_plan. The shares of a frame's passes are in proportion to their times at full quality,
- * so that all are coarsened alike. Their sum is `target` less the median time that the last five frames took
- * outside of the passes, and at least a fifth of `target`.
+ * Computes the seconds that the next pass may take if the whole frame may take `target` seconds; pass the
+ * result to entire_session_plan as its target. The shares of a frame's passes are in proportion to their
+ * times at full quality, so that all are coarsened alike. Their sum is `target` minus the median time
+ * outside of the passes over the last five frames, but at least a fifth of `target`.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
@@ -1929,8 +1938,8 @@ entire_result entire_budget_end(struct entire_budget *budget, float seconds, uin
 /**
  * Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
  * `seconds` holds each task's time on a node of speed 1 and `speeds` each node's speed (2: takes half the
- * time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task,
- * and `makespan`, which may be NULL, the seconds until the last node is done.
+ * time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives the node of each task, counted
+ * from 0. `makespan`, which may be NULL, receives the seconds until the last node is done.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times whose sum
  * overflows a double), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or

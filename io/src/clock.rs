@@ -66,9 +66,9 @@ pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     }
 }
 
-/// The clock whose seconds a new model learns: `asked`, if given. Otherwise the clock of `base`, the model
-/// that training starts from (its name and clock), or CPU time without one; if some frames lack that clock,
-/// the one that [`Clock::Auto`] means for them, with a note.
+/// The clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and clock of
+/// the model that training starts from), else CPU time. If some frames lack a clock that was not asked for,
+/// [`Clock::Auto`] chooses another and a note is printed.
 ///
 /// # Errors
 /// As [`concrete`].
@@ -112,8 +112,8 @@ pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<S
     ))
 }
 
-/// Note that names the models that state no clock, so that their predictions count as seconds of `clock`;
-/// `None` where all models state one, and for [`Clock::Auto`].
+/// Note that names the models that state no clock; their predictions count as seconds of `clock`. `None` if
+/// every model states a clock, or if `clock` is [`Clock::Auto`].
 pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
     if clock == Clock::Auto {
         return None;
@@ -128,8 +128,8 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
     })
 }
 
-/// The clock by which models are evaluated or steer: the one that they state, which must be the same for all
-/// and agree with `asked`; `asked` itself where no model states one.
+/// The clock of an evaluation or a steered run: the clock that the models state, or `asked` if no model
+/// states a clock. All stated clocks must be equal and agree with `asked`.
 ///
 /// # Errors
 /// When models and the requested clock disagree; names the remedy.

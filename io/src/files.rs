@@ -34,7 +34,7 @@ pub fn read_model_bytes(path: &Path) -> Result<Vec<u8>> {
 /// The model in the bytes of a file.
 ///
 /// # Errors
-/// One line that names the file, and the tensor or metadata key where one is wrong.
+/// One line that names the file and the wrong tensor or metadata key, if any.
 pub fn parse_model(path: &Path, bytes: &[u8]) -> Result<Model> {
     Model::from_bytes(bytes).map_err(|error| anyhow!("{}: {error}", path.display()))
 }
@@ -60,7 +60,7 @@ pub fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
     }
 }
 
-/// Checks that a model file can be written there, and makes its folder.
+/// Checks the path of a model file to be written, and makes its folder.
 ///
 /// # Errors
 /// When its name does not end in `.safetensors`, or the folder cannot be made.
@@ -208,10 +208,10 @@ pub fn read_text(path: &Path, most: u64) -> Result<String> {
     Ok(decode_text(&Stream::open(path)?.all(most)?)?.into_owned())
 }
 
-/// Decodes text in UTF-8, with or without a byte order mark, or UTF-16 with one, as spreadsheets write it.
+/// Decodes text: UTF-8 with or without a byte order mark, or UTF-16 with one (some spreadsheets write it).
 ///
 /// # Errors
-/// When the bytes are not such text; for UTF-8, names the first byte that is not.
+/// When the bytes are not such text; for UTF-8, names the position of the first invalid byte.
 pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
     let unit: fn([u8; 2]) -> u16 = match bytes {
         [0xff, 0xfe, ..] => u16::from_le_bytes,
@@ -230,7 +230,7 @@ pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
     ensure!(rest.is_empty(), "it begins as UTF-16 and ends in half a character; save the file as UTF-8");
     match char::decode_utf16(units.iter().map(|&b| unit(b))).collect::<Result<String, _>>() {
         Ok(text) => Ok(Cow::Owned(text)),
-        Err(_) => bail!("it begins as UTF-16 and is not; save the file as UTF-8"),
+        Err(_) => bail!("it begins as UTF-16 but is not valid UTF-16; save the file as UTF-8"),
     }
 }
 
@@ -249,7 +249,7 @@ pub fn fnv1a(bytes: &[u8]) -> u64 {
     fnv1a_after(0xcbf2_9ce4_8422_2325, bytes)
 }
 
-/// The hash [`fnv1a`] of bytes after others, whose hash is `before`.
+/// Continues the hash [`fnv1a`]: `before` is the hash of all preceding bytes.
 pub(crate) fn fnv1a_after(before: u64, bytes: &[u8]) -> u64 {
     bytes.iter().fold(before, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }

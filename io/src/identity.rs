@@ -272,7 +272,8 @@ mod tests {
         std::fs::write(&b, format!("{HEADER}\nabcdefgh")).unwrap();
         let was = of_volume(&a).unwrap();
         assert_eq!((was.len(), key(&was)), (1, key(&of_volume(&b).unwrap())));
-        // A new modification time leaves a small file the same; other bytes do not, even of the same size.
+        // A new modification time does not change the identity of a small file. New content does, even of the
+        // same size.
         File::options()
             .write(true)
             .open(&a)

@@ -18,7 +18,7 @@ pub struct Metrics {
     pub rmse: f64,
     /// Standard deviation of the measured seconds.
     pub sd: f64,
-    /// RMSE over SD: 1 if every prediction is the mean of the measured seconds.
+    /// RMSE divided by SD: 1 if every prediction is the mean of the measured seconds.
     pub rmse_over_sd: f64,
     /// Mean absolute error, seconds.
     pub mae: f64,
@@ -37,9 +37,9 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Errors of predicted seconds against measured ones. Both slices have one entry per frame, and entries
-    /// of the longer one that have no partner are ignored; measured seconds are positive. `None` without
-    /// frames.
+    /// Errors of predicted seconds against measured ones. Both slices have one entry per frame; surplus
+    /// entries of the longer slice are ignored. Measured seconds must be positive. `None` if there is no
+    /// frame.
     pub fn new(predicted: &[f64], measured: &[f64]) -> Option<Self> {
         let frames = measured.len().min(predicted.len());
         if frames == 0 {
@@ -86,16 +86,16 @@ impl Metrics {
 pub struct BoundMetrics {
     /// Share of frames that took no longer than the bound.
     pub coverage: f64,
-    /// The same among the slowest tenth of the frames.
+    /// Coverage among the slowest tenth of the frames.
     pub slowest_coverage: f64,
-    /// Mean quantile loss in seconds, divided by the mean of the measured seconds: small for bounds that are
-    /// tight and hold.
+    /// Mean quantile loss in seconds, divided by the mean of the measured seconds: small for a tight bound
+    /// that few frames exceed.
     pub pinball: f64,
 }
 
 impl BoundMetrics {
-    /// Compares upper bounds in seconds for the quantile `level` (0.95, say) with measured seconds. `None`
-    /// without frames.
+    /// Compares upper bounds in seconds for the quantile `level` (0.95, say) with measured seconds. `None` if
+    /// there is no frame.
     pub fn new(bounds: &[f64], measured: &[f64], level: f64) -> Option<Self> {
         let n = measured.len().min(bounds.len());
         if n == 0 {
@@ -131,7 +131,7 @@ pub fn bootstrap_by_group<G: Ord>(
     intervals_by_group(predicted, measured, groups, (rounds, 0.95), |m| [metric(m)]).map(|[i]| i)
 }
 
-/// As [`bootstrap_by_group`], for several metrics over the same draws, and for another level than 0.95.
+/// As [`bootstrap_by_group`], for several metrics over the same draws, and for any confidence level.
 pub fn intervals_by_group<G: Ord, const N: usize>(
     predicted: &[f64],
     measured: &[f64],
@@ -223,7 +223,7 @@ mod tests {
         assert_eq!((b.coverage, b.slowest_coverage), (0.9, 0.0));
         let tight = BoundMetrics::new(&t, &t, 0.95).unwrap();
         assert_eq!((tight.coverage, tight.slowest_coverage, tight.pinball), (1.0, 1.0, 0.0));
-        // Both frames exceed their bound by 0.5 s, over a mean of 1 s: 0.95 · 0.5.
+        // Both frames exceed their bound by 0.5 s, and the mean time is 1 s: 0.95 · 0.5.
         let low = BoundMetrics::new(&[0.5, 0.5], &[1.0, 1.0], 0.95).unwrap();
         assert!((low.pinball - 0.475).abs() < 1e-12);
         assert_eq!(BoundMetrics::new(&[], &[], 0.95), None);

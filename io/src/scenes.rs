@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 pub struct SceneDistribution {
     /// Radii of the hemispheres, bounding-sphere radii.
     pub radii: Vec<f32>,
-    /// Least and most lobes of a transfer function.
+    /// Smallest and largest number of lobes of a transfer function.
     pub lobes: (u32, u32),
     /// Shortest image side, pixels.
     pub min_size: u32,

@@ -5,9 +5,9 @@ usage: bars_inference.py --server PEER_SERVER --peers FOLDER --models FOLDER [--
                          [--nice N] [--only TEXT]
 
 Every contestant is a server process (line `NAME BATCH SECONDS` in, `@@{json}` out). Each round visits every bar and, in
-random order, its contestants; a window is SECONDS of repeated calls. A ratio is our smallest time over the smallest time
-of the peers, over all windows of a run. A peer that is missing or fails is named, and every bar that asks for it is
-short, since the other peers may not be the fastest.
+random order, its contestants; a window is SECONDS of repeated calls. A ratio is our smallest time in all windows of a
+run, divided by the smallest time of the peers. A peer that is missing or fails is named, and every bar that asks for it
+is short, since the other peers may not be the fastest.
 
 --only TEXT selects bars whose names contain the text.
 """

@@ -6,8 +6,8 @@
 
 Prints `bar NAME VALUE LIMIT ok|short`, and `interval NAME LOW HIGH` for errors (95 %, by bootstrap over volumes); exit
 status 1 when a bar is short or has no value. FOLDER holds ensembles/ and scans/.
-Test frames are timed once before the calibration of their mode and once after it, and the mean counts: so a machine that
-changes speed meanwhile was on average as fast as during the calibration.
+Test frames are timed once before the calibration of their mode and once after it, and the mean counts: if the
+machine changes speed meanwhile, its mean speed in the tests is about that during the calibration.
 Every step leaves a file in --out and is skipped if that file exists, so that the work can be done in slices of a few
 minutes on a quiet machine: --steps lists the steps, --only runs some and prints the bars for which they suffice.
 Needs Python 3.9 and `entire` (--bin), and nothing else.

@@ -5,8 +5,8 @@ each; exit status 1 when any is short.
 usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT] [--no-build]
 
 Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with the
-calls of the present example), and asks both in turns, in random order, for N rounds. The time of a scene is the smallest
-of all rounds, a figure the mean over its scenes. Ratios are those of the working tree over REVISION.
+calls of the present example), and asks both in turns, in random order, for N rounds. The time of a scene is its minimum
+over all rounds, a figure the mean over its scenes. A ratio is the working tree's figure divided by REVISION's.
 """
 import argparse
 import pathlib

@@ -1,6 +1,6 @@
-"""Training speed of entire's PredNet trainer against PyTorch: the same frames, initial weights, settings and threads,
-the two in turns; prints one `bar` line each for time and final loss and exits 1 when one is short, as both are without
-PyTorch.
+"""Compares the training speed of entire's PredNet trainer with PyTorch's: same frames, initial weights, settings and
+threads, in turns. Prints one `bar` line each for time and final loss; exit status 1 when a bar is short. Both are short
+without PyTorch.
 
     python lab/scripts/bars_train.py --frames 100000 --preset 12C256
 """

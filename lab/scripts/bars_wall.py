@@ -30,7 +30,7 @@ OURS, OLP = "hybrid", "olp"
 RIVALS = ("olp", "pid", "algorithm1")
 SWITCH_FRAMES = 3
 LATE = 0.1
-# Figure, and limits of ours over that of the best rival: on a quiet machine, beside another program.
+# Figure, and limits of our value divided by the best rival's: on a quiet machine, beside another program.
 SHARES = (("late", 0.5, 0.6), ("mean-error", 0.8, 0.9), ("error-at-switches", 0.4, 0.6))
 PSNR_BELOW = {"quiet": 0.3, "neighbor": 0.5}
 PSNR_BELOW_QUIET = 2.0
@@ -139,8 +139,8 @@ def measure(machine, bars):
                 best = min(mean(load, rival, key) for rival in RIVALS)
                 bars.found(f"wall/{load}/{key}-of-best-rival", mean(load, OURS, key) / max(best, 1e-9))
             often = 2 * mean(load, OURS, "late")
-            # Compared with rivals that have less than twice our share of late frames; with OLP if there are none, and
-            # beside another program.
+            # PSNR is compared with rivals that have less than twice our share of late frames; with OLP if there are
+            # none, or if another program runs.
             rivals = [r for r in RIVALS if load == "quiet" and mean(load, r, "late") < often] or [OLP]
             below = max(mean(load, r, "psnr") for r in rivals) - mean(load, OURS, "psnr")
             bars.found(f"wall/{load}/psnr-below-rival", below)

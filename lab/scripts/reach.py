@@ -32,7 +32,7 @@ VERSIONS = {"VTK": ("9.1", "9.3", "9.6"), "ParaView": ("5.11", "5.13", "6.1")}
 WARNINGS = 0
 MINUTES_FROM_NOTHING, MINUTES_KEPT = 40, 12
 # Limits while presets of Slicer are switched: percentage of frames over 1.25 times the target, and the percentage by
-# Slicer's own rule over ours.
+# Slicer's own rule divided by ours.
 SLICER = ROOT / "out/python/slicer.csv"
 SLICER_OVER, SLICER_RATIO = 2, 2
 

@@ -5,9 +5,9 @@ voxel) and image, each with its own early termination and space leaping. Interle
 usage: render_bars.py --server FRAME_SERVER [--out FOLDER] [--scans FOLDER] [--rounds N] [--size PIXELS] [--bars]
 
 Prints a line per contestant and scene, how well the pictures agree, the time of a change of the transfer function, and with
---bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when a bar is short, as it is without VTK or a scan).
-The pictures go to FOLDER as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and python3 that can
-import vtkmodules); it needs an X server, which xvfb-run provides.
+--bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when a bar is short; without VTK or a scan, its
+bars are short). The pictures go to FOLDER as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and
+python3 that can import vtkmodules); it needs an X server, which xvfb-run provides.
 
 A frame's cost is the CPU time that the contestant's process spends on it, all threads. Ours includes reading the picture
 back; VTK's includes the cost of its window, which is less than a millisecond without a volume.

@@ -70,7 +70,7 @@ pub(crate) fn table(bars: &[Bar]) -> Table {
 /// Prints bars, one line each.
 ///
 /// # Errors
-/// When a bar is short; the error names all of these.
+/// When a bar is short (its limit is missed); the error names every such bar.
 pub(crate) fn print(bars: &[Bar]) -> Result<()> {
     bars.iter().for_each(|b| println!("{b}"));
     let short: Vec<&str> = bars.iter().filter(|b| !b.ok).map(|b| b.name.as_str()).collect();

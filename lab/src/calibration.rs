@@ -28,8 +28,8 @@ pub(crate) fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(
         .into_iter()
         .find(|c| frames.iter().all(|f| f.seconds(*c).is_some()))
         .context(
-            "the calibration tables share no clock: all frames need seconds_cpu, or all need the same other \
-             clock",
+            "the calibration tables share no clock: every frame needs seconds_cpu, or every frame needs the \
+             time of one other clock",
         )?;
     let pool = thread_pool(None)?;
     let mut numbers: HashMap<String, usize> = HashMap::new();

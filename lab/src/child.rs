@@ -1,4 +1,4 @@
-//! Child processes of a study: waited for, asked to end once their time is over, and killed if they do not.
+//! Waits for child processes of a study. A process whose time is over is asked to end, and killed if it does not end.
 
 use anyhow::{Context, Result};
 use nix::sys::signal::{Signal, kill};
@@ -19,8 +19,8 @@ pub(crate) struct Ended {
     pub(crate) asked: bool,
 }
 
-/// Waits until a process ends. Once `over` returns true (a deadline has passed, the user asked to stop), it
-/// is asked to end by `signal`; if it has not ended `grace` later, it is killed.
+/// Waits until a process ends. Once `over` returns true (a deadline has passed, or the user asked to stop), `signal`
+/// asks the process to end; if it still runs after `grace`, it is killed.
 ///
 /// # Errors
 /// When the system refuses to wait for it or to kill it.
@@ -37,13 +37,13 @@ pub(crate) fn wait(
         }
         match asked {
             None if over() => {
-                // The process was not waited for, so no other process can have its id. An error is ignored,
-                // since a process that does not end is killed below.
+                // Until the exit status is read, no other process can get this id. An error is ignored, since a
+                // process that does not end is killed below.
                 let _ = kill(Pid::from_raw(child.id().cast_signed()), signal);
                 asked = Some(Instant::now());
             }
             Some(at) if at.elapsed() >= grace => {
-                child.kill().context("cannot end a command that does not end")?;
+                child.kill().context("cannot kill a command that does not end")?;
                 let status = child.wait().context("cannot wait for a command")?;
                 return Ok(Ended { status, asked: true });
             }

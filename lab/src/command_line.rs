@@ -1,4 +1,4 @@
-//! The command line of `entire-lab`: studies, recordings and bars. Exit status as of `entire`.
+//! The command line of `entire-lab`: studies, recordings and bars. Its exit statuses are those of `entire`.
 
 use crate::commands;
 use clap::{CommandFactory, Parser, Subcommand};
@@ -23,11 +23,11 @@ enum Command {
     Study(commands::study::Options),
     /// Reproduce every table and figure of the paper, beside our results.
     Paper(commands::paper::Options),
-    /// Measure calibration error by number of frames, on another type of machine.
+    /// Measure the error of calibrations to few and many frames, on another type of machine.
     Frames(commands::frames::Options),
     /// Record the time of every frame of a path at a grid of ray steps.
     Record(commands::record::Options),
-    /// Record the slowdown of frames by another program on the machine.
+    /// Record the slowdown of frames while another program runs on the machine.
     Disturb(commands::disturb::Options),
     /// Replay recorded time curves under every controller and target, beside an oracle.
     Replay(commands::replay::Options),

@@ -21,7 +21,7 @@ const HIDDEN: [usize; 2] = [24, 24];
 /// Seed of the small network's weights and of the order of its samples.
 const SEED: u64 = 1;
 
-/// One of this many scenes is held out for testing.
+/// Number of scenes of which one is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
 
 /// True for a held-out sample.
@@ -45,7 +45,7 @@ fn fit_analytic(samples: &[Sample]) -> Result<AnalyticModel> {
 }
 
 /// A small network on [`standard_features`], trained on ln(seconds) of the samples that are not held
-/// out; a fifth of those decides when to stop. Single-threaded: the frames are few.
+/// out; a fifth of these samples decides when training stops. Single-threaded: the frames are few.
 ///
 /// # Errors
 /// When there are too few samples.
@@ -88,7 +88,7 @@ pub(crate) struct Candidate {
     pub(crate) title: String,
     /// Its errors on calibration frames that it was not fitted to.
     pub(crate) held_out: Quality,
-    /// True for the one that steers.
+    /// True for the candidate that steers.
     pub(crate) chosen: bool,
     /// The predictor.
     #[serde(skip)]
@@ -96,7 +96,7 @@ pub(crate) struct Candidate {
 }
 
 impl Candidate {
-    /// Measures the errors of a predictor; it is not chosen yet.
+    /// Measures the errors of a predictor. The new candidate is not chosen.
     ///
     /// # Errors
     /// As [`SteeringModel::quality`].
@@ -108,7 +108,7 @@ impl Candidate {
     }
 }
 
-/// The volume of predictors that do not look at it: a single voxel.
+/// A volume of a single voxel, for predictors that use no volume.
 ///
 /// # Errors
 /// When a volume of one voxel is refused.

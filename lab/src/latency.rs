@@ -1,5 +1,5 @@
-//! Latency of a prediction between frames: from camera and transfer function to seconds, with other data in the
-//! processor's caches.
+//! Latency of a prediction: time to compute a frame's seconds from its camera and transfer function, while the
+//! processor's caches hold other data, as between two frames.
 
 use anyhow::Result;
 use entire_core::model::Model;
@@ -21,28 +21,28 @@ const FRAMES: u64 = 200;
 const ROUNDS: usize = 5;
 
 /// Seconds of one prediction in one thread, scene features included. Work per volume is not included; work
-/// per transfer function is separate. The opacity of a cell is computed when a ray first meets it: that
-/// counts as work per transfer function in the first frame, and as part of the prediction when the camera has
-/// turned since.
+/// per transfer function is separate. The opacity of a cell is computed when a ray first meets it: in
+/// the first frame this counts as work per transfer function, in later frames, after the camera has turned, as part
+/// of the prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Latency {
-    /// Median with cold caches.
+    /// Median with cold caches, seconds.
     pub(crate) cold: f64,
-    /// Median over consecutive calls.
+    /// Median over consecutive calls, seconds.
     pub(crate) warm: f64,
-    /// Median for a new transfer function: its immediate work, and the excess of its first prediction over
-    /// the next one; 0 for models that do not use the scene.
+    /// Median for a new transfer function, seconds: its immediate work, plus the time by which its first prediction
+    /// exceeds the next one; 0 for models that do not use the scene.
     pub(crate) transfer: f64,
 }
 
-/// Number of frames per transfer function, over which its cost is spread.
+/// Number of frames over which the cost of a new transfer function is spread.
 const FRAMES_PER_TRANSFER: f64 = 30.0;
 
 /// Turn of the camera from one frame to the next, degrees.
 const TURN: f32 = 3.0;
 
 impl Latency {
-    /// Median, with cold caches, over a session in which every 30th frame has a new transfer function.
+    /// Median seconds, with cold caches, in a session in which every 30th frame has a new transfer function.
     pub(crate) fn with_changes(&self) -> f64 {
         self.cold + self.transfer / FRAMES_PER_TRANSFER
     }
@@ -97,7 +97,7 @@ impl Bench {
         Ok(Self { summary, scenes, evicted: vec![1; EVICTED_BYTES / 8] })
     }
 
-    /// Latency of a model: the best of a few rounds, since other programs only ever add to it.
+    /// Latency of a model: the minimum over a few rounds, since other programs only add time.
     ///
     /// # Errors
     /// When the model cannot be loaded or lacks an input.

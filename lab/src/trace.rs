@@ -120,7 +120,7 @@ impl Recording<'_> {
     }
 }
 
-/// True for the same volumes. The content of their files is compared if both sides have its identity.
+/// True if both are the same volumes. The content of their files is compared if both sides have its identity.
 fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
     let same = |(a, b): (&TraceVolume, &TraceVolume)| {
         let unknown = a.files.is_empty() || b.files.is_empty();

@@ -5,7 +5,7 @@
 #   plugins/paraview/run.sh build|screenshot
 #   plugins/paraview/run.sh test [--full]      in pvbatch; --full: also in pvpython, on two ranks, on a server, in the client
 #
-# ENTIRE_SDK       the folder of an installed libentire (default: that of `make install` is built into target/sdk)
+# ENTIRE_SDK       the folder of an installed libentire (default: target/sdk, built like `make install`)
 # PARAVIEW_OUT     where builds and results go (default target/paraview)
 # PARAVIEW_PYTHON  root of an unpacked python3-paraview package, where it is not installed (it conflicts with
 #                  python3-vtk9, which libvtk9-dev needs): apt-get download python3-paraview &&

@@ -9,7 +9,7 @@
 # test leaves out tests that are marked `long` in Testing/CMakeLists.txt unless --full is given. asan builds adapter and
 # tests with AddressSanitizer and runs the tests of re-entrant events.
 #
-# ENTIRE_SDK   the folder of an installed libentire (default: that of `make install` is built into target/sdk)
+# ENTIRE_SDK   the folder of an installed libentire (default: target/sdk, built like `make install`)
 # VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
 # VTK_OUT      where builds and results go (default target/vtk)
 # VTK_JOBS     parallel compilations (default: as many as the build tool takes)

@@ -241,8 +241,8 @@ def bars(adapter: str) -> bool:
         share = np.array(window.draw(110)[30:]) / target
         late = 100 * np.mean(share > 1.25)
         print(
-            f"{adapter}, {mapper}, {kind}: target {1e3 * target:.1f} ms, median frame {np.median(share):.2f} of it, "
-            f"{late:.1f} % over 1.25 of it"
+            f"{adapter}, {mapper}, {kind}: target {1e3 * target:.1f} ms, median frame {np.median(share):.2f} x target, "
+            f"{late:.1f} % of frames over 1.25 x target"
         )
         name = f"late-frames-{adapter}-{mapper}-{kind.name.replace(' ', '-')}"
         print(f"bar {name} {late:.1f} {MOST_LATE} {'ok' if late <= MOST_LATE else 'short'}", flush=True)

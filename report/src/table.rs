@@ -90,8 +90,9 @@ impl Table {
         self.rows.push(cells);
     }
 
-    /// Marks the best cell of a numeric column (several where equal): the lowest value, or the highest.
-    /// `values` has one entry per row; values that are not finite are ignored.
+    /// Marks the best cell of a numeric column (all of them if several are equal): the lowest value if
+    /// `lowest` is true, else the highest. `values` has one entry per row; values that are not finite are
+    /// ignored.
     pub fn mark_best(&mut self, column: usize, values: &[f64], lowest: bool) {
         let sign = if lowest { 1.0 } else { -1.0 };
         let best = values.iter().filter(|v| v.is_finite()).map(|v| v * sign).fold(f64::INFINITY, f64::min);

@@ -46,7 +46,8 @@
 //!
 //! # Loading a model
 //!
-//! [`predict::load`] makes the predictor of a model file; [`Session::new`] steers by it:
+//! [`predict::load`] makes a predictor from a model file; [`Session::new`] makes a session that uses the
+//! predictor:
 //!
 //! ```
 //! use entire_core::Model;

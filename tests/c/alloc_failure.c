@@ -1,7 +1,7 @@
-/* Makes allocations fail in every kind of call, one after the other and all at once: none may end the process. Hot
- * calls allocate nothing. A call that allocates a size declared by the caller returns ENTIRE_OUT_OF_MEMORY if that
- * allocation fails. Small allocations that fail are served from the library's reserve; once half of the reserve is in
- * use, calls that make a handle return ENTIRE_OUT_OF_MEMORY, too.
+/* Makes allocations fail in every kind of call, one after the other and all at once: no failure may end the process.
+ * Calls marked as hot allocate nothing. A call that allocates a size declared by the caller returns
+ * ENTIRE_OUT_OF_MEMORY if that allocation fails. Small allocations that fail are served from the library's reserve;
+ * once half of the reserve is in use, calls that make a handle return ENTIRE_OUT_OF_MEMORY, too.
  *
  *   alloc_failure MODEL
  *

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Measures the bars of the C SDK and prints a line each: bar NAME VALUE LIMIT ok|short. Exits 1 when any is short. A bar
-# that cannot be measured is short.
+# Measures the bars of the C SDK and prints one line for each: bar NAME VALUE LIMIT ok|short. Exits with 1 if any bar is
+# short. A bar that cannot be measured is short.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 . lab/scripts/bar_lines.sh
@@ -34,14 +34,14 @@ cc -std=c11 -O2 examples/c/01_predict.c -I"$stage/include" "$stage/lib/libentire
     -o "$work/01_predict_static" && "$work/01_predict_static" "$toy" >/dev/null || rm -f "$work/01_predict_static"
 bar ffi.static_01_predict_stripped_bytes "$(bytes "$work/01_predict_static")" 600000
 
-# Without any symbol of the library, nm has failed, and the number is unknown.
+# If the list has no symbol of the library, nm has failed, and the number is unknown.
 others=unknown
 if nm -D --defined-only "$stage/lib/libentire.so" >"$work/symbols" && grep -q ' entire_' "$work/symbols"; then
     others=$(awk '$3 !~ /^entire_/' "$work/symbols" | wc -l)
 fi
 bar ffi.symbols_without_prefix "$others" 0
 
-# Leaks, sanitizer reports and panics: the test run fails at the first of any, and lists the passed parts at its end.
+# The test run fails at the first leak, sanitizer report or panic, and lists the passed parts at its end.
 if tests/c/run.sh --full >"$work/bars-tests.log" 2>&1; then
     why="tests/c/run.sh has left it out: $(grep -h 'skipped: ' "$work/bars-tests.log" | head -n 1 || true)"
 else

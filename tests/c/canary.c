@@ -1,4 +1,4 @@
-/* Two deliberate errors that a sanitizer must find; tests/c/run.sh fails if it does not. */
+/* Two deliberate errors. tests/c/run.sh fails if a sanitizer does not find them. */
 #include "check.h"
 
 int main(void) {

@@ -1,4 +1,4 @@
-/* Shared parts of the tests: checks that say where and why, and the smallest scene. */
+/* Shared parts of the tests: checks that print place and reason of a failure, and a small scene. */
 #ifndef ENTIRE_TESTS_CHECK_H
 #define ENTIRE_TESTS_CHECK_H
 

@@ -119,7 +119,7 @@ static void new_volume(entire_volume **out) {
     }
     if (one_in(6))
         for (int i = 0; i < 3; ++i) desc.strides[i] = any_size();
-    /* Repeated voxels: sizes of all magnitudes, few of which are scanned. */
+    /* Strides of 0, which repeat one voxel: sizes of any magnitude, few of which are small enough to be scanned. */
     if (one_in(12))
         for (int i = 0; i < 3; ++i) {
             desc.strides[i] = 0;

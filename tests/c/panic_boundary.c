@@ -1,5 +1,5 @@
-/* A panic inside the library becomes a code, its place is in the text, and its handle then refuses everything except
- * free. Needs a library built with the feature `test-panic`. */
+/* A panic inside the library becomes an error code, and the error text names its source line. The handle of the call
+ * then refuses all calls except last_error and free. Needs a library built with the feature `test-panic`. */
 #include "check.h"
 
 entire_result entire_test_panic(entire_session *session);

@@ -5,7 +5,7 @@
 #   tests/c/run.sh             one compiler and language standard; the sanitizers on 10^4 call sequences
 #   tests/c/run.sh --full      also C++20, clang, 10^5 call sequences, every program under valgrind
 #
-# ENTIRE_SDK   the folder of an installed library (the gate names its own); without it, that of `make install` is built
+# ENTIRE_SDK   folder of an installed library (the gate sets it); if unset, the library of `make install` is built
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 . scripts/lib.sh
@@ -17,7 +17,7 @@ full=
 case ${1:-} in
     "") ;;
     --full) full=1 ;;
-    *) echo "run.sh: found word \"$1\"; use --full or nothing" >&2; exit 2 ;;
+    *) echo "run.sh: unknown argument \"$1\"; use --full or no argument" >&2; exit 2 ;;
 esac
 
 passed=()
@@ -88,7 +88,7 @@ for file in examples/c/*.c examples/cpp/*.cpp; do
 done
 ok "examples: built by find_package, each under 80 lines"
 
-# The whole suite with one compiler; the others build it again with --full, else only the headers.
+# One compiler builds the whole suite. With --full, the others build it, too; otherwise they compile only the headers.
 configure_and_test gcc-c++17 "$stage" -DCMAKE_C_COMPILER=gcc -DCMAKE_CXX_COMPILER=g++ -DCMAKE_BUILD_TYPE=RelWithDebInfo
 
 if [[ $full ]]; then
@@ -141,7 +141,7 @@ for program in "$work"/asan/test_* "$work"/asan/fuzz_calls "$work"/asan/null_arg
     holds "$program" __asan_init || fail "$program has no address sanitizer"
     holds "$program" __ubsan_ || fail "$program has no undefined-behavior sanitizer"
 done
-if holds "$work/gcc-c++17/test_model" __asan_init; then fail "the plain build has a sanitizer in"; fi
+if holds "$work/gcc-c++17/test_model" __asan_init; then fail "the plain build contains a sanitizer"; fi
 for canary in leak overflow; do
     gcc -std=c11 -g -fsanitize=$sanitize -DCANARY_$canary tests/c/canary.c -I"$stage/include" -L"$stage/lib" -lentire \
         -Wl,-rpath,"$stage/lib" -o "$work/canary-$canary"

@@ -72,7 +72,7 @@ static void observations(void) {
     plan = plan_of(session, &frame, 0.03f);
     OK(entire_session_observe(session, plan.id, 1e-6f, ENTIRE_OBSERVE_CANCELLED, NULL));
 
-    /* Late observations are welcome for the last 64 plans; older ones are forgotten. */
+    /* Late observations are accepted for the last 64 plans; older plans are forgotten. */
     uint64_t ids[80];
     for (int i = 0; i < 80; ++i) ids[i] = plan_of(session, &frame, 0.03f).id;
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, ids[15], 0.01f, 0, NULL));
@@ -263,7 +263,7 @@ static void options(const entire_model *model) {
     entire_session_free(session);
 }
 
-/* Without a model the probe may be smaller or finer. */
+/* Without a model, the probe may be coarser or finer. */
 static void probe_sides(void) {
     entire_session_options options;
     OK(entire_session_options_init(&options, sizeof options));
@@ -411,12 +411,12 @@ static void calibration(void) {
     CHECK(strcmp(entire_model_metadata(model, "entire.clock"), "wall") == 0);
     CHECK(strcmp(entire_model_metadata(model, "entire.renderer"), "a renderer of pixels") == 0);
 
-    /* The model predicts frames that it was not fitted to, in this loop and from its file in another. */
+    /* The model predicts frames that it was not fitted to, in this session and, read from its file, in another. */
     float known[4] = {9, 9, 9, 9};
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(known[0] == 0 && known[1] == 0 && known[2] == 0 && known[3] == 0);
     OK(entire_session_set_model(session, model));
-    /* The session takes the model's quality law, for this renderer alone, until the host sets another. */
+    /* The session takes the quality law of a model of its own renderer, until the host sets another law. */
     OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
     CHECK(fabsf(known[0] - 5) < 0.1f && fabsf(known[1] - 1.2f) < 0.02f && fabsf(known[2] - 0.9f) < 0.02f && fabsf(known[3] - 0.2f) < 0.01f);
     OK(entire_session_set_quality(session, 3, 1, 1, 0));
@@ -490,7 +490,7 @@ static void state(void) {
     CHECK(p.source != 0 && isfinite(p.seconds));
     OK(entire_session_reset(b));
 
-    /* A state is of one renderer and one clock; a refused one changes nothing. */
+    /* A state belongs to one renderer and one clock; a refused state changes nothing. */
     OK(entire_session_set_timing_source(a, "a mapper", "wall"));
     OK(entire_session_save_state(a, NULL, 0, &again));
     uint8_t *named = malloc(again);
@@ -530,7 +530,7 @@ static void with_a_model(const char *path) {
     options(model);
     loop(model);
 
-    /* The session keeps its share of the model. */
+    /* The session keeps its own reference to the model. */
     entire_session *session = toy_session(model);
     entire_frame frame = toy_frame();
     entire_prediction prediction = {.struct_size = sizeof prediction};

@@ -1,6 +1,6 @@
-//! Structure-aware mutants of model files. Random changes of bytes do not reach them, since the header's
-//! length would not fit. Every file's length field is right; the data after it are wrong in ways that a
-//! reader must detect.
+//! Structure-aware mutants of model files. Every file's length field is right; the data after it are wrong in
+//! ways that a reader must detect. Random byte changes rarely give such files, since they break the header's
+//! length.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{GroupKind, Key, Model};
@@ -10,7 +10,7 @@ use entire_steer::features::{Changes, FrameFeatures, Setting};
 use entire_steer::predict::{Inputs, check_predictions, load};
 use serde_json::{Map, Value, json};
 
-/// Largest number of multiplications of an encoding that is run; a larger mutant encoder is built only.
+/// Largest number of multiplications of an encoding that is run; a larger encoder is built but not run.
 pub const MOST_WORK: u128 = 20_000_000;
 
 /// Largest size of a tensor of a generated encoder, bytes.
@@ -23,7 +23,7 @@ struct Tensor {
     dtype: String,
     shape: Vec<u64>,
     data: Vec<u8>,
-    /// Written instead of the data's real offsets.
+    /// Offsets that are written in place of the real ones.
     offsets: Option<[u64; 2]>,
 }
 
@@ -32,7 +32,7 @@ struct Tensor {
 struct Parts {
     metadata: Map<String, Value>,
     tensors: Vec<Tensor>,
-    /// Raw text instead of the header.
+    /// Raw text that is written in place of the header.
     header: Option<String>,
 }
 
@@ -85,7 +85,7 @@ impl Parts {
 pub struct Random(u64);
 
 impl Random {
-    /// The stream of a state, which is not 0; the same state gives the same numbers.
+    /// The stream from an initial state, which must not be 0; the same state gives the same numbers.
     pub fn new(state: u64) -> Self {
         Self(state)
     }

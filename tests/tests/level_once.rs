@@ -1,4 +1,4 @@
-//! The level is read from the environment once: a host that changes the environment later has no effect.
+//! The level is read from the environment once: later changes of the environment have no effect.
 
 use entire_core::kernels::Level;
 use libtest_mimic::{Arguments, Failed, Trial};

@@ -40,9 +40,8 @@ fn stored(model: &Model) -> Dtype {
     model.prednet().expect("a PredNet").layers[0].dtype
 }
 
-/// The error of formats that store the weights exactly is relative to each result; that of rounded formats is
-/// relative to the largest result, since a rounded weight changes a sum that nearly cancels by a large
-/// factor.
+/// If a format stores the weights exactly, the error is relative to each result. If it rounds them, the error
+/// is relative to the largest result, since rounding changes a sum that nearly cancels by a large factor.
 fn prednets_agree(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, expected)) = (model(&case), rows(&case));
@@ -97,7 +96,8 @@ fn storage_follows_the_file() {
     }
 }
 
-/// Same model, same inputs, same level: same bits, with any other rows in the batch and any split of it.
+/// Same model, same inputs, same level: same bits, with any other rows in the batch and any split of the
+/// batch.
 fn batches_do_not_depend_on_their_cut(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));

@@ -4,7 +4,7 @@ use entire_core::model::{Key, Model};
 use entire_io::metrics::{BoundMetrics, SHORTEST};
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 
-/// ln(measured / predicted) of every frame; a prediction that is not positive counts as the shortest one.
+/// ln(measured / predicted) of every frame; predictions below [`SHORTEST`] and NaN count as [`SHORTEST`].
 pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
     let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
     predicted.iter().zip(measured).map(|(&p, t)| (t / usable(p)).ln()).collect()
@@ -62,8 +62,8 @@ mod tests {
         let predicted = vec![1.0; 399];
         let one = vec!["a".to_owned(); 399];
         assert_eq!(from_groups(&predicted, &measured, &one), from_predictions(&predicted, &measured));
-        // The 39 slow frames form a group: it is half of all weight, so the bound is its 90 % quantile and
-        // not the 95 % quantile of all frames.
+        // The 39 slow frames form a group with half of the total weight, so the bound is the 90 % quantile of
+        // this group and not the 95 % quantile of all frames.
         let two: Vec<String> = (1..=399).map(|i| if i > 360 { "slow" } else { "quick" }.to_owned()).collect();
         let upper = from_groups(&predicted, &measured, &two);
         assert!((f64::from(upper.factor()) - 1.396).abs() < 1.5e-3, "{}", upper.factor());

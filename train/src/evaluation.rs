@@ -19,7 +19,8 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// Share of each volume's frames that the constant baseline renders to take their mean (Bruder et al. 2022).
+/// Share of each volume's frames whose mean time is the prediction of the constant baseline (Bruder et al.
+/// 2022).
 pub const PROBE_SHARE: f64 = 0.15;
 
 /// Warm time of one prediction, in one thread.
@@ -234,5 +235,5 @@ pub fn in_session(
     Ok(out)
 }
 
-/// A target that every frame meets, seconds.
+/// Target frame time that every frame meets, seconds.
 const NO_TARGET: f32 = 1e3;

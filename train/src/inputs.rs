@@ -86,7 +86,7 @@ impl Layout {
         Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
     }
 
-    /// True if Gaussian lobes go in by ascending center.
+    /// True if Gaussian lobes are inputs in ascending order of their centers.
     pub fn sorted_lobes(&self) -> bool {
         self.layout.sorted_lobes
     }
@@ -278,8 +278,8 @@ impl InputValues for KeptValues<'_> {
 
 /// Calls `f` with the inputs of each frame, as known before it is drawn, in parallel over the frames of a
 /// volume, one volume after another; returns the results in the frames' order. `probe_side` goes to
-/// [`FrameFeatures::with_probe_side`]; without it the scene features are empty, and volumes are opened only
-/// for an encoder.
+/// [`FrameFeatures::with_probe_side`]; if it is `None`, the scene features are empty, and volumes are opened
+/// only for an encoder.
 ///
 /// # Errors
 /// When a volume is not found or has another size than the table says, or `f` fails.
@@ -351,7 +351,8 @@ pub fn measure<T: Send>(
     results.into_iter().map(|r| r.context("a frame was left out")).collect()
 }
 
-/// Opens the volume that a frame names, enlarged where the table's size is a whole multiple of the file's.
+/// Opens the volume that a frame names. It is enlarged if its size in the table is a whole multiple of its
+/// size in the file.
 ///
 /// # Errors
 /// When it is not found, cannot be read, has another size than the table says, or changed after its frames
@@ -359,9 +360,9 @@ pub fn measure<T: Send>(
 pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
-            "volume {name} of {} is not there, neither from the working folder nor beside the table; run \
-             where it was collected, put it there, or keep the features beside the table with `entire \
-             features`",
+            "volume {name} of {} was not found, neither in the working folder nor beside the table; run the \
+             command in the folder of the collection, copy the file there, or store the features beside the \
+             table with `entire features`",
             table.path.display()
         )
     })?;

@@ -1,5 +1,5 @@
-//! Min–max blocks, their emptiness under a transfer function, and the distance of each to the nearest block
-//! of the other kind.
+//! Min–max blocks, their emptiness under a transfer function, and the distance of each block to the nearest
+//! block of the other kind (empty or not).
 
 use crate::error::{Error, Result};
 use crate::table::Classifier;
@@ -9,8 +9,7 @@ use rayon::prelude::*;
 /// Default cells along a block's edge; see [`BLOCK_EDGES`].
 pub const BLOCK_EDGE: usize = 8;
 
-/// Allowed block edges, in cells. Small blocks leave fewer unnecessary samples, large ones make a smaller
-/// map.
+/// Allowed block edges, in cells. Small blocks skip more of the empty space; large blocks make a smaller map.
 pub const BLOCK_EDGES: [usize; 3] = [4, 8, 16];
 
 /// Checks a user's choice of the edge.
@@ -27,8 +26,8 @@ const MAX_DISTANCE: u8 = 127;
 /// Bit of a [`SkipMap`] entry that marks an empty block.
 pub(crate) const EMPTY_BIT: u8 = 128;
 
-/// Smallest and largest table position (0…255) among the voxels that samples in a block touch: the block's
-/// voxels and one more along each axis.
+/// For each block, the smallest and largest table position (0…255) of the voxels that its samples
+/// interpolate: the block's voxels and one more along each axis.
 pub(crate) struct BlockMap {
     /// Cells along a block's edge.
     pub(crate) edge: usize,
@@ -76,7 +75,7 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edg
 }
 
 /// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest
-/// block of the other kind, 1…127. Everything closer than that distance is of the block's own kind.
+/// block of the other kind, 1…127. All blocks closer than that distance are of the block's own kind.
 pub(crate) struct SkipMap {
     /// Cells along a block's edge.
     pub(crate) edge: usize,
@@ -85,7 +84,7 @@ pub(crate) struct SkipMap {
 }
 
 impl SkipMap {
-    /// Emptiness only, all distances 1.
+    /// Makes a map of empty blocks in which all distances are 1.
     pub(crate) fn occupancy(blocks: &BlockMap, classifier: &Classifier) -> Self {
         let bytes = blocks
             .ranges
@@ -95,8 +94,8 @@ impl SkipMap {
         Self { edge: blocks.edge, dims: blocks.dims, bytes }
     }
 
-    /// Fills in the distances: three passes, one per axis, each exact (the Chebyshev ball is a product of
-    /// intervals).
+    /// Computes the distances in three passes, one per axis. The result is exact, because a Chebyshev ball is
+    /// a product of intervals.
     pub(crate) fn add_distances(&mut self) {
         let to_occupied = distances(&self.bytes, self.dims, 0);
         let to_empty = distances(&self.bytes, self.dims, EMPTY_BIT);
@@ -112,7 +111,8 @@ impl SkipMap {
     }
 }
 
-/// Chebyshev distance of every block to the nearest whose bit 7 equals `kind`, at most [`MAX_DISTANCE`].
+/// Chebyshev distance of every block to the nearest block whose bit 7 equals `kind`, at most
+/// [`MAX_DISTANCE`].
 ///
 /// With d(x) the distances so far, a pass replaces d(x) by the minimum over x' of max(d(x'), |x − x'|) along
 /// one axis.

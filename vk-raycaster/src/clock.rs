@@ -13,7 +13,7 @@ pub(crate) fn process_cpu_seconds() -> Option<f64> {
     None
 }
 
-/// Wall and CPU time since it was started.
+/// Measures wall and CPU time since its start.
 pub(crate) struct Stopwatch {
     wall: Instant,
     cpu: Option<f64>,

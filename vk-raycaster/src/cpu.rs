@@ -59,8 +59,8 @@ impl CpuRaycaster {
         Ok((pixels, counts))
     }
 
-    /// Makes the skip map of the current volume and transfer function; the two times are those of its
-    /// occupancy and of its distances.
+    /// Makes the skip map of the current volume and transfer function. Stores the times of its occupancy and
+    /// of its distances in `preparation`.
     fn update_skip_map(&mut self, preparation: &mut Preparation) {
         if let (Some((_, blocks)), Some(classifier)) = (&self.volume, &self.classifier) {
             let watch = Stopwatch::start();
@@ -235,8 +235,8 @@ impl<V: Voxel> Caster<'_, V> {
         sum
     }
 
-    /// The run of equally treated samples from `k` on: true if they are skipped, and the first sample after
-    /// them.
+    /// The run of samples from `k` on that are all skipped or all taken. Returns true if they are skipped,
+    /// and the number of the first sample after the run.
     fn segment(
         &self,
         first: &[f32; 3],

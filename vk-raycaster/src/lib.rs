@@ -9,9 +9,9 @@
 //! Both renderers follow this specification, in 32-bit floats and with the operations in the same order.
 //!
 //! *Space.* Voxel coordinates p: the box spans 0…n along each axis (n voxels), voxel i is centered at i +
-//! 0.5. A ray goes through a pixel's center, from the eye or, with parallel rays, from the plane through it.
-//! With the frame's step δ (multiples of the reference step, the smallest spacing), D is the ray's advance per
-//! step in voxel coordinates.
+//! 0.5. A ray goes through a pixel's center, from the eye or, with parallel rays, from the plane through the
+//! eye. With the frame's step δ (multiples of the reference step, the smallest spacing), D is the ray's
+//! advance per step in voxel coordinates.
 //!
 //! *Samples.* The ray is inside the box from t_in to t_out, measured in steps from the ray's origin, with
 //! t_in ≥ 0. Sample k = 0, 1, … lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by
@@ -31,21 +31,21 @@
 //! termination opacity; 1 means never. The image holds C and A, 8 bits each, over black.
 //!
 //! *Local shading.* Samples with α′ > 0 are lit by a head light: gradient g by central differences over one
-//! voxel along each axis (in world proportions), N·L = |g·v| / |g| with v the ray's direction,
-//! c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v). Where the gradient
-//! vanishes c stays.
+//! voxel along each axis (in world proportions), N·L = |g·v| / |g| with v the ray's direction, c ← c·(0.3 +
+//! 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v). Where the gradient is zero, c is
+//! unchanged.
 //!
-//! *Single scattering.* Per sample with α′ > 0, a shadow ray towards a directional light that is fixed in
-//! scene space ([`LIGHT_DIRECTION`]). It is sampled every [`SHADOW_STEP`] steps, the first sample one such
-//! distance away: T ← T·(1 − α′)^[`SHADOW_STEP`], until the ray leaves the box or T falls below 0.25.
-//! c ← c·(0.25 + 0.75·T).
+//! *Single scattering.* Each sample with α′ > 0 casts a shadow ray towards a directional light that is fixed
+//! in scene space ([`LIGHT_DIRECTION`]). The shadow ray is sampled every [`SHADOW_STEP`] steps, for the first
+//! time at that distance from the sample: T ← T·(1 − α′)^[`SHADOW_STEP`], until the ray leaves the box or T
+//! falls below 0.25. c ← c·(0.25 + 0.75·T).
 //!
 //! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`] (a cell lies between
 //! eight voxel centers), store the smallest and largest value of their samples; a block is empty when the
 //! table is transparent over that interval. A sample inside an empty block is not taken: the ray continues
 //! with the first sample beyond it (`blocks`), or beyond all blocks that the Chebyshev distance map shows to
-//! be empty as well (`distance`). Sample positions are the same with every skipping mode, and so is the
-//! picture. Shadow rays skip as well.
+//! be empty (`distance`). Sample positions are the same with every skipping mode, and so is the picture.
+//! Shadow rays skip empty blocks, too.
 //!
 //! *Counts.* See [`WorkCounts`].
 

@@ -12,13 +12,14 @@ use glam::{Mat4, Vec3};
 /// Voxels along each axis of the probe's volumes.
 const EDGE: usize = 64;
 
-/// Largest image edge of the growing images.
+/// Largest edge of the probe's images, in pixels.
 const LARGEST_IMAGE: u32 = 4096;
 
 /// Options of a probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProbeOptions {
-    /// Images grow until their frames take this long, in seconds, so that clocks are precise enough.
+    /// Smallest time of a frame that is measured, in seconds. Images grow until their frames take this long,
+    /// so that the clock's error is small in comparison.
     pub frame_seconds: f64,
     /// Number of frames whose median is taken.
     pub repeats: usize,
@@ -45,7 +46,8 @@ pub struct Probe {
     pub agreement: Agreement,
     /// Quality of device timestamps; `None` where there are none.
     pub timestamps: Option<TimestampQuality>,
-    /// Seconds of a frame in which every ray misses, 64 × 64 pixels: the fixed cost of a frame.
+    /// Time of a frame of 64 × 64 pixels in which every ray misses the volume, in seconds: the fixed cost of
+    /// a frame.
     pub frame_seconds: f64,
     /// Rays per second that end at their first sample.
     pub rays_per_second: f64,
@@ -53,7 +55,7 @@ pub struct Probe {
     pub coherent_samples_per_second: f64,
     /// Samples per second of rays that diverge, start with a random offset and end at random depths.
     pub divergent_samples_per_second: f64,
-    /// Skips per second of empty blocks, block by block.
+    /// Skips of empty blocks per second, each of one block.
     pub skips_per_second: f64,
 }
 
@@ -73,11 +75,11 @@ impl Probe {
 /// Comparison of a frame with the CPU version's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agreement {
-    /// Largest difference of a color or opacity, of 255.
+    /// Largest difference of a color or opacity, in units of 1/255.
     pub largest: u8,
-    /// Mean difference, of 255.
+    /// Mean difference, in units of 1/255.
     pub mean: f64,
-    /// The renderer's counts, where it counts.
+    /// The renderer's counts; `None` if it does not count work.
     pub counts: Option<WorkCounts>,
     /// The CPU version's counts.
     pub twin: WorkCounts,
@@ -153,7 +155,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Renders a shaded frame, counted, and compares it with the CPU version's.
+/// Renders a shaded frame with work counts, and compares it with the CPU version's.
 fn agree(renderer: &mut dyn Renderer, view: &VolumeView<'_>) -> Result<Agreement> {
     let table = table(&[(0.0, 0.0), (0.1, 0.0), (1.0, 0.3)])?;
     let frame = Frame { shading: Shading::Local, ..frame((25.0, 40.0, 2.5), 45.0, 96)? };
@@ -192,8 +194,9 @@ struct Prober<'a> {
 }
 
 impl Prober<'_> {
-    /// Median seconds of a frame that is large enough to be timed, all its times, and its counts by the CPU
-    /// version.
+    /// Times a scene. If `scene.grows` is true, its image grows until a frame takes
+    /// [`ProbeOptions::frame_seconds`]. Returns the median time in seconds, all times, and the CPU version's
+    /// counts.
     fn time(&mut self, scene: &Scene<'_>) -> Result<(f64, Vec<FrameTime>, WorkCounts)> {
         self.renderer.set_volume(&scene.view)?;
         self.renderer.set_transfer(&scene.table)?;
@@ -217,7 +220,8 @@ impl Prober<'_> {
             let mut twin = CpuRaycaster::new();
             twin.set_volume(&scene.view)?;
             twin.set_transfer(&scene.table)?;
-            // Counts grow with the pixels: they follow from a smaller image of the same view.
+            // Counts are proportional to the number of pixels, so they are computed from a smaller image of
+            // the same view.
             let counted = edge.min(256);
             let (_, counts) = twin.render_linear(&(scene.frame)(counted)?)?;
             let ratio = u64::from(edge / counted).pow(2);
@@ -248,7 +252,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
     let dims = [EDGE; 3];
     let blobs = blobs();
     let empty = vec![0u8; EDGE * EDGE * EDGE];
-    // A voxel in 64 stops a ray.
+    // One voxel in 64 is opaque and stops a ray.
     let specks: Vec<u8> = (0..EDGE * EDGE * EDGE).map(|i| if hash(i) < 4 { 255 } else { 20 }).collect();
     let view = |data| VolumeView::new(Scalars::U8(data), dims).map_err(from_core);
     let agreement = agree(renderer, &view(&blobs)?)?;
@@ -312,8 +316,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         frame: |edge| Ok(Frame { skipping: Skipping::Blocks, ..frame((20.0, 30.0, 50.0), 2.0, edge)? }),
         grows: true,
     })?;
-    // The time of a ray includes its first sample, which stands for its first skip here: one skip per ray is
-    // left out.
+    // The time of a ray includes one sample. Here it stands for the ray's first skip, so one skip per ray is
+    // subtracted.
     let skips = counts.skips.saturating_sub(counts.rays) as f64 / rest("a frame of skips", seconds, &counts)?;
     Ok(Probe {
         device: renderer.device(),
@@ -339,7 +343,7 @@ mod tests {
     const RAY: f64 = 1e-7;
     const SAMPLE: f64 = 1e-8;
 
-    /// The CPU version, with a clock that follows its counts.
+    /// The CPU version, with a clock that is computed from its counts.
     struct Clockwork(CpuRaycaster);
 
     impl Renderer for Clockwork {

@@ -17,16 +17,16 @@ pub struct Image {
 /// Time of a frame by each clock. A clock that does not exist is `None`, never zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameTime {
-    /// Between device timestamps around the ray-casting pass, seconds.
+    /// Time between the device timestamps around the ray-casting pass, in seconds.
     pub device: Option<f64>,
-    /// From submission to completion as the host saw it, seconds.
+    /// Time from submission to completion on the host's clock, in seconds.
     pub wall: f64,
-    /// CPU time of this process during the frame, all threads, seconds.
+    /// CPU time of all threads of this process during the frame, in seconds.
     pub cpu: Option<f64>,
 }
 
 impl FrameTime {
-    /// The frame's time for prediction: the device's if it has timestamps, else wall time.
+    /// The frame's time in seconds: device time if the device has timestamps, else wall time.
     pub fn seconds(&self) -> f64 {
         self.device.unwrap_or(self.wall)
     }
@@ -37,7 +37,7 @@ impl FrameTime {
     }
 }
 
-/// Work of a frame, counted over the whole image by renderers that can.
+/// Counts of a frame's work, over the whole image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WorkCounts {
     /// Rays that hit the volume's box.
@@ -57,23 +57,23 @@ pub struct Rendered {
     pub image: Image,
     /// Time of the frame.
     pub time: FrameTime,
-    /// Work of the frame, where the renderer counts.
+    /// Work of the frame; `None` if it was not counted.
     pub counts: Option<WorkCounts>,
 }
 
-/// Time of a preparation (volume or transfer-function change), separate from any frame: the whole and its
-/// parts, wall seconds. A part that the change did not need is `None`.
+/// Time of a preparation (a change of volume or transfer function), in wall seconds: the total and its parts.
+/// No frame's time includes it. A part that the change did not need is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Preparation {
-    /// The whole preparation.
+    /// Total time.
     pub wall: f64,
     /// Conversion of the voxels and their upload to the device.
     pub upload: Option<f64>,
-    /// The smallest and largest value of each block.
+    /// Computation of the smallest and largest value of each block.
     pub block_map: Option<f64>,
-    /// Emptiness of blocks under the transfer function.
+    /// Search for the blocks that are empty under the transfer function.
     pub occupancy: Option<f64>,
-    /// The distances between empty and occupied blocks.
+    /// Computation of the distances between empty and occupied blocks.
     pub distance_map: Option<f64>,
 }
 
@@ -96,7 +96,7 @@ pub struct DeviceLimits {
     pub max_allocation: u64,
     /// Bytes of the largest memory heap on the device.
     pub memory: u64,
-    /// Invocations of a subgroup.
+    /// Number of invocations in a subgroup.
     pub subgroup_size: u32,
     /// Valid bits and nanoseconds per tick of device timestamps; `None` if there are none.
     pub timestamps: Option<(u32, f64)>,
@@ -136,7 +136,7 @@ pub trait Renderer {
     /// Sets the volume; the view is only borrowed for the call.
     ///
     /// # Errors
-    /// When the device cannot hold it; names the size and the limit.
+    /// When the device cannot hold the volume; the error names the size and the limit.
     fn set_volume(&mut self, volume: &VolumeView<'_>) -> Result<Preparation>;
 
     /// Sets the transfer function.
@@ -148,11 +148,12 @@ pub trait Renderer {
     /// Renders a frame and reads it back.
     ///
     /// # Errors
-    /// When volume or transfer function were not set, or the device fails; the renderer then stays usable.
+    /// When volume or transfer function were not set, when the frame is invalid, or when the device fails.
+    /// The renderer stays usable unless the device was lost.
     fn render(&mut self, frame: &Frame) -> Result<Rendered>;
 
-    /// Requests [`Rendered::counts`] for later frames, which may make them a little slower; renderers that
-    /// always count, or never can, ignore it.
+    /// Switches [`Rendered::counts`] on or off for later frames. Frames with counts may take a little longer.
+    /// Renderers that always count, or cannot count, ignore this call.
     fn count_work(&mut self, on: bool) {
         let _ = on;
     }

@@ -28,12 +28,12 @@ pub(crate) struct FrameSetup {
     pub(crate) eye: [f32; 3],
     /// 2 / image width.
     pub(crate) pixel_width: f32,
-    /// Directions in scene space.
+    /// `forward`, `right` and `up`: ray directions in scene space (see `Camera::ray_basis`).
     pub(crate) forward: [f32; 3],
     /// 2 / image height.
     pub(crate) pixel_height: f32,
     pub(crate) right: [f32; 3],
-    /// Opacity at which a ray stops; over 1 for never.
+    /// Opacity at which a ray stops; a value over 1 never stops it.
     pub(crate) termination: f32,
     pub(crate) up: [f32; 3],
     /// 1 with jitter, else 0.
@@ -62,7 +62,8 @@ pub(crate) struct FrameSetup {
     pub(crate) tile_height: u32,
     /// 0 starts the rays, 1 continues where the dispatch before left them.
     pub(crate) resume: u32,
-    /// Number of the sample at which the dispatch stops; with [`FAR`], it takes all samples that remain.
+    /// Number of the sample at which the dispatch stops; with [`FAR`], the dispatch takes all remaining
+    /// samples.
     pub(crate) window_end: f32,
     /// Cells along a block's edge.
     pub(crate) block_edge: f32,
@@ -80,8 +81,8 @@ pub(crate) struct FrameSetup {
     pub(crate) pad_origin: f32,
     pub(crate) brick_dims: [f32; 3],
     pub(crate) pad_dims: f32,
-    /// Offset in voxels from the ray origin at the image's middle to the one half an image to the right
-    /// (`origin_right`) or up (`origin_up`); 0 except with parallel rays.
+    /// Offset in voxels from the ray origin at the image's middle to the ray origin half an image to the
+    /// right (`origin_right`) or up (`origin_up`); 0 except with parallel rays.
     pub(crate) origin_right: [f32; 3],
     pub(crate) pad_right: f32,
     pub(crate) origin_up: [f32; 3],
@@ -198,7 +199,7 @@ mod tests {
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
         let frame = Frame { step: 0.5, ..Frame::new(camera, 4, 4).unwrap() };
         let setup = FrameSetup::new(&volume, 8, [1, 1, 1], &frame);
-        // The box is a cube of edge 8: half its diagonal is 4√3; the eye stands two of those from the center.
+        // The box is a cube of edge 8: half its diagonal is 4√3; the eye is twice that far from the center.
         assert!((setup.eye[0] - 4.0).abs() < 1e-5 && (setup.eye[1] - 2.0).abs() < 1e-5);
         assert!((setup.eye[2] - (1.0 + 8.0 * 3f32.sqrt() / 4.0)).abs() < 1e-4);
         for (a, want) in setup.advance.iter().zip([0.5, 0.25, 0.125]) {

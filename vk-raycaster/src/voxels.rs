@@ -63,8 +63,8 @@ impl Geometry {
     }
 }
 
-/// Integer voxels minus an offset if the range covers them; else 16 bits over the range. Returns the voxels,
-/// the scale and the bias of a table position.
+/// Keeps integer voxels, minus an offset, if the range covers them all; else requantizes them to 16 bits over
+/// the range. Returns the voxels, the scale and the bias of a table position.
 fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     view: &VolumeView<'_>,
     stored: &[T],

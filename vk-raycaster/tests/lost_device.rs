@@ -223,7 +223,7 @@ fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
     Ok(rendered.image)
 }
 
-/// Calls and waits of a device without faults, and its picture.
+/// Numbers of calls and waits of a device without faults, and its picture.
 fn sound() -> Result<(usize, usize, Image), Failed> {
     set(Fault::Sound);
     let mut gpu = open()?;
@@ -259,7 +259,7 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
         let name = gpu.limits().expect("a device").name;
         let error = use_it(&mut gpu).expect_err("the device is lost").to_string();
         assert!(error.contains("ERROR_DEVICE_LOST") && error.contains(&name), "call {after}: {error}");
-        // Later calls fail as well, and name the remedy.
+        // Later calls fail, too, and name the remedy.
         for error in
             [gpu.render(&small_frame()).err(), gpu.set_transfer(&medium()).err(), use_it(&mut gpu).err()]
         {
@@ -287,7 +287,7 @@ fn frames_in_flight_of_a_lost_device_fail_one_by_one() -> Outcome {
         assert!(error.contains("make a new renderer"), "{error}");
     }
     assert!(gpu.collect()?.is_none());
-    // The same if they are never collected.
+    // Frames that are never collected leave no resources behind, either.
     drop(gpu);
     set(Fault::Sound);
     let mut gpu = open()?;

@@ -78,7 +78,7 @@ fn parallel_rays_take_the_samples_of_their_chords() {
                 assert_eq!(seen.count() as u64, rays);
             }
         }
-        // The plane that the rays leave cuts the box in the middle: half of the samples are left.
+        // The plane where the rays start cuts the box in the middle, so only half of the samples remain.
         let f = Frame { skipping: Skipping::None, ..parallel((rx, ry, 1e-6), 2.0 * half, 64, 64) };
         let (_, counts) = r.render_linear(&Frame { termination: 1.0, ..f }).unwrap();
         assert_eq!(counts.samples, counts.rays * n as u64 / 2, "{rx} {ry}");
@@ -91,7 +91,7 @@ fn parallel_rays_take_the_samples_of_their_chords() {
         let volume = 8.0 * f64::from(half).powi(3);
         let step = 0.5 * 2.0 * f64::from(half) / n as f64;
         let want = volume * 400.0 * 300.0 / (4.0 * 1.1 * 1.1 * 400.0 / 300.0 * step);
-        // A ray takes its chord's length in steps, rounded to a whole number.
+        // A ray takes as many samples as its chord has steps, rounded to a whole number.
         assert!((counts.samples as f64 / want - 1.0).abs() < 2e-3, "{} {want}", counts.samples);
     }
 }

@@ -13,9 +13,9 @@ use entire_vk_raycaster::{
 };
 use libtest_mimic::{Arguments, Failed, Trial};
 
-/// Largest difference of a channel between device and CPU version, of 255.
+/// Largest difference of a channel between device and CPU version, in units of 1/255.
 const LARGEST: u8 = 2;
-/// Largest mean difference over all channels, of 255.
+/// Largest mean difference over all channels, in units of 1/255.
 const MEAN: f64 = 0.1;
 
 type Outcome = Result<(), Failed>;
@@ -26,7 +26,7 @@ fn open(options: VulkanOptions) -> Result<VulkanRaycaster, Failed> {
     Ok(VulkanRaycaster::new(VulkanOptions { device: environment.device, ..options })?)
 }
 
-/// Opened with the validation layer if it is installed.
+/// Opens a renderer, with the validation layer if it is installed.
 fn open_validated(fetch: Option<VoxelFetch>) -> Result<VulkanRaycaster, Failed> {
     let options = |validation| VulkanOptions { validation, fetch, count_work: true, ..Default::default() };
     open(options(true)).or_else(|_| open(options(false)))
@@ -43,7 +43,7 @@ struct Scene {
     table: TransferTable,
 }
 
-/// Cameras, sizes, steps, transfer functions; the tests go through the modes.
+/// Scenes with various cameras, sizes, steps and transfer functions; the tests draw each in every mode.
 fn scenes() -> Vec<Scene> {
     let mut all = vec![];
     let mut add = |name, frame: Frame, table| all.push(Scene { name, frame, table });
@@ -120,7 +120,7 @@ impl Data {
     }
 }
 
-/// Differences between two images, of 255: largest of a channel and mean.
+/// Differences between two images in units of 1/255: the largest of any channel, and the mean.
 fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
     assert_eq!(a.len(), b.len());
     let largest = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or(0);
@@ -140,7 +140,7 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     for (kind, view) in data.views().into_iter().take(if bytes_only { 1 } else { 4 }) {
         gpu.set_volume(&view)?;
         twin.set_volume(&view)?;
-        // One type with all scenes, the others with the first few.
+        // Bytes are tested with all scenes, the other types with the first three.
         for scene in scenes().into_iter().take(if kind == "u8" { usize::MAX } else { 3 }) {
             gpu.set_transfer(&scene.table)?;
             twin.set_transfer(&scene.table)?;
@@ -167,8 +167,8 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     expect_silence(&gpu)
 }
 
-/// The device's own arithmetic may decide otherwise about a few samples at box and block borders and some
-/// barely visible ones.
+/// The device's arithmetic may decide differently about a few samples: those at the borders of the box and of
+/// blocks, and some that are barely visible.
 fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome {
     let close = |a: u64, b: u64, share: f64| a.abs_diff(b) as f64 <= 4.0 + share * b as f64;
     if close(device.rays, twin.rays, 0.01)
@@ -281,7 +281,8 @@ fn skipping_changes_nothing() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Volumes that are larger than a texture: the limit is lowered until this one is cut into bricks.
+/// Volumes that are larger than a texture: the texture limit is lowered so far that the test volume is cut
+/// into bricks.
 fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     let validated = |validation| {
         let largest_texture = Some(21);
@@ -451,15 +452,15 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
             check(&mut gpu, &mut wanted)?;
         }
         if i == 4 {
-            // While a frame with the old transfer function is in flight.
+            // Changes the transfer function while a frame with the old one is in flight.
             gpu.set_transfer(&opaque())?;
             alone.set_transfer(&opaque())?;
         }
         gpu.enqueue(f)?;
         wanted.push_back(alone.render(f)?);
         if i == 5 {
-            // With the maximum number of frames in flight: another volume, and the first transfer function
-            // again.
+            // Changes the volume, and sets the first transfer function again, with the maximum number of
+            // frames in flight.
             let other = field_bytes([24; 3]);
             let other = VolumeView::new(Scalars::U8(&other), [24; 3]).unwrap();
             for r in [&mut gpu, &mut alone] {

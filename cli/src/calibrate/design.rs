@@ -1,9 +1,9 @@
 //! Choice of the most informative frames: greedy D-optimal design over the candidates' features.
 //!
-//! A frame's vector holds 1, the inputs of the prior's learned factor, if it has one, in standard deviations,
-//! and the share of each kind of work in the expected time. The next frame is the one with the largest ratio
-//! of the gain in ln det of the information matrix to a power of its cost. No candidate needs to be rendered
-//! for this.
+//! The feature vector of a frame holds the constant 1, the standardized inputs of the prior's learned factor
+//! (if the prior has a learned factor), and the share of each kind of work in the expected time. The next
+//! frame is the one with the largest ratio of the gain in ln det of the information matrix to a power of its
+//! cost. No candidate needs to be rendered for this choice.
 
 use super::pool::Pool;
 use entire_steer::numeric::dot;
@@ -11,8 +11,8 @@ use entire_steer::numeric::dot;
 use entire_steer::numeric::solve;
 
 /// Exponent e of a frame's cost in seconds: frames are ranked by gain / seconds^e. 0 ignores the cost; 1
-/// leaves out the long frames, which dominate the root mean squared error. It is 0 if not the time but the
-/// number of frames is the limit.
+/// leaves out the long frames, which dominate the root mean squared error. If the number of frames is the
+/// limit, and not the time, 0 is used instead.
 const COST_EXPONENT: f64 = 0.5;
 
 /// Diagonal of the information matrix before any frame, so that it can be inverted.
@@ -61,8 +61,8 @@ impl Design {
         }
     }
 
-    /// Chooses frames until their `seconds` add up to `budget` or there are `most`. Every second one is the
-    /// next random candidate, so that the error estimate is for typical frames.
+    /// Chooses frames until their `seconds` add up to `budget` or `most` frames are chosen. Every second
+    /// chosen frame is the next random candidate, so that the error estimate is for typical frames.
     pub(crate) fn choose(&mut self, pool: &Pool, seconds: &[f64], budget: f64, most: usize) -> Vec<usize> {
         let mut out = Vec::new();
         let mut spent = 0.0;
@@ -92,7 +92,7 @@ impl Design {
     }
 }
 
-/// The random candidates, in rounds that take one of each volume and enlargement.
+/// The random candidates, in rounds with one candidate of each volume and enlargement.
 fn random_order(pool: &Pool) -> Vec<usize> {
     let mut seen = std::collections::BTreeMap::new();
     let mut out: Vec<(usize, usize)> = pool

@@ -44,7 +44,7 @@ struct Visit {
 
 /// Measured frames of a calibration.
 pub(crate) struct Measured {
-    /// Every frame with its repeats; only the undisturbed repeats, if there are any.
+    /// Every frame with its undisturbed repeats, or with all its repeats if none was undisturbed.
     pub(crate) frames: Vec<TimedFrame>,
     /// Number of passes of each frame's repeats, by frame number.
     pub(crate) passes: HashMap<u64, usize>,
@@ -123,13 +123,15 @@ impl<'a> Measuring<'a> {
         }
     }
 
-    /// Draws batch after batch until the time is over, the frames are enough, or `stop` returns true.
+    /// Renders batch after batch until the time is over, the maximum number of frames is reached, or `stop`
+    /// returns true.
     ///
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
     pub(crate) fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, self.pool.prior.costs());
-        // The prior predicts seconds of another machine: the first, small batch measures the factor.
+        // The prior predicts seconds of another machine: the first, small batch measures the ratio of the two
+        // machines' times.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
             let groups = self.groups();
@@ -170,8 +172,8 @@ impl<'a> Measuring<'a> {
         groups.len()
     }
 
-    /// Goes through a batch once, volume by volume; every second pass backward, so that a drift is not
-    /// confounded with the volumes.
+    /// Renders a batch once, volume by volume. Every second pass runs backward, so that a drift of the
+    /// machine's speed is not confounded with the volumes.
     fn pass(&mut self, batch: &[usize], pass: usize) -> Result<()> {
         let mut groups: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
         for &i in batch {
@@ -236,7 +238,7 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// Renders a frame; `None` if time ran out or it was stopped first.
+    /// Renders a frame; `None` if the time ran out or `stop` returned true before the last repeat.
     fn visit(&mut self, i: usize) -> Result<Option<Vec<Timing>>> {
         let scene = &self.pool.candidates[i].scene;
         let place = || format!("{}, calibration frame {i}", scene.volume);
@@ -265,7 +267,7 @@ impl<'a> Measuring<'a> {
     }
 
     /// Standard deviation of ln(median time) of a batch's frames, or a quarter of the drift between passes if
-    /// that is larger; infinite where it is unknown.
+    /// that is larger; infinite if no frame was repeated.
     fn spread(&self, batch: &[usize]) -> f64 {
         let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
         noise_floor(&frames, self.settings.clock, |f| self.passes(f.number as usize))
@@ -284,7 +286,7 @@ impl<'a> Measuring<'a> {
         }
     }
 
-    /// The visits of a frame that count: the undisturbed ones, or all if there are none.
+    /// The undisturbed visits of a frame, or all its visits if none was undisturbed.
     fn counted(&self, i: usize) -> Vec<&Visit> {
         let Some(visits) = self.visits.get(&i) else { return Vec::new() };
         let calm: Vec<&Visit> = visits.iter().filter(|v| !v.disturbed).collect();

@@ -45,7 +45,7 @@ const PICTURES_SHARE: f64 = 0.08;
 pub(crate) struct Settings {
     /// Volumes whose frames are rendered.
     pub(crate) volumes: Vec<PathBuf>,
-    /// Options of reading them.
+    /// Options for reading the volumes.
     pub(crate) reading: Reading,
     /// Shading of each sample.
     pub(crate) shading: Shading,
@@ -53,9 +53,9 @@ pub(crate) struct Settings {
     pub(crate) skipping: Skipping,
     /// Accumulated opacity at which rays stop.
     pub(crate) termination: f32,
-    /// The clock that is learned.
+    /// Clock whose seconds the model predicts.
     pub(crate) clock: Clock,
-    /// Limit of wall seconds for all steps.
+    /// Time limit of the whole calibration, wall seconds.
     pub(crate) seconds: f64,
     /// Maximum number of frames.
     pub(crate) frames: usize,
@@ -100,7 +100,7 @@ pub(crate) struct Calibrated {
     pub(crate) frames: Vec<TimedFrame>,
 }
 
-/// A prior of a calibration, with its name.
+/// Name and model file of a prior.
 pub type NamedPrior = (String, ModelFile);
 
 /// Refuses [`Clock::Auto`]: a model states one clock.
@@ -112,19 +112,20 @@ fn ensure_fixed(clock: Clock) -> Result<()> {
     Ok(())
 }
 
-/// The files of the priors, and their names in a list; `None` without any.
+/// The model files of the priors, and their names, joined by commas; `None` for the names if there are no
+/// priors.
 fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
     let names: Vec<&str> = priors.iter().map(|p| p.0.as_str()).collect();
     let names = (!names.is_empty()).then(|| names.join(", "));
     (priors.iter().map(|p| p.1.clone()).collect(), names)
 }
 
-/// Renders frames until the time is over or `stop` returns true, and fits a model to them with `priors` as
-/// [`PriorModel::new`] takes them.
+/// Renders frames until the time is over or `stop` returns true, and fits a model to them.
+/// [`PriorModel::new`] makes the prior from the models `priors`.
 ///
 /// # Errors
-/// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or it
-/// was stopped before [`FEWEST_FRAMES`] were drawn.
+/// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or
+/// `stop` returned true before [`FEWEST_FRAMES`] were drawn.
 pub(crate) fn calibrate(
     settings: &Settings,
     priors: &[NamedPrior],
@@ -203,7 +204,7 @@ pub(crate) fn calibrate(
     Ok(Calibrated { file, report, frames })
 }
 
-/// Fits a model to timed frames of any renderer. Returns the fit, and the frames as the fit used them.
+/// Fits a model to timed frames of any renderer. Returns the fit, and the frames as inputs of the fit.
 fn fit_to_frames(
     context: &FitContext<'_>,
     part: Timed<'_>,
@@ -250,7 +251,7 @@ pub fn calibrate_to_frames(
     Ok(fit_to_frames(context, frames, std::slice::from_ref(prior))?.0.file)
 }
 
-/// As [`calibrate_to_frames`], from several models.
+/// As [`calibrate_to_frames`], with several models as prior.
 ///
 /// # Errors
 /// As [`calibrate_to_frames`].

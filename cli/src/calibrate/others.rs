@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-/// Processors in use by other programs above which a stretch of rendering counts as disturbed.
+/// Mean number of processors used by other programs above which a stretch of rendering counts as disturbed.
 pub(crate) const DISTURBED: f64 = 0.25;
 
 /// A point in time: processor seconds that the machine and this process had used by then.
@@ -58,7 +58,7 @@ fn own_seconds(text: &str) -> Option<f64> {
 pub struct BackgroundLoad {
     /// Wall seconds in which the load was measured.
     pub seconds: f64,
-    /// Of these, seconds in which other programs used more than [`DISTURBED`] processors.
+    /// Part of `seconds` in which other programs used more than [`DISTURBED`] processors.
     pub disturbed: f64,
     /// Mean number of processors that other programs used; `None` where the system does not report it.
     pub mean: Option<f64>,

@@ -10,8 +10,8 @@ use entire_io::identity::is_volume;
 use std::path::{Path, PathBuf};
 
 /// The user's data folder: `XDG_DATA_HOME` where it is an absolute path; else `LOCALAPPDATA` on Windows and
-/// `.local/share` in the home folder elsewhere. `None` where there is neither. `libentire` looks in the same
-/// place (`entire_model_open_machine`).
+/// `.local/share` in the home folder elsewhere. `None` where none of them is known. `libentire` looks in the
+/// same place (`entire_model_open_machine`).
 fn data_folder() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     absolute("XDG_DATA_HOME").or_else(|| {
@@ -43,7 +43,7 @@ pub(crate) fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFi
 /// The machine's model for a shading mode, which must exist.
 ///
 /// # Errors
-/// When it does not; names the command that makes it.
+/// When there is no such model; the message names the command that makes one.
 pub fn machine_file(shading: Shading) -> Result<PathBuf> {
     file_of(shading).filter(|p| p.is_file()).with_context(|| {
         let shading: &str = shading.into();
@@ -60,8 +60,8 @@ pub(crate) const DATA_FOLDER: &str = "data";
 /// Ensemble members that the shipped models were trained on.
 pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
 
-/// Every volume ([`is_volume`]) below a folder, by name; other files are ignored. Of ensembles only the
-/// training members ([`TRAINING_MEMBERS`]), so that the others remain unseen test data.
+/// Every volume ([`is_volume`]) below a folder, by name; other files are ignored. Of an ensemble it returns
+/// only the training members ([`TRAINING_MEMBERS`]), so that the other members remain unseen test data.
 ///
 /// # Errors
 /// When a folder cannot be read.

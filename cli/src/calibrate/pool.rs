@@ -22,8 +22,8 @@ use std::path::PathBuf;
 /// Number of candidates per volume and enlargement.
 const PER_VOLUME: u64 = 36;
 
-/// One of this many candidates is marked as random: it stands for a typical frame. Such candidates are chosen
-/// without regard to their information, and if there are enough, the error is measured on them alone.
+/// Number of candidates per random candidate. Random candidates stand for typical frames: they are chosen
+/// without regard to their information, and the error is measured on them alone if there are enough of them.
 const RANDOM_EVERY: u64 = 3;
 
 /// Number of voxels below which a volume is also rendered enlarged by 2 along every axis: the cost of a frame
@@ -35,7 +35,7 @@ pub(crate) const SMALL_VOLUME: u64 = 160 * 160 * 160;
 pub(crate) struct Candidate {
     /// The volume's index.
     pub(crate) volume: usize,
-    /// Its enlargement.
+    /// Enlargement factor of the volume along every axis.
     pub(crate) factor: usize,
     /// Scene of the frame.
     pub(crate) scene: Scene,
@@ -48,7 +48,7 @@ pub(crate) struct Candidate {
 }
 
 impl Candidate {
-    /// Mean number of samples of a pixel: over 1 where the volume is visible.
+    /// Mean number of samples per pixel; greater than 1 where the volume is visible.
     pub(crate) fn samples_per_pixel(&self) -> f64 {
         let count = |quantity: SceneQuantity| -> f64 {
             COST_QUANTITIES.iter().zip(&self.work[1..]).filter(|(q, _)| **q == quantity).map(|(_, n)| n).sum()
@@ -61,15 +61,15 @@ impl Candidate {
 pub(crate) struct Pool {
     /// The volume files.
     pub(crate) volumes: Vec<PathBuf>,
-    /// Identities of their files.
+    /// Identities of each volume's files.
     pub(crate) files: Vec<Vec<Identity>>,
-    /// Options of reading them.
+    /// Options for reading the volumes.
     pub(crate) reading: Reading,
     /// The candidates; a frame's number is its index.
     pub(crate) candidates: Vec<Candidate>,
     /// The prior.
     pub(crate) prior: PriorModel,
-    /// Seconds of each candidate that the prior predicts, for the prior's own machine.
+    /// Seconds of each candidate on the prior's own machine, predicted by the prior.
     pub(crate) expected: Vec<f64>,
 }
 

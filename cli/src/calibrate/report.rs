@@ -20,7 +20,7 @@ use std::fmt::Write as _;
 /// Drift between passes above which the report warns, as a share.
 const DRIFT: f64 = 0.05;
 
-/// ln of the smallest upper bound over a prediction, for a model that was calibrated on a busy machine.
+/// Minimum of ln(upper bound / prediction) in a model that was calibrated on a busy machine.
 const BUSY_LOG_FACTOR: f32 = 0.5;
 
 /// Report of a calibration.
@@ -32,7 +32,7 @@ pub struct Report {
     pub clock: &'static str,
     /// Number of frames that the model was fitted to.
     pub frames: usize,
-    /// Number of their volumes.
+    /// Number of volumes of these frames.
     pub volumes: usize,
     /// Number of batches of frames; 0 where nothing was rendered.
     pub rounds: usize,
@@ -48,9 +48,9 @@ pub struct Report {
     pub judged: usize,
     /// Median of |predicted / measured − 1| on held-out volumes.
     pub median_error: f64,
-    /// Its 95 % interval by bootstrap over volumes.
+    /// 95 % interval of the median error, by bootstrap over volumes.
     pub median_error_interval: Option<(f64, f64)>,
-    /// RMSE over the standard deviation of the measured seconds, on the same frames.
+    /// RMSE divided by the standard deviation of the measured seconds, on the same frames.
     pub rmse_over_sd: f64,
     /// Noise of repeated frames; `None` where none was repeated.
     pub noise: Option<NoiseFloor>,
@@ -238,12 +238,12 @@ impl Report {
         let residuals = bound::log_residuals(crossed, &measured);
         let mut upper = UpperBound::from_groups(residuals.into_iter().zip(observed.iter().map(|f| f.group)));
         if self.others.busy() {
-            // A busy machine's bound does not hold on a quiet one: a wide bound lets a session trust its
-            // observations.
+            // A bound that was measured on a busy machine does not hold on a quiet one. With a wide bound, a
+            // session relies on its own observations.
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         upper.store(file)?;
-        // The prior's quality law is of another machine's pictures.
+        // The prior's quality law was fitted to pictures of another machine.
         file.metadata.remove(Key::Quality.name());
         if let Some(pictures) = &self.pictures {
             pictures.fitted.quality.store(file)?;
@@ -278,7 +278,7 @@ pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
         "{} scenes at {} steps and sizes: {error} in proportion to (s - 1)^{step_exponent:.2} + \
          {image_weight:.2} (d - 1)^{image_exponent:.2}, with ray step s and d pixels between rays; {:.0} % of \
          a frame's time is per ray; error relative to the best setting of equal time: step and image size \
-         by this law {:.2}, step alone {} (it saves at most {:.0} % of the time)",
+         by this law {:.2}, step alone {} (which saves at most {:.0} % of the time)",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,

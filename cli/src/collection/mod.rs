@@ -30,7 +30,7 @@ pub(crate) struct Outcome {
     pub(crate) total: u64,
     /// Warm-up renderings that were discarded in this run.
     pub(crate) discarded: u64,
-    /// True if it was stopped before the end.
+    /// True if the collection was stopped before the end.
     pub(crate) interrupted: bool,
 }
 
@@ -43,9 +43,9 @@ pub struct TimedScene {
     pub discarded: u64,
 }
 
-/// Renders a scene of the renderer's volume as often as the protocol says. Before that, as many renderings
-/// are discarded as the larger of `warm_up` and the protocol's number per frame; `warm_up` counts down to 0.
-/// `stop` is called before every rendering.
+/// Renders a scene of the renderer's volume as often as the protocol says. The renderings before the repeats
+/// are discarded; their number is the larger of `warm_up` and the protocol's warm-ups per frame, and
+/// `warm_up` counts down to 0. `stop` is called before every rendering.
 ///
 /// # Errors
 /// A scene that cannot be drawn, a renderer that fails.
@@ -78,8 +78,9 @@ pub fn time_scene(
     Ok(out)
 }
 
-/// Collects frames of each job in turn, without those that the table has. Frame `i` of job `j` has number
-/// `j · frames + i`. `stop` is called before every rendering; an unfinished frame is then dropped.
+/// Collects the frames of each job in turn, except those that are in the table already. Frame `i` of job `j`
+/// has number `j · frames + i`. `stop` is called before every rendering; when it returns true, the unfinished
+/// frame is dropped.
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, a table that cannot be written; names the volume and

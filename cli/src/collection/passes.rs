@@ -9,15 +9,16 @@ use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Files in which each pass over the volumes keeps its frames until all are done; none for a single pass.
+/// Files in which each pass over the volumes keeps its frames until all passes are done; none for a single
+/// pass.
 pub(crate) fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
     let count = if passes > 1 { passes } else { 0 };
     (1..=count).map(|pass| out.with_extension(format!("pass{pass}.csv"))).collect()
 }
 
 /// As [`collect`], once for each pass of the protocol. Each pass has its own table beside `out`, so that it
-/// can be continued; at the end `table` merges them, the repeats of a frame in the order of the passes, and
-/// they are removed.
+/// can be continued. At the end these tables are merged into `table`, where a frame's repeats have the order
+/// of the passes, and removed.
 ///
 /// # Errors
 /// Those of [`collect`], and pass tables that cannot be read or removed.

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 pub struct Job {
     /// The file.
     pub path: PathBuf,
-    /// Its ensemble member; empty for none.
+    /// Name of the volume's ensemble member; empty if there is none.
     pub member: String,
     /// Its time step, if its name contains one.
     pub time_step: Option<u32>,
@@ -48,8 +48,8 @@ impl Job {
         self.path.to_string_lossy().into_owned()
     }
 
-    /// The name that seeds its random scenes: the file's name, for a time step with the two folders above it.
-    /// It does not depend on the working directory or the place of the data.
+    /// The name that seeds the volume's random scenes: the name of the file and, for a time step, of the two
+    /// folders above it. It does not depend on the working directory or the place of the data.
     pub(crate) fn seed_name(&self) -> String {
         let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
         let parts: Vec<String> =
@@ -70,10 +70,10 @@ pub struct Protocol {
     pub passes: u32,
     /// Renderings discarded after each volume change.
     pub warm_up: u32,
-    /// Renderings of each frame discarded before its repeats; those discarded after a volume change are among
-    /// them.
+    /// Renderings of each frame that are discarded before its repeats. Renderings that are discarded after a
+    /// volume change count towards this number.
     pub warm_up_repeats: u32,
-    /// Seed.
+    /// Seed of the random scenes.
     pub seed: u64,
     /// Distribution of the scenes.
     pub scenes: SceneDistribution,

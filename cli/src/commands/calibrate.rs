@@ -23,10 +23,10 @@ use std::path::{Path, PathBuf};
 ///
 /// Renders frames that are chosen by optimal design of experiments, discards warm-up renderings, and repeats
 /// passes until the spread of repeats is small. Then it fits unit costs to the measured times, with the
-/// shipped models of the shading mode as prior: three frames set the speed of this machine, hundreds set
-/// every cost. Prints the error on held-out volumes, and warns if other programs used the machine. Ctrl-C
-/// ends the measurement, and the model is fitted to the frames so far. `demo`, `steer`, `predict` and
-/// libentire (entire_model_open_machine) find the model by themselves.
+/// shipped models of the shading mode as prior: a few frames determine the speed of this machine, hundreds of
+/// frames determine each unit cost. Prints the error on held-out volumes, and warns if other programs used
+/// the machine. Ctrl-C ends the measurement, and the model is fitted to the frames measured until then.
+/// `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the model by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate
@@ -96,8 +96,8 @@ pub(crate) struct Options {
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) device: Device,
-    /// Error measure that compares pictures at coarser ray steps and smaller image sizes with full quality;
-    /// steering then coarsens step or image size, whichever adds less error.
+    /// Error measure between a picture at a coarser ray step or smaller image size and the picture at full
+    /// quality; steering then coarsens step or image size, whichever adds less error.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) picture_error: PictureError,
     /// Seed of every random choice.
@@ -249,7 +249,7 @@ fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
     }
 }
 
-/// Prints a note if the given prior predicts another clock's seconds.
+/// Prints a note if the given prior and the new model predict seconds of different clocks.
 ///
 /// # Errors
 /// When the prior cannot be read.

@@ -37,8 +37,8 @@ pub(crate) struct Options {
     /// The table to write; its manifest goes beside it as NAME.manifest.json.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) out: PathBuf,
-    /// Collect the frames of this table again: volumes, frames and settings come from its manifest, except
-    /// --repeats, --passes and --warm-up-repeats if given. Its volume names are relative to the working
+    /// Collect the frames of this table again: volumes, frames and settings come from its manifest, and
+    /// --repeats, --passes and --warm-up-repeats override it. Its volume names are relative to the working
     /// folder.
     #[arg(long, value_name = "TABLE", conflicts_with_all = [
         "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",

@@ -215,7 +215,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.scenes >= 4, "--scenes is {}; at least 4 scenes are needed", options.scenes);
     let shown = file.display().to_string();
     let volume = open_volume(&file, &options.volume_args.reading())?;
-    // So that its frames are not too cheap.
+    // By default, a small volume is enlarged, so that its frames take as long as those of larger volumes.
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
     let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
     let view = volume.view();
@@ -282,16 +282,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
         "Every frame was drawn under every controller before the next one began, in rotating order, so that \
-         other load on the machine affected all of them alike. The picture at the reference step was drawn \
-         as well; its time counts for no controller. Changes of the transfer function are not part of frame \
+         load by other programs affected all controllers alike. Each frame was also drawn at the reference \
+         step; this time counts for no controller. Changes of the transfer function are not part of frame \
          times."
             .to_owned(),
         format!(
             "The fixed step ({:.2}) is the one that the median random scene needs for the target. OLP takes \
              the mean of the last three frames, converted to the reference step by G, the curve of frame \
              time over step; PID has the gains 0.3, 0.05, 0.1; Algorithm 1 converts the prediction at the \
-             reference step by G; the hybrid predicts every step, corrects the prediction by what it \
-             observed, and keeps a margin.",
+             reference step by G; the hybrid predicts every step, corrects the prediction by the \
+             times of earlier frames, and keeps a margin.",
             prepared.fixed_step
         ),
     ];
@@ -323,8 +323,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     println!("\n{}", table(&playback, &metrics).to_text());
     println!(
-        "* best of the column. At switches: the {SWITCH_FRAMES} frames from each switch on. Calm: all others \
-         except the first {SWITCH_FRAMES} of the path."
+        "* best of the column. At switches: the {SWITCH_FRAMES} frames from each switch on. Calm: all other \
+         frames except the first {SWITCH_FRAMES} of the path."
     );
     println!("\n{verdict}");
     println!(

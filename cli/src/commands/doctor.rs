@@ -24,15 +24,15 @@ use std::time::Duration;
   entire doctor
   entire doctor --python venv/bin/python")]
 pub(crate) struct Options {
-    /// The Python that is asked for VTK, PyVista and the package entire.
+    /// Python interpreter in which VTK, PyVista and the package entire are looked for.
     #[arg(long, default_value = "python3", value_name = "PROGRAM")]
     pub(crate) python: String,
 }
 
-/// The Python for which distributions package VTK.
+/// Python interpreter of the system; Linux distributions package VTK for it.
 const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 
-/// Longest wait for another program's answer.
+/// Time limit of another program's answer.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Python packages, with their use.
@@ -160,7 +160,7 @@ fn output_of(program: &str, arguments: &[&str]) -> Option<String> {
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// The first line of a program's output that is not blank, or "installed" if all are. `None` as in
+/// The first non-blank line of a program's output, or "installed" if all lines are blank. `None` as in
 /// [`output_of`].
 fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
     let text = output_of(program, arguments)?;
@@ -197,7 +197,7 @@ fn vtk_for_cxx() -> Finding {
     }
 }
 
-/// Python code that prints name and version of the installed ones of the packages in its arguments. It reads
+/// Python code that prints name and version of each package among its arguments that is installed. It reads
 /// the packages' metadata and does not import them, except Debian's VTK, which has no metadata.
 const LIST_PACKAGES: &str = "
 import importlib.metadata, importlib.util, sys
@@ -212,14 +212,14 @@ for name in sys.argv[1:]:
             print(name, 'installed')
 ";
 
-/// Versions of the packages that a Python has; none if it is missing.
+/// Versions of the installed packages of a Python interpreter; empty if there is no such interpreter.
 fn packages_of(python: &str) -> BTreeMap<String, String> {
     let names = PACKAGES.map(|(package, _)| package);
     let text = output_of(python, &[&["-c", LIST_PACKAGES], &names[..]].concat()).unwrap_or_default();
     text.lines().filter_map(|l| l.split_once(' ')).map(|(n, v)| (n.to_owned(), v.to_owned())).collect()
 }
 
-/// A package of the Python of `--python`, else of the system's Python.
+/// Looks for a package in the Python interpreter of `--python`, then in the system's.
 fn python_package(
     package: &str,
     used_for: &'static str,

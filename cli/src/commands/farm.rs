@@ -97,7 +97,7 @@ pub struct Options {
     /// Python with HyperQueue's package.
     #[arg(long, default_value = "python3", value_name = "PROGRAM")]
     pub python: String,
-    /// Folder of a running HyperQueue server; without it a server with workers is started.
+    /// Folder of a running HyperQueue server; default: a new server with workers is started.
     #[arg(long, value_name = "DIR")]
     pub server_dir: Option<String>,
     /// Processors per HyperQueue bundle.
@@ -125,7 +125,7 @@ pub struct WorkerOptions {
     /// The worker's name.
     #[arg(long, value_name = "NAME")]
     pub node: Option<String>,
-    /// Run this bundle and end; without it bundles are read from standard input.
+    /// Run this bundle and end; default: read bundles from standard input.
     #[arg(long, value_name = "N")]
     pub bundle: Option<u64>,
 }

@@ -28,7 +28,7 @@ pub(crate) struct Options {
     /// Model file with a PredNet; default: the machine's model of --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
     pub(crate) model: Option<PathBuf>,
-    /// Shading mode of the machine's model, without --model.
+    /// Shading mode of the machine's model, if --model is not given.
     #[arg(long, value_enum, default_value_t, conflicts_with = "model")]
     pub(crate) shade: ShadeOption,
     /// Table of inputs; `-` for standard input.
@@ -110,8 +110,8 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
         let value = net.predict(&inputs, &mut scratch);
         if !value.is_finite() {
             bail!(
-                "row {row}: the model answers {value} seconds; the inputs are far from what it was trained \
-                 on, check their units"
+                "row {row}: the model answers {value} seconds; the inputs are far from its training data; \
+                 check their units"
             );
         }
         seconds.push(value);
@@ -123,7 +123,7 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     if outside > 0 {
         note(&format!(
             "{outside} of {} predictions were outside of {:e} to {:e} seconds \
-             and are printed as the nearer end",
+             and are printed as the nearer limit",
             seconds.len(),
             PREDICTED_SECONDS.start(),
             PREDICTED_SECONDS.end()

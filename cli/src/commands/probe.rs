@@ -46,10 +46,10 @@ fn parse_milliseconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Limit of the largest difference from the CPU version's picture, of 255.
+/// Limit of the largest difference from the CPU version's picture, on a scale of 0 to 255.
 const LARGEST: u8 = 2;
 
-/// Limit of the mean difference from the CPU version's picture, of 255.
+/// Limit of the mean difference from the CPU version's picture, on a scale of 0 to 255.
 const MEAN: f64 = 0.1;
 
 /// Runs the command.

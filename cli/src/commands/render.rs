@@ -33,7 +33,8 @@ pub(crate) struct Options {
     /// Rotation about x and y in degrees, and the eye's distance in bounding-sphere radii.
     #[arg(long, value_name = "RX,RY,DZ", value_parser = parse_camera, allow_hyphen_values = true)]
     pub(crate) camera: Arcball,
-    /// Opacity lobes: center and width over [0, 1], and height, of each; O(s) = Σ h·exp(−(s − c)²/w).
+    /// Opacity lobes O(s) = Σ h·exp(−(s − c)²/w): center c, width w and height h of each lobe, for scalars s
+    /// mapped to [0, 1].
     #[arg(long, value_name = "c,w,h[,c,w,h…]", value_parser = parse_lobes, allow_hyphen_values = true)]
     pub(crate) tf: Lobes,
     /// Image size in pixels.
@@ -203,7 +204,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The shortest decimal of this number, as JSON's double: 0.35, not 0.3499999940395355.
+/// The double with the shortest decimal text that denotes this number, for JSON: 0.35, not
+/// 0.3499999940395355.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }

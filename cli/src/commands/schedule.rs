@@ -80,7 +80,7 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     make_folder_of(out)?;
     let deciding = times(tasks, options.by)?;
     let plan = plan(options.method, &deciding, speeds)?;
-    // Expected seconds: the prediction of each task, or its measured time where it has none.
+    // Expected seconds: the prediction of each task, or its measured time if it has no prediction.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, farm)?;
     let [low, middle, high] = eta(&plan, &expected, tasks, farm)?;

@@ -24,9 +24,9 @@ use std::path::{Path, PathBuf};
 ///
 /// First some random frames of the volume are rendered at several steps, to measure the time saved by coarser
 /// steps; the predictor is not fitted to them. Then the path is played: every frame is drawn under every
-/// controller before the next one begins, in rotating order. A picture at the reference step is drawn as
-/// well; its time counts for no controller. DIR gets frames.csv (every frame under every controller),
-/// summary.json and report.html.
+/// controller before the next one begins, in rotating order. Each frame is also drawn at the reference step;
+/// this time counts for no controller. DIR gets frames.csv (every frame under every controller), summary.json
+/// and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
@@ -58,10 +58,11 @@ pub(crate) struct Options {
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub(crate) target: String,
-    /// Other targets, each from a frame on, as FRAME:TIME, comma-separated.
+    /// Changes of the target, comma-separated: FRAME:TIME sets it from frame FRAME on.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:TIME,…")]
     pub(crate) retarget: Vec<String>,
-    /// Image scales, each from a frame on, as FRAME:SCALE, comma-separated: as if a window were resized.
+    /// Changes of the image size, comma-separated: FRAME:SCALE multiplies both sides of the full image by
+    /// SCALE from frame FRAME on, as if a window were resized.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub(crate) scales: Vec<(u32, f32)>,
     /// Coarsest image of the hybrid controller, in pixels between rays along each side; the hybrid coarsens

@@ -54,8 +54,8 @@ pub struct Options {
     /// Table of compared pictures: a law of picture error over ray step and image size is fitted to it and
     /// stored in the model file, for steering that coarsens both.
     ///
-    /// Columns: scene, step (in finest steps), image_sample_distance (pixels), seconds, error (0 for equal
-    /// pictures). Each scene is drawn at the same settings, full quality among them.
+    /// Columns: scene, step (multiple of the finest step), image_sample_distance (pixels), seconds, error (0
+    /// for equal pictures). Each scene is drawn at the same settings, full quality among them.
     #[arg(long, value_name = "CSV")]
     pub pictures: Option<PathBuf>,
     /// Model file to write; its card goes beside it as Markdown.
@@ -94,11 +94,11 @@ pub struct Options {
     /// a network on sorted lobes need not learn that.
     #[arg(long, conflicts_with = "fine_tune")]
     pub sorted_lobes: bool,
-    /// Rays along each side of the probe behind scene features, 1 to 24; default: the standard 11. Fewer rays
-    /// make every prediction faster.
+    /// Rays along each side of the probe that computes the scene features, 1 to 24; default: the standard 11.
+    /// Fewer rays make every prediction faster.
     #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
     pub probe_side: Option<usize>,
-    /// Mean of N networks with different seeds, stored as one network.
+    /// Number of networks with different seeds; their mean is stored as one network.
     #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
     pub ensemble: usize,
     /// Output quantity of the network.
@@ -257,7 +257,7 @@ pub fn run(options: &Options) -> Result<()> {
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
-            // The bound comes from frames that the weights were not fitted to, if there are any.
+            // The bound is fitted to frames that the weights were not fitted to, if there are any.
             if upper.log_factor.is_nan() {
                 upper = bound::from_predictions(&predicted, &measured);
             }
@@ -408,7 +408,7 @@ impl Options {
     }
 }
 
-/// Refuses the options of networks for unit costs, which are fitted without them.
+/// Refuses the options of networks for models of kind analytic, which have no network.
 fn check_used(recipe: &Recipe) -> Result<()> {
     let usual = Recipe::default();
     let options = [
@@ -564,7 +564,7 @@ fn card(
             let _ = writeln!(md, "\nNoise floor: {}. No predictor can do better than that.", n.describe());
         }
         None => {
-            let _ = writeln!(md, "\nNoise floor: not known, no frame was repeated.");
+            let _ = writeln!(md, "\nNoise floor: unknown, since no frame was repeated.");
         }
     }
     let _ = writeln!(

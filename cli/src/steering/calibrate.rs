@@ -123,7 +123,8 @@ pub fn measure(
     Ok(Some(samples))
 }
 
-/// G from the random scenes: per scene, the times at every step over the time at the reference step.
+/// G from the random scenes: for each scene, the time at every step divided by the time at the reference
+/// step.
 ///
 /// # Errors
 /// When no scene was timed at two steps.

@@ -76,8 +76,8 @@ impl ControllerKind {
         }
     }
 
-    /// Quantity that the rule sets, in the range of the original: image sample distances up to 10 (VTK) and
-    /// 20 (vtk.js), half of every side (Unreal and Filament).
+    /// Quantity that the rule sets, with the range of the original rule: image sample distances up to 10
+    /// (VTK) and 20 pixels (vtk.js), image sides of at least half the full length (Unreal and Filament).
     pub const fn acts_on(self) -> ActsOn {
         match self {
             Self::VtkFixedPoint => ActsOn::ImageResolution { coarsest: 100.0 },
@@ -94,14 +94,14 @@ impl ControllerKind {
         }
     }
 
-    /// The controller of a name in tables, if there is one.
+    /// The controller with this name; `None` for an unknown name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::value_variants().iter().copied().find(|k| k.name() == name)
     }
 }
 
-/// A new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior` says how
-/// well the predictor is known on this machine.
+/// A new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior` is the
+/// prior of the predictor's error on this machine.
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,

@@ -17,9 +17,9 @@ pub(crate) struct Played {
     /// Ray step, reference steps; for a controller that acts on image resolution, pixels of the full image
     /// per pixel drawn.
     pub(crate) step: f64,
-    /// Finest allowed value.
+    /// Finest allowed value of `step`.
     pub(crate) finest: f64,
-    /// Coarsest allowed value.
+    /// Coarsest allowed value of `step`.
     pub(crate) coarsest: f64,
     /// PSNR against the picture at the reference step, decibels; `None` where no reference was drawn.
     pub(crate) psnr: Option<f64>,
@@ -52,13 +52,14 @@ pub(crate) struct Metrics {
     pub(crate) missed_by_25_percent: f64,
     /// Mean of |t − target| / target.
     pub(crate) mean_error: f64,
-    /// The same over the first [`SWITCH_FRAMES`] frames from each switch on; `None` without switches.
+    /// Mean of |t − target| / target over the first [`SWITCH_FRAMES`] frames from each switch on; `None`
+    /// without switches.
     pub(crate) mean_error_at_switches: Option<f64>,
-    /// The same over all other frames but the path's first [`SWITCH_FRAMES`].
+    /// Mean of |t − target| / target over all other frames, except the first [`SWITCH_FRAMES`] of the path.
     pub(crate) mean_error_in_calm: Option<f64>,
-    /// Frames from each switch on until two in a row are on target (see [`Played::on_target`]); 0 when the
-    /// switch's own frame is the first of them. Where that never happens, frames to the next switch or the
-    /// end.
+    /// Number of frames from each switch until two in a row are on target (see [`Played::on_target`]); 0 if
+    /// the switch's own frame and the next one are. If no two in a row are, the number of frames to the next
+    /// switch or the end.
     pub(crate) recovery_frames: Vec<usize>,
     /// 95th percentile of the frame time (nearest rank).
     pub(crate) p95_seconds: f64,

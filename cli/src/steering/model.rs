@@ -19,7 +19,8 @@ pub struct SteeringModel {
 }
 
 impl SteeringModel {
-    /// From a fitted or read model. Its VolumeNet encodes `volume` at once if its inputs need that.
+    /// Prepares a model for steering. If its inputs need features of the volume, its VolumeNet encodes
+    /// `volume` now.
     ///
     /// # Errors
     /// When the model holds no predictor, or the volume cannot be encoded.
@@ -40,7 +41,7 @@ impl SteeringModel {
     /// A new predictor.
     ///
     /// # Errors
-    /// When the model holds none.
+    /// When the model holds no predictor.
     pub fn predictor(&self) -> Result<Box<dyn Predictor + Send>> {
         Ok(load(&self.model)?)
     }

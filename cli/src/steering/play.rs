@@ -36,7 +36,7 @@ impl ActsOn {
         }
     }
 
-    /// Limits of the quantity, where the ray step has these limits.
+    /// Limits of the quantity; `of_step` are the limits of the ray step.
     pub const fn limits(self, of_step: StepLimits) -> StepLimits {
         match self {
             Self::RayStep => of_step,
@@ -53,7 +53,7 @@ impl ActsOn {
     }
 }
 
-/// Settings of drawing.
+/// Settings with which frames are drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrawSettings {
     /// Image width, pixels.
@@ -112,9 +112,9 @@ impl DrawSettings {
 pub struct Contender {
     /// Its name for tables.
     pub name: String,
-    /// Its render loop.
+    /// The session that plans its frames and learns from their times.
     pub session: Session,
-    /// True if it may choose the image sample distance as well as the step, where the task allows any.
+    /// True if it may choose the image sample distance in addition to the step, up to the task's maximum.
     pub chooses_image_sample_distance: bool,
     /// Quantity that its decisions set.
     pub acts_on: ActsOn,
@@ -133,8 +133,8 @@ pub(crate) struct Record {
     pub(crate) predicted: f32,
     /// Upper bound, seconds; NaN where there is none.
     pub(crate) upper: f32,
-    /// Out-of-range score: 0 inside the predictor's training range, beyond 1 not to be trusted; NaN where
-    /// unknown.
+    /// Out-of-range score: 0 inside the predictor's training range; above 1 the prediction is unreliable; NaN
+    /// where unknown.
     pub(crate) out_of_range: f32,
     /// Reason for this step.
     pub(crate) reason: Reason,
@@ -219,7 +219,7 @@ pub(crate) struct Shown<'a> {
     pub(crate) summary: &'a VolumeSummary,
 }
 
-/// A path, with the target and limits that it is played with.
+/// A path to play, with its volumes, targets and limits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Task<'a> {
     /// The volume, or those of a series in order.
@@ -232,9 +232,9 @@ pub(crate) struct Task<'a> {
     pub(crate) path: &'a FlightPath,
     /// Target, seconds.
     pub(crate) target: f64,
-    /// Other targets from a frame on, ascending.
+    /// Changes of the target: first frame and seconds, in ascending order of the frames.
     pub(crate) retargets: &'a [(u32, f64)],
-    /// Other image sizes from a frame on, as shares of the full side, ascending.
+    /// Changes of the image size: first frame and share of the full side, in ascending order of the frames.
     pub(crate) scales: &'a [(u32, f32)],
     /// Largest image sample distance (pixels between rays along each side) of contenders that choose it; 1
     /// keeps the full image.
@@ -252,8 +252,8 @@ impl Task<'_> {
     }
 }
 
-/// Quality law of the raycaster's pictures, for models that state none: as `entire calibrate` fits it to the
-/// volumes in data/, unshaded.
+/// Quality law of the raycaster's pictures, for models that state no such law. `entire calibrate` fitted it
+/// to the volumes in data/, unshaded.
 pub(crate) const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
@@ -329,7 +329,8 @@ pub(crate) fn play(
         let camera = task.path.camera(index).with_context(place)?;
         let (width, height) = playback.sizes[index];
         let frame = DrawSettings { width, height, ..*draw }.frame(camera).with_context(place)?;
-        // Discarded renderings, so that uploads and first-use work of the device count for no contender.
+        // These renderings are discarded, so that uploads and first-use work of the device count for no
+        // contender.
         for _ in 0..if index == 0 { 2 } else { usize::from(swapped) } {
             renderer.render(&frame).with_context(place)?;
         }

@@ -30,9 +30,9 @@ pub(crate) struct Race<'a> {
     pub(crate) series: &'a [VolumeView<'a>],
     /// Frames per volume of a series; 0 for a single volume.
     pub(crate) hold: u32,
-    /// Other targets from a frame on, ascending.
+    /// Changes of the target: first frame and seconds, in ascending order of the frames.
     pub(crate) retargets: &'a [(u32, f64)],
-    /// Other image sizes from a frame on, as shares of the full side, ascending.
+    /// Changes of the image size: first frame and share of the full side, in ascending order of the frames.
     pub(crate) scales: &'a [(u32, f32)],
     /// Largest image sample distance (pixels between rays along each side) of the hybrid; 1 keeps the full
     /// image.
@@ -57,8 +57,8 @@ pub(crate) struct Race<'a> {
     pub(crate) prior: Prior,
 }
 
-/// Chooses the predictor: the given model, else the machine's, else the shipped one, whose scale every frame
-/// corrects. The second value is the prior for controllers.
+/// Chooses the predictor: the given model, else the machine's, else the shipped model, which sessions scale
+/// to this machine frame by frame. The second value is the prior for controllers.
 ///
 /// # Errors
 /// When a model cannot be read, or holds no predictor.
@@ -115,7 +115,7 @@ fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
     match stated {
         None => format!(
             "is ignored: it states no clock (`entire calibrate --shade {shading}{remedy}` makes a model that \
-             does)"
+             states its clock)"
         ),
         Some(stated) => format!(
             "is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
@@ -161,8 +161,8 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     times
 }
 
-/// Share of the median time of random scenes at the reference step that is the default target. Most scenes
-/// must then be drawn coarser, few of them at the coarsest step.
+/// Default target as a share of the median time of the random scenes at the reference step. At this target
+/// most scenes must be drawn at coarser steps, and few at the coarsest step.
 pub(crate) const TARGET_SHARE: f64 = 0.5;
 
 /// [`TARGET_SHARE`] of the median time at the reference step, seconds, rounded to a tenth of a millisecond if

@@ -17,7 +17,7 @@ use std::path::Path;
 /// G as (step ratio, time ratio): the samples, scene after scene, and the curve's points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResponseCurve {
-    /// Measured pairs.
+    /// Measured pairs (step ratio, time ratio).
     pub samples: Vec<(f32, f32)>,
     /// Points of the curve.
     pub points: Vec<(f32, f32)>,
@@ -165,8 +165,8 @@ fn table_caption() -> String {
     format!(
         "T is the target, t a frame time. \"> 1.1 T\" and \"> 1.25 T\": shares of frames that took longer. \
          |t - T| / T: mean over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames of each \
-         abrupt switch; \"calm\": over all others except the first {SWITCH_FRAMES} of the path. The best \
-         value of each column is bold. Recovery: frames from a switch until two in a row are on target \
+         abrupt switch; \"calm\": over all other frames except the first {SWITCH_FRAMES} of the path. The \
+         best value of each column is bold. Recovery: frames from a switch until two in a row are on target \
          (within 25 %, or at a limit of the step), mean over the switches; 0 if these two are the first \
          after the switch. \
          PSNR: against the picture at the reference step; equal pictures count as {BEST_PSNR:.0} dB. Step: \
@@ -381,7 +381,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
         Mark::Line(numbered(c, &|i| playback.records[c][i].psnr.min(60.0)))
     });
-    page.chart(&chart, "Similarity to the picture at the reference step; over 60 dB drawn as 60.");
+    page.chart(&chart, "Similarity to the picture at the reference step; higher values are drawn at 60 dB.");
 
     page.heading("Predictions");
     page.paragraph(&format!("{}.", story.predictor.sentence()));
@@ -402,16 +402,16 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         }
         page.chart(
             &chart,
-            "Predicted time of each frame over its measured time. Algorithm 1 takes the prediction as it is; \
-             the hybrid corrects it by what it observed, and aims below the target where its upper bound \
-             would not fit.",
+            "Predicted time of each frame divided by its measured time. Algorithm 1 takes the prediction as it \
+             is; the hybrid corrects it by the times of earlier frames, and aims below the target where the \
+             upper bound of the time would exceed the target.",
         );
     }
     if !story.response.points.is_empty() {
         page.chart(
             &story.response.chart(),
-            "Algorithm 1 and OLP use this one curve for all scenes. The scatter of the scenes about it is \
-             their error; the hybrid predicts each scene's own curve.",
+            "Algorithm 1 and OLP use this one curve for all scenes. The scatter of the scenes about the \
+             curve is their error; the hybrid predicts each scene's own curve.",
         );
     }
 

@@ -1,7 +1,7 @@
 //! Image scales and volumes along a path.
 
-/// Index of the volume at a frame of a series: each is shown for `hold` frames in turn; always 0 if `hold` is
-/// 0.
+/// Index of the volume at a frame of a series: each volume is shown for `hold` frames in turn; always 0 if
+/// `hold` is 0.
 pub fn volume_at(hold: u32, volumes: usize, frame: usize) -> usize {
     if hold == 0 { 0 } else { (frame / hold as usize) % volumes.max(1) }
 }

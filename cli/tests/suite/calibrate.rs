@@ -40,7 +40,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let at = dir.path();
     std::fs::create_dir(at.join("data")).unwrap();
     volumes(&at.join("data"));
-    // Without it, `predict` says how to make it.
+    // Without a model of the machine, `predict` names the command that makes one.
     std::fs::write(at.join("rows.csv"), "1\n").unwrap();
     let none = run(at, &["predict", "--inputs", "rows.csv"]);
     assert!(!none.status.success() && stderr(&none).contains("entire calibrate --shade none"), "{none:?}");
@@ -92,13 +92,13 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     // Wall time, since the CPU version has no time stamps.
     assert!(load(&logged).is_ok() && logged.metadata()["entire.clock"] == "wall");
 
-    // With another clock than the prior's, which a note says.
+    // A note says that the prior predicts seconds of another clock.
     let prior = ["--clock", "wall", "--prior", path.to_str().unwrap(), "--out", "wall.safetensors"];
     let wall = run(at, &[&["calibrate", "--data", "frames.csv", "--threads", "1"][..], &prior].concat());
     assert!(wall.status.success(), "{}", stderr(&wall));
     assert!(stderr(&wall).contains("predicts cpu seconds; the new model predicts wall seconds"), "{wall:?}");
 
-    // `predict` finds it by itself, and names the clock of its seconds.
+    // `predict` finds the machine's model by itself, and names the clock of its seconds.
     let columns: usize = model.inputs().iter().map(|g| g.size).sum();
     std::fs::write(at.join("rows.csv"), vec!["1.5"; columns].join(",") + "\n").unwrap();
     let predicted = run(at, &["predict", "--inputs", "rows.csv"]);

@@ -93,7 +93,7 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
 
     let child = collect(&volume, &cut, &settings).spawn().unwrap();
     let begin = Instant::now();
-    // After several frames, so that an interruption leaves some.
+    // The interruption comes after several frames, so that some are left in the table.
     while std::fs::read_to_string(&cut).map_or(0, |t| t.lines().count()) < 7 {
         assert!(begin.elapsed() < Duration::from_secs(120), "no frame was written");
         std::thread::sleep(Duration::from_millis(2));
@@ -203,7 +203,7 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     let output = collect(&volume, &out, &settings).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let whole = frames(&out);
-    // As if it had been interrupted before the last frame.
+    // The table is cut as if the collection had been interrupted before the last frame.
     let text = std::fs::read_to_string(&out).unwrap();
     let cut: Vec<&str> = text.lines().take(1 + 2 * 2).collect();
     std::fs::write(&out, cut.join("\n") + "\n").unwrap();
@@ -221,7 +221,7 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     }
     assert_eq!(frames(&out), whole[..5]);
 
-    // Commands that read the volumes again refuse them too.
+    // Other commands that read the volumes refuse the changed volume too.
     let program = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
         command.current_dir(dir.path()).args(arguments).output().unwrap()

@@ -230,8 +230,8 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
 
 #[test]
 fn a_program_that_stays_is_asked_line_by_line_and_started_again() {
-    // The program answers three tasks and ends: every fourth task is lost with it and goes to a new one,
-    // which is no failed attempt.
+    // The program answers three tasks and ends: every fourth task is lost with it and goes to a new process.
+    // This does not count as a failed attempt.
     let script = "n=0\nwhile read -r line; do\n\
                   n=$((n + 1)); [ $n -gt 3 ] && exit 1\n\
                   id=$(printf %s \"$line\" | sed 's/.*\"task\":\"\\([0-9a-f]*\\)\".*/\\1/')\n\

@@ -17,7 +17,8 @@ fn ends(values: impl Iterator<Item = f32>) -> (f32, f32) {
     values.fold((f32::MAX, f32::MIN), |(lo, hi), v| (lo.min(v), hi.max(v)))
 }
 
-/// Each file has 1920 of 7680 voxels of one value; the range is that of the others, as pynrrd reads them.
+/// Each file has 1920 of 7680 voxels of one value; the range is that of the other voxels, as pynrrd reads
+/// them.
 #[test]
 fn fill_values_do_not_decide_the_range() {
     let fields = ["minus-9999", "netcdf", "minus-flt-max", "1e20"];

@@ -170,7 +170,7 @@ fn hostile_models_predict_positive_seconds_or_are_refused() {
         let last = parts.layers.last_mut().unwrap();
         last.weight.iter_mut().chain(&mut last.bias).for_each(|w| *w *= factor);
         let mut hostile = file.clone();
-        // Some of these cannot be stored: the file refuses them, which is right as well.
+        // Some of these networks cannot be stored: the file refuses them, which is also correct.
         let Ok(hostile) = hostile.set_prednet(&parts, model.inputs()).and_then(|f| f.to_model()) else {
             continue;
         };

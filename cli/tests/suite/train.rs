@@ -10,12 +10,13 @@ use proptest::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::ops::ControlFlow;
 
-/// Largest relative difference between a gradient and its central difference in float64, of the gradient's
+/// Largest difference between a gradient and its central difference in float64, relative to the gradient's
 /// norm.
 const FINITE_DIFFERENCE_TOLERANCE: f64 = 1e-7;
 /// Largest difference from PyTorch's float64 run, relative to the largest number compared.
 const TORCH_F64_TOLERANCE: f64 = 1e-12;
-/// The same for training in single precision.
+/// Largest difference from PyTorch's run for training in single precision, relative to the largest number
+/// compared.
 const TORCH_F32_TOLERANCE: f64 = 2e-5;
 
 fn pool(threads: usize) -> ThreadPool {
@@ -312,7 +313,7 @@ fn early_stopping_keeps_the_best_weights() {
     assert_eq!(trained.history.len(), trained.best_epoch + 20);
     let lowest = trained.history.iter().map(|h| h.validation_loss).fold(f64::INFINITY, f64::min);
     assert_eq!(trained.best_loss, lowest);
-    // The stored weights have that loss.
+    // The stored weights have the lowest validation loss.
     let s = &trained.standardization;
     let again = trained.predict(&pool(1), &vx).unwrap();
     let loss =

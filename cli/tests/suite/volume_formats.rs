@@ -37,7 +37,7 @@ fn files_of_other_writers_come_back_voxel_for_voxel() {
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
         let (stem, ending) = name.split_once('.').unwrap();
         let words: Vec<&str> = stem.split('_').collect();
-        // Not the voxels of detached headers, and not the files that have a test of their own.
+        // Voxel files of detached headers, and files that have a test of their own, are skipped.
         if words.len() != 4 || ending == "zraw" || (ending.starts_with("raw") && words[0] != "raw") {
             continue;
         }
@@ -187,7 +187,8 @@ fn what_is_no_regular_file_is_refused_and_never_waited_for() {
     for (path, kind) in
         [(fifo.as_path(), "a FIFO"), (&socket, "a socket"), (Path::new("/dev/zero"), "a device")]
     {
-        // Under its own name, under the ending of every format, and as the voxels that a header names.
+        // The file is opened under its own name, under the ending of every format, and as the voxels that a
+        // header names.
         for ending in ["", ".nrrd", ".mha", ".vti", ".nii.gz", ".json", ".raw"] {
             let link = folder.path().join(format!("link{ending}"));
             std::os::unix::fs::symlink(path, &link).unwrap();
@@ -427,7 +428,7 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     let vectors = "Scalars=\"v\"><DataArray type=\"UInt8\" Name=\"v\" NumberOfComponents=\"3\"></DataArray>";
     write(vti_of(vectors, &format!("Scalars=\"c\">{}", array("c", "5 6"))));
     assert!(cells(&Volume::open(&path).unwrap()));
-    // A name that begins like VTK's own is read if it is active, and ids never are.
+    // An array whose name begins like VTK's own is read if it is active; an array of ids is never read.
     write(vti_of(&format!("Scalars=\"vtkDensity\">{}{}", points("a"), points("vtkDensity")), ">"));
     assert!(!Volume::open(&path).unwrap().notes().iter().any(|n| n.contains("is read")));
     write(vti_of(&format!("GlobalIds=\"i\">{}", points("i")), &format!(">{}", array("c", "5 6"))));

@@ -24,8 +24,8 @@ impl Level {
         }
     }
 
-    /// Runs a kernel dominated by [`Simd::dot4`](super::Simd::dot4). AVX-512 is used only with VNNI: without
-    /// it, wider vectors gain nothing here.
+    /// Runs a kernel dominated by [`Simd::dot4`](super::Simd::dot4). AVX-512 is used only on CPUs with VNNI:
+    /// without VNNI, AVX-512 is not faster than AVX2 here.
     #[inline]
     pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {

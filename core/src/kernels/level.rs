@@ -106,7 +106,7 @@ impl Level {
         match isa {
             Isa::Scalar => Some(Self::SCALAR),
             Isa::Avx2 => (found & HAS_AVX2 != 0).then_some(Level { isa, vnni: false }),
-            // Compilers before 1.89 have no such instructions.
+            // Compilers before 1.89 have no AVX-512 intrinsics.
             Isa::Avx512 => (cfg!(entire_avx512) && found & HAS_AVX512 != 0)
                 .then_some(Level { isa, vnni: found & HAS_VNNI != 0 }),
         }
@@ -129,7 +129,7 @@ impl Level {
         if let Some(isa) = Self::override_isa().clone()?.filter(|&isa| Self::exactly(isa).is_none()) {
             bail!(
                 Unsupported,
-                "{LEVEL_VARIABLE}={isa}, but this CPU has no more than {}: unset it or lower it",
+                "{LEVEL_VARIABLE}={isa}, but this CPU's highest level is {}: unset the variable or lower its level",
                 Self::at_most(Isa::Avx512)
             );
         }

@@ -34,7 +34,7 @@ pub trait Simd: Copy + 'static {
     type M: Copy;
     /// Number of lanes: 4, 8 or 16.
     const LANES: usize;
-    /// Vectors of the accumulator tile that fits the register file.
+    /// Number of vectors per row of the largest accumulator tile that fits the register file.
     const TILE_VECTORS: usize;
 
     /// Prefetches the cache line at `p` into the second-level cache; a hint that may do nothing.
@@ -76,7 +76,8 @@ pub trait Simd: Copy + 'static {
     fn min(self, a: Self::F, b: Self::F) -> Self::F;
     /// `positive` in the lanes where `x > 0`, `other` in the rest (NaN included).
     fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F;
-    /// `scale`·2ⁿ for a `shifted` = 1.5·2²³ + n, by adding n to the exponent; the result must be normal.
+    /// `scale`·2ⁿ for `shifted` = 1.5·2²³ + n, computed by adding n to the exponent; the result must be a
+    /// normal number.
     fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F;
     /// Sum of the lanes, in a fixed order.
     fn sum(self, v: Self::F) -> f32;

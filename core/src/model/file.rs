@@ -18,7 +18,7 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 const PREFIX: usize = 8;
 /// Largest accepted header, in bytes.
 const MAX_HEADER: usize = 16 << 20;
-/// Memory used per byte of header while it is parsed, in bytes (upper estimate).
+/// Upper estimate of the parser's memory per byte of header, in bytes.
 const HEADER_MEMORY: usize = 16;
 
 /// One tensor as stored in the file: little-endian values, last axis fastest.
@@ -55,7 +55,7 @@ impl<'a> Source<'a> {
         if header.data_len() != data.len() {
             bail!(
                 InvalidModel,
-                "the header describes {} bytes of tensors, the file holds {}: it was cut short or has bytes added",
+                "the header describes {} bytes of tensors, but the file has {}: it was cut short or has bytes added",
                 header.data_len(),
                 data.len()
             );
@@ -91,14 +91,14 @@ pub struct ModelFile {
 }
 
 impl Default for ModelFile {
-    /// An empty file: only the format's version.
+    /// A file without tensors; its only metadata entry is the format's version.
     fn default() -> Self {
         Self { tensors: BTreeMap::new(), metadata: BTreeMap::from([(Key::Format.into(), FORMAT.into())]) }
     }
 }
 
 impl ModelFile {
-    /// Reads any safetensors file, a model or not.
+    /// Reads any safetensors file, even if it is not a model of entire.
     ///
     /// # Errors
     ///
@@ -223,7 +223,7 @@ impl ModelFile {
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         self.to_model()?;
         // Tensors are sorted by the width of their type, widest first: each is then aligned to its own type,
-        // as the format's other writers do it.
+        // as other writers of the format do.
         let mut order: Vec<_> = self.tensors.iter().collect();
         order.sort_by(|(name, t), (other, o)| o.dtype.cmp(&t.dtype).then_with(|| name.cmp(other)));
         let mut header = json(&Header { metadata: &self.metadata, tensors: &order })?.into_bytes();
@@ -231,7 +231,7 @@ impl ModelFile {
         if header.len() > MAX_HEADER {
             bail!(
                 InvalidModel,
-                "the header would take {} bytes, at most {MAX_HEADER} are read back: shorten the metadata",
+                "the header would take {} bytes, but at most {MAX_HEADER} can be read back: shorten the metadata",
                 header.len()
             );
         }

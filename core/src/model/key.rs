@@ -35,19 +35,21 @@ pub enum Key {
     /// `entire.provenance`: origin of the weights (free text, JSON where structured).
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
-    /// for analytic models `low` and `high` (the range of their work), and for learned factors `input_low`
-    /// and `input_high` (one number per input, to which inputs are clamped: `InputRange` of `entire-steer`).
-    /// Optional.
+    /// for analytic models `low` and `high` (the range of each cost quantity in training), and for learned
+    /// factors `input_low` and `input_high` (one number per input, to which inputs are clamped: `InputRange`
+    /// of `entire-steer`). Optional.
     Calibration,
-    /// `entire.unit_costs`: JSON object that maps names to seconds, from which the input `estimated_seconds`
-    /// is computed: `frame` and those of `COST_QUANTITIES` of `entire-steer`; a missing name costs nothing.
+    /// `entire.unit_costs`: JSON object that maps names to unit costs in seconds. The input
+    /// `estimated_seconds` is computed from them. The names are `frame` and those in `COST_QUANTITIES` of
+    /// `entire-steer`; a missing name costs nothing.
     UnitCosts,
-    /// `entire.probe_side`: rays along each side of the probe that measured the scene features, 1 to
-    /// `MAX_PROBE_SIDE` of `entire-steer` in decimal; `PROBE_SIDE` of `entire-steer` where it is missing.
+    /// `entire.probe_side`: number of rays along each side of the probe that measured the scene features, as
+    /// a decimal number from 1 to `MAX_PROBE_SIDE` of `entire-steer`. Without this entry it is `PROBE_SIDE`
+    /// of `entire-steer`.
     ProbeSide,
     /// `entire.lobe_order`: order of Gaussian lobes in a model's inputs: `center` for ascending centers.
-    /// Without it, lobes keep the caller's order. A sum of lobes does not depend on their order; a network
-    /// that always sees the same order need not learn this.
+    /// Without this entry, lobes keep the caller's order. A sum of lobes does not depend on their order; a
+    /// network that always sees the same order need not learn this.
     LobeOrder,
     /// `entire.quality`: JSON object of the four numbers of `Quality` of `entire-steer`: picture errors of
     /// coarser steps and smaller images, for the renderer that [`Key::Renderer`] names. Optional.
@@ -55,7 +57,7 @@ pub enum Key {
 }
 
 impl Key {
-    /// The key in files.
+    /// Name of the entry in a model file.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Format => "entire.format",
@@ -89,8 +91,8 @@ impl From<Key> for String {
     }
 }
 
-/// Input groups that this version supplies. `Display` writes a group's name in model files, `FromStr` reads
-/// it.
+/// Input groups that this version supplies. `Display` writes a group's name in model files; `FromStr` reads
+/// the name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GroupKind {
     /// `volume_features`: VolumeNet's output.

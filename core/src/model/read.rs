@@ -72,7 +72,8 @@ impl Model {
         self.prednet.as_ref()
     }
 
-    /// The encoder's weights with batch normalization folded in; `None` where the file has none.
+    /// VolumeNet's weights, with batch normalization folded into the convolutions; `None` where the file has
+    /// none.
     pub fn volumenet(&self) -> Option<&VolumeNetParts> {
         self.volumenet.as_ref()
     }
@@ -100,7 +101,7 @@ impl Source<'_> {
             Some(FORMAT) => {}
             Some(other) => bail!(
                 InvalidModel,
-                "{} is {other:?}, this version reads {:?}: use a newer version of the library",
+                "{} is {other:?}, but this version reads {:?}: use a newer version of the library",
                 Key::Format,
                 FORMAT
             ),
@@ -157,7 +158,8 @@ impl Source<'_> {
                 bail!(InvalidModel, "{} is {other:?}, expected \"seconds\" or \"log_seconds\"", Key::Target)
             }
         };
-        // Reserves nothing: the count comes from a name, and the loop ends at the first missing tensor.
+        // No capacity is reserved: the count comes from a tensor's name and may be false. The loop ends at
+        // the first missing tensor.
         let mut parts = Vec::new();
         for i in 0..layers {
             let known = parts.last().map(|layer: &DenseParts| layer.outputs);
@@ -187,7 +189,7 @@ impl Source<'_> {
         if groups.len() > MAX_INPUT_GROUPS {
             bail!(
                 InvalidModel,
-                "{key} lists {} groups, at most {MAX_INPUT_GROUPS} are accepted: join them into larger ones",
+                "{key} lists {} groups, but at most {MAX_INPUT_GROUPS} are accepted: join some groups",
                 groups.len()
             );
         }

@@ -279,7 +279,7 @@ fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features:
 
 #[test]
 fn a_stride_beyond_the_padded_input_is_refused() {
-    // On a 32-bit machine, only the strides that fit `usize`.
+    // A 32-bit machine tests only the strides that fit `usize`.
     let strides = [6, 1 << 31, 1 << 40, (1 << 59) + 7, 1 << 60, (1 << 60) + 7, 1 << 62, u64::MAX];
     for stride in strides.into_iter().filter_map(|s| usize::try_from(s).ok()) {
         let says = format!("stride {stride}");
@@ -296,9 +296,9 @@ fn an_encoder_whose_memory_leaves_the_bound_is_refused_whatever_the_files_size()
         // The second layer gives 64 × 512³ values: 34 GB.
         &[(1, 1, 1, 0), (64, 1, 1, 0), (1, 1, 512, 0)][..],
         &[(1, 1, 1, 0), (4096, 1, 1, 0), (1, 1, 512, 0)],
-        // The first layer's planes, as many as the second kernel spans.
+        // The second kernel spans 512 planes of the first layer, each of 4096 channels.
         &[(4096, 1, 1, 0), (1, 1, 512, 0)],
-        // Prepared planes: 80 of 512 rows of 440 phases.
+        // The kernel spans 80 prepared planes, each of 512 rows of 440 phases.
         &[(1, 80, 440, 0)],
     ] {
         let file = encoder_file(512, blocks, 1);

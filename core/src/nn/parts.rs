@@ -150,7 +150,8 @@ pub struct PredNetParts {
     pub layers: Vec<DenseParts>,
     /// Normalization of the inputs, if any.
     pub input: Option<Normalization>,
-    /// De-normalization of the output, if any (length 1).
+    /// Mean and standard deviation that undo the normalization of the output, one each; `None` for an output
+    /// in the target's unit.
     pub output: Option<Normalization>,
     /// Quantity of the output.
     pub target: Target,
@@ -216,9 +217,9 @@ pub struct ConvBlockParts {
     pub outputs: usize,
     /// Edge of the cubic kernel, in voxels.
     pub kernel: usize,
-    /// Step between output voxels along each axis.
+    /// Distance between neighboring outputs along each axis, in input voxels.
     pub stride: usize,
-    /// Zero voxels added on each side of each axis.
+    /// Number of zero voxels added on each side of each axis.
     pub padding: usize,
     /// `outputs` × `inputs` × kernel × kernel × kernel, the last axis along x.
     pub weight: Vec<f32>,

@@ -30,10 +30,10 @@ pub struct PredScratch {
 /// Weights are packed when the network is built. A prediction is a pure function of the inputs, the level and
 /// the storage.
 ///
-/// Nothing is cached between predictions. Input groups that did not change could save only their share of the
-/// first layer: 0.5 % of the weights of the paper's network 12C256, and tens of nanoseconds in the smallest
-/// networks, which is less than it takes to find out which inputs changed. Quantities that change once per
-/// volume or transfer function are cached with the scene features.
+/// Nothing is cached between predictions. A cache of unchanged input groups could save at most the first
+/// layer: 0.5 % of the weights of the paper's network 12C256, and tens of nanoseconds in the smallest
+/// networks. The check for changed inputs would take longer. Quantities that change once per volume or
+/// transfer function are cached with the scene features.
 #[derive(Clone, Debug)]
 pub struct PredNet {
     mlp: Mlp,
@@ -43,7 +43,8 @@ pub struct PredNet {
 }
 
 impl PredNet {
-    /// Builds the network for this CPU's best level, with the storage of the first layer in the file.
+    /// Builds the network for this CPU's best level. Weights are stored in the format that the file has for
+    /// the first layer.
     ///
     /// # Errors
     ///
@@ -55,8 +56,8 @@ impl PredNet {
         Self::with(parts, Level::detect(), storage)
     }
 
-    /// Bound on the error of a prediction with weights kept in `storage` where the file holds `file`, against
-    /// a float64 evaluation of the same file.
+    /// Bound on a prediction's error against a float64 evaluation of the same file. `storage` is the weights'
+    /// format in memory, `file` their format in the file.
     ///
     /// Where no weight is rounded ([`Storage::F32`], or the file's own format), the bound is 1e-5 of the
     /// prediction. Otherwise it is a fraction of the largest output over the inputs: 5e-3 for
@@ -127,7 +128,7 @@ impl PredNet {
     }
 
     /// Allocates working memory for [`predict`](Self::predict) and for batches. `rows` is the number of rows
-    /// processed at once: 1 for single predictions, where batches run row by row; at most 384.
+    /// that a batch processes at once, clamped to 1…384; single predictions need 1.
     ///
     /// # Errors
     ///
@@ -149,10 +150,10 @@ impl PredNet {
         }
     }
 
-    /// As [`predict`](Self::predict), each large layer split between the caller and one more thread: same
-    /// bits. It pays where the weights exceed one core's cache and the executor is a
-    /// [`Helper`](crate::kernels::Helper); handing work to a pool takes longer than it saves. A helper adds no
-    /// allocation, lock or system call.
+    /// As [`predict`](Self::predict), with each large layer split between the caller and one more thread. The
+    /// result has the same bits. The split saves time only if the weights exceed one core's cache and the
+    /// executor is a [`Helper`](crate::kernels::Helper): handing work to a thread pool takes longer than the
+    /// split saves. A helper adds no allocation, lock or system call.
     pub fn predict_on(&self, executor: Executor<'_>, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward_split(&executor, inputs, &mut scratch.mlp) {
             Some(y) => self.seconds(y),
@@ -161,9 +162,9 @@ impl PredNet {
     }
 
     /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) values per element of
-    /// `seconds`. Rows equal [`predict`](Self::predict) up to the order of summation, and are split into as
-    /// many parts as there are `scratches`. A row's result does not depend on the other rows, the executor or
-    /// the scratches. Never allocates on success.
+    /// `seconds`. Results equal those of [`predict`](Self::predict) up to the order of summation. The rows
+    /// are split into as many parts as there are `scratches`. A row's result does not depend on the other
+    /// rows, the executor or the scratches. Never allocates on success.
     ///
     /// # Errors
     ///

@@ -123,7 +123,7 @@ impl Resampler {
     }
 }
 
-/// Fills planes; arguments: first plane, planes, scratch of rows.
+/// Function that fills planes. Arguments: index of the first plane, the planes, scratch for rows.
 type Fill<'a> = dyn Fn(usize, &mut [f32], &mut [f32]) + Sync + 'a;
 
 /// The view's own normalization, for ranges without a usable reciprocal.
@@ -272,8 +272,8 @@ mod tests {
         if v.is_nan() || high <= low { 0.0 } else { ((v - low) / (high - low)).clamp(0.0, 1.0) }
     }
 
-    /// Resamples at every level and checks that all give the same bits within the tolerance of the
-    /// definition.
+    /// Resamples at every level. Checks that all levels give the same bits, and that these are within the
+    /// tolerance of the definition.
     fn check(view: &VolumeView<'_>, n: usize) {
         let expected = definition(view, n);
         let mut bits: Option<Vec<u32>> = None;
@@ -427,7 +427,8 @@ mod tests {
 
     #[test]
     fn long_averages_do_not_pile_up_rounding_errors() {
-        // 64 voxels per axis and output; with a constant, all rounding errors have the same sign.
+        // 64 input voxels per output voxel and axis. In a constant volume, all rounding errors have the same
+        // sign.
         let dims = [128, 128, 128];
         for value in [0.1f32, 0.7, 0.3333] {
             let floats = vec![value; 128 * 128 * 128];

@@ -1,4 +1,4 @@
-//! VolumeNet's encoder: a few features that describe a volume.
+//! VolumeNet's encoder: reduces a volume to a short feature vector.
 
 use super::Resampler;
 use super::parts::VolumeNetParts;
@@ -17,8 +17,8 @@ use alloc::vec::Vec;
 pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 
 /// Limit on an encoder's memory, in bytes (2 GiB): its packed weights and the working memory of one thread.
-/// The resampled cube comes on top, at most 512 MiB. A model file whose sizes need more is refused before
-/// anything is allocated, equally on every level.
+/// The resampled cube, at most 512 MiB, is not included. A model file whose sizes need more is refused before
+/// anything is allocated; the result of this check is the same on every level.
 pub(crate) const MAX_ENCODER_MEMORY: u64 = 2 << 30;
 
 /// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per calling thread. Empty until the
@@ -45,7 +45,7 @@ pub struct EncodeScratch {
 /// ```
 ///
 /// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D,
-/// H, W) order, goes through the dense layer, without an activation after it.
+/// H, W) order, is the input of the dense layer, which has no activation.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
     input: usize,
@@ -107,9 +107,8 @@ impl VolumeNet {
     ///
     /// A volume that already has the input's size and contiguous rows is read in place; any other is
     /// resampled to a cube of floats in the scratch. The same volume, range, network and level give the same
-    /// bits for every executor. Allocates only in the first call with this scratch, in the first that
-    /// resamples, and where the rows are longer or the executor has more threads than in every earlier call
-    /// with this scratch.
+    /// bits for every executor. Allocates only in the first call with this scratch, in the first call that
+    /// resamples, and in a call with longer rows or more threads than every earlier call.
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds

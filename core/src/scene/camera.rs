@@ -21,10 +21,10 @@ pub struct Arcball {
 /// Projection of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Lens {
-    /// Perspective: rays leave the eye; vertical field of view in radians.
+    /// Perspective: rays leave the eye. `fov_y` is the vertical field of view in radians.
     Perspective { fov_y: f32 },
-    /// Orthographic: rays leave the plane through the eye, all in the view direction; half of the visible
-    /// height.
+    /// Orthographic: rays leave the plane through the eye, all in the view direction. `scale` is half of the
+    /// visible height, in bounding-sphere radii.
     Parallel { scale: f32 },
 }
 
@@ -46,8 +46,8 @@ pub struct Camera {
 const PARALLEL_SCALES: core::ops::RangeInclusive<f32> = 1e-6..=1e6;
 
 /// Largest distance between the volume's center and the plane from which parallel rays start, in
-/// bounding-sphere radii. It replaces the distance of a farther eye: the plane is still in front of the
-/// whole volume, and near enough for full precision.
+/// bounding-sphere radii. For a farther eye, the plane is moved to this distance. It is then still in front
+/// of the whole volume, and positions on it lose no precision.
 const PARALLEL_DISTANCE: f32 = 2.0;
 
 impl Camera {
@@ -77,8 +77,8 @@ impl Camera {
     /// along −z), the world position of the volume's center and the world radius of its bounding sphere.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite, not rigid (rotation and
-    /// translation only, to 1e-3), or the radius is not positive.
+    /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite or not rigid (a rotation and a
+    /// translation, within 1e-3), or when the radius is not positive.
     pub fn from_world_view(view: Mat4, center: Vec3, radius: f32) -> Result<Self> {
         if !(radius.is_finite() && radius > 0.0) {
             bail!(InvalidArgument, "bounding-sphere radius is {radius}; it must be finite and positive");
@@ -109,7 +109,7 @@ impl Camera {
     /// A perspective projection with a vertical field of view in degrees.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless it lies in (0, 179].
+    /// [`crate::ErrorKind::InvalidArgument`] unless `degrees` lies in (0, 179].
     pub fn with_fov_y_degrees(mut self, degrees: f32) -> Result<Self> {
         if !(degrees > 0.0 && degrees <= 179.0) {
             bail!(InvalidArgument, "vertical field of view is {degrees} degrees; it must lie in (0, 179]");
@@ -119,11 +119,11 @@ impl Camera {
     }
 
     /// A parallel (orthographic) projection. `scale` is half of the visible height in bounding-sphere radii:
-    /// VTK's `ParallelScale` over the world radius. The picture does not depend on the distance of an eye
-    /// that is in front of the volume.
+    /// VTK's `ParallelScale` divided by the world radius. The picture does not depend on the distance of an
+    /// eye that is in front of the volume.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless it lies in 1e-6 … 1e6.
+    /// [`crate::ErrorKind::InvalidArgument`] unless `scale` lies in 1e-6 … 1e6.
     pub fn with_parallel_scale(mut self, scale: f32) -> Result<Self> {
         if !PARALLEL_SCALES.contains(&scale) {
             bail!(
@@ -142,8 +142,8 @@ impl Camera {
         self.view
     }
 
-    /// Vertical field of view in radians; for a parallel camera the default, consistent with the distance of
-    /// [`Camera::to_arcball`].
+    /// Vertical field of view in radians. A parallel camera has the default one, from which
+    /// [`Camera::to_arcball`] computes its distance.
     pub(crate) fn fov_y(&self) -> f32 {
         match self.lens {
             Lens::Perspective { fov_y } => fov_y,
@@ -194,8 +194,8 @@ impl Camera {
         Arcball { rx, ry, dz }
     }
 
-    /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centers at
-    /// halves, y down: origin and unit direction in scene space.
+    /// Returns the origin and the unit direction, in scene space, of the ray through the position (`px`,
+    /// `py`) of a `width` × `height` image. The first pixel's center is at (0.5, 0.5); y points down.
     pub fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
         let (origin, direction) = self.ray_basis(width, height);
         let u = 2.0 * px / width as f32 - 1.0;
@@ -208,9 +208,11 @@ impl Camera {
     /// both in [−1, 1], u to the right and v up, starts at `origin[0] + u·origin[1] + v·origin[2]` and has
     /// the direction `direction[0] + u·direction[1] + v·direction[2]` (not of unit length).
     ///
-    /// `origin[0]` is the eye, `direction[0]` the unit vector forward. The other entries span half the
-    /// visible width and height: in `direction`, at distance 1, for a perspective projection, whose other
-    /// origins are 0; in `origin` for a parallel one, whose other directions are 0.
+    /// `origin[0]` is the eye (for parallel rays at most 2 bounding-sphere radii in front of the center),
+    /// `direction[0]` the unit vector forward. For a perspective projection, `direction[1]` and
+    /// `direction[2]` are half of the visible width and height at distance 1, and the other origins are 0.
+    /// For a parallel projection, `origin[1]` and `origin[2]` are half of the visible width and height, and
+    /// the other directions are 0.
     pub fn ray_basis(&self, width: u32, height: u32) -> ([Vec3; 3], [Vec3; 3]) {
         let r = Mat3::from_mat4(self.view).transpose();
         let half_height = match self.lens {
@@ -303,7 +305,8 @@ mod tests {
                 assert_eq!(direction, forward);
                 let eye = camera.view().transform_point3(origin);
                 let (u, v) = (x / 32.0 - 1.0, 1.0 - y / 16.0);
-                // Twice as wide as high; at the eye's depth, or 2 in front of the center.
+                // The image is twice as wide as high. Rays start in the eye's plane, but at most 2 in front
+                // of the center.
                 let depth = if dz > PARALLEL_DISTANCE { dz - PARALLEL_DISTANCE } else { 0.0 };
                 assert!((eye.truncate() - glam::Vec2::new(1.6 * u, 0.8 * v)).length() < 1e-5 * dz.max(1.0));
                 assert!((eye.z + depth).abs() < 1e-5 * dz.max(1.0), "{eye} {dz}");

@@ -114,7 +114,7 @@ impl Frame {
             bail!(InvalidArgument, "ray step is {step} reference steps; it must lie in [0.015625, 4096]");
         }
         if !(termination > 0.0 && termination <= 1.0) {
-            bail!(InvalidArgument, "termination opacity is {termination}; it must lie in (0, 1], 1 for none");
+            bail!(InvalidArgument, "termination opacity is {termination}; it must lie in (0, 1] (1: never)");
         }
         Ok(self)
     }

@@ -54,8 +54,8 @@ pub struct Nodes {
     /// The scalar range that maps to [0, 1], normally the volume's: both ends finite, the low end at most the
     /// high one.
     pub range: (f64, f64),
-    /// True where the outermost nodes' values extend beyond them (VTK's default); otherwise opacity 0 and
-    /// black there.
+    /// True if the values of the outermost nodes also hold beyond them (VTK's default). If false, positions
+    /// beyond them are transparent and black.
     pub clamp: bool,
 }
 
@@ -154,8 +154,8 @@ fn evaluate<N>(
     let ((x0, midpoint, sharpness), (x1, ..)) = (shape(left), shape(right));
     let (from, to) = (value(left), value(right));
 
-    // Halved, so that the distance between the largest floats stays finite. The midpoint is clamped away from
-    // the ends, which avoids a division by zero.
+    // All terms are halved, so that the distance between the largest floats stays finite. The midpoint is
+    // clamped away from the ends, which avoids a division by zero.
     let s = (0.5 * x - 0.5 * x0) / (0.5 * x1 - 0.5 * x0);
     let m = midpoint.clamp(1e-5, 1.0 - 1e-5);
     let s = if s < m { 0.5 * s / m } else { 0.5 + 0.5 * (s - m) / (1.0 - m) };

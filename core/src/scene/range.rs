@@ -10,12 +10,12 @@ const SAMPLE: usize = 4096;
 /// Smallest share of sampled voxels that hold a fill value.
 const FREQUENT: f32 = 1.0 / 1024.0;
 
-/// Smallest distance of a fill value from the nearest other value, as a multiple of the width of the others'
-/// range.
+/// Smallest distance of a fill value from the nearest other value, as a fraction of the width of the range of
+/// all other values.
 const FAR: f32 = 1.0 / 8.0;
 
-/// Smallest number of other distinct values in the sample: with fewer, the values may be labels, which lie
-/// far apart as well.
+/// Smallest number of distinct values in the sample besides the fill value. With fewer, the values may be
+/// labels, and the gaps between labels are not signs of a fill value.
 const DISTINCT: usize = 16;
 
 /// Largest number of fill values that are searched for.
@@ -27,7 +27,7 @@ impl VolumeView<'_> {
     /// from all other values is at least an eighth of the width of their range. The default range excludes
     /// fill values; unsigned bytes have none.
     ///
-    /// Samples 4096 voxels, and scans all of them where the sample suggests a fill value.
+    /// Samples 4096 voxels. If the sample suggests a fill value, scans all voxels.
     pub fn fill_values(&self) -> Vec<f32> {
         if matches!(self.scalars(), Scalars::U8(_)) {
             return Vec::new();
@@ -42,8 +42,8 @@ impl VolumeView<'_> {
             let highs = left.len() - left.partition_point(|v| *v < high);
             let frequent = |count: usize| count >= 4 && count as f32 >= FREQUENT * sample.len() as f32;
             let candidates = [(low, lows, &left[lows..]), (high, highs, &left[..left.len() - highs])];
-            // Takes the end that lies farther away first: as long as it is there, it widens the range by
-            // which the other end's distance is judged.
+            // Takes the end that lies farther away first: while it remains, it widens the range with which
+            // the other end's distance is compared.
             let far = |rest: &[f32], value: f32| {
                 let (Some(&least), Some(&most)) = (rest.first(), rest.last()) else { return None };
                 let gap = if value < least { half(least) - half(value) } else { half(value) - half(most) };
@@ -56,7 +56,7 @@ impl VolumeView<'_> {
                 .filter_map(|(value, _, rest)| Some((far(rest, value)?, value, rest)))
                 .max_by(|a, b| a.0.total_cmp(&b.0));
             let Some((_, value, rest)) = found else { break };
-            // Values that the sample missed may lie in between.
+            // The sample may have missed values inside the gap, so the gap is measured again on all voxels.
             fill.push(value);
             let (least, most) = self.extremes_without(&fill);
             if far(&[least, most], value).is_none() {
@@ -68,8 +68,8 @@ impl VolumeView<'_> {
         fill
     }
 
-    /// 0…255 for unsigned bytes, otherwise the finite minimum…maximum without fill values; 0…1 where there is
-    /// none.
+    /// 0…255 for unsigned bytes, otherwise the finite minimum…maximum without fill values. 0…1 if no value
+    /// remains.
     pub(super) fn default_range(&self) -> (f32, f32) {
         if matches!(self.scalars(), Scalars::U8(_)) {
             return (0.0, 255.0);
@@ -77,7 +77,7 @@ impl VolumeView<'_> {
         self.range_without(&self.fill_values())
     }
 
-    /// Finite minimum…maximum of the voxels of any type, including fill values; 0…1 where there is none.
+    /// Finite minimum…maximum of the voxels of any type, including fill values; 0…1 if no voxel is finite.
     pub fn own_range(&self) -> (f32, f32) {
         self.range_without(&[])
     }
@@ -119,8 +119,8 @@ impl VolumeView<'_> {
         (0..voxels.min(SAMPLE)).map(at).filter(|v| v.is_finite()).collect()
     }
 
-    /// Minimum and maximum of the finite values that are not in `fill`; minimum > maximum where there is
-    /// none.
+    /// Minimum and maximum of the finite values that are not in `fill`; minimum > maximum if there is no such
+    /// value.
     fn extremes_without(&self, fill: &[f32]) -> (f32, f32) {
         match self.scalars() {
             Scalars::U8(values) => self.extremes(values, f32::from, fill),
@@ -171,7 +171,7 @@ fn half(value: f32) -> f32 {
     0.5 * value
 }
 
-/// True where sorted values have at least [`DISTINCT`] distinct ones.
+/// True if `sorted` has at least [`DISTINCT`] distinct values.
 fn many(sorted: &[f32]) -> bool {
     let changes = sorted.windows(2).filter(|pair| pair[0] < pair[1]).take(DISTINCT - 1).count();
     changes == DISTINCT - 1

@@ -68,7 +68,7 @@ impl TransferFunction {
     /// red, green, blue and opacity.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for fewer than two samples, or one outside [0, 1].
+    /// [`crate::ErrorKind::InvalidArgument`] for fewer than two samples, or a component outside [0, 1].
     pub fn uniform(samples: &[[f32; 4]]) -> Result<Self> {
         if samples.len() < 2 {
             bail!(InvalidArgument, "a transfer table has {} entries; it needs at least 2", samples.len());
@@ -129,9 +129,9 @@ impl TransferTable {
         Ok(Self { rgba: Box::new(rgba), unit_distance: 1.0 })
     }
 
-    /// Sets the unit distance, over which the table's opacities hold, in multiples of the reference step. A
-    /// world distance (VTK's scalar opacity unit distance, ANARI's `unitDistance`) is divided by the smallest
-    /// voxel spacing.
+    /// Sets the unit distance, over which the table's opacities hold, in multiples of the reference step.
+    /// Callers divide a world distance (VTK's scalar opacity unit distance, ANARI's `unitDistance`) by the
+    /// smallest voxel spacing.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless finite and positive.
@@ -181,7 +181,8 @@ impl TransferTable {
     }
 }
 
-/// Opacity over `ratio` unit distances of a medium with opacity `alpha` over one: 1 − (1 − α)^ratio.
+/// Opacity over `ratio` unit distances, in a medium with opacity `alpha` per unit distance: 1 − (1 −
+/// α)^ratio.
 #[inline]
 pub(crate) fn corrected_opacity(alpha: f32, ratio: f32) -> f32 {
     if alpha >= 1.0 {

@@ -41,7 +41,7 @@ pub enum Scalars<'a> {
     U16(&'a [u16]),
     /// Signed 16-bit integers.
     I16(&'a [i16]),
-    /// 32-bit floats; NaN is treated as the low end of the range, infinities as its ends.
+    /// 32-bit floats; NaN and −∞ count as the low end of the range, +∞ as the high end.
     F32(&'a [f32]),
 }
 
@@ -93,17 +93,17 @@ pub struct Shape {
     pub voxels: u64,
     /// Voxel spacing along x, y, z, in world units.
     pub spacing: Vec3,
-    /// Radius of the box's bounding sphere in world units: the unit of length of scene space. Samples are at
-    /// voxel centers: the box extends half a voxel beyond the outermost ones.
+    /// Radius of the volume's bounding sphere in world units: the unit of length of scene space. The sphere
+    /// encloses the volume's box, which extends half a voxel beyond the outermost voxel centers.
     pub bounding_radius: f32,
-    /// Half of the box in scene space; a vector of length 1.
+    /// Half of the box's edge lengths along x, y, z in scene space; a vector of length 1.
     pub half_extent: Vec3,
     /// The reference ray step in scene space: the smallest voxel spacing.
     pub reference_step: f32,
 }
 
 impl Shape {
-    /// Sizes of a volume without voxels in memory, such as one that is known by its bricks.
+    /// Sizes of a volume without voxels in memory, such as one that is stored in bricks.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size of 0 or a spacing that [`VolumeView::with`] refuses,
@@ -132,8 +132,9 @@ impl Shape {
 /// Strides, spacing and value range of a volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VolumeOptions {
-    /// Elements from one voxel to the next along x, y, z; `None` for a contiguous volume, x fastest. They may
-    /// be zero (a broadcast axis) and may overlap, with at most [`MAX_REPEATED_VOXELS`] voxels then.
+    /// Elements from one voxel to the next along x, y, z; `None` for a contiguous volume, x fastest. A stride
+    /// may be 0 (a broadcast axis) and axes may overlap; such a volume may have at most
+    /// [`MAX_REPEATED_VOXELS`] voxels.
     pub strides: Option<[usize; 3]>,
     /// Voxel spacing along x, y, z, in any common unit of length; 1 by default.
     pub spacing: [f32; 3],
@@ -168,20 +169,20 @@ impl<'a> VolumeView<'a> {
     /// voxels).
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a size of 0, [`ErrorKind::SizeMismatch`] for one over
-    /// [`MAX_VOLUME_EDGE`] or where the slice is too short for the sizes or their product overflows. No voxel
-    /// is read before these checks.
+    /// [`ErrorKind::InvalidArgument`] for a size of 0; [`ErrorKind::SizeMismatch`] for a size over
+    /// [`MAX_VOLUME_EDGE`], a product of the sizes that overflows, or a slice shorter than that product. No
+    /// voxel is read before these checks.
     pub fn new(scalars: Scalars<'a>, dims: [usize; 3]) -> Result<Self> {
         Self::with(scalars, dims, VolumeOptions::default())
     }
 
-    /// As [`VolumeView::new`], with strides, spacing and range. With a range, no voxel is read.
+    /// As [`VolumeView::new`], with strides, spacing and range. If `options` has a range, no voxel is read.
     ///
     /// # Errors
     /// As [`VolumeView::new`]; [`ErrorKind::SizeMismatch`] for strides that repeat elements of more than
-    /// [`MAX_REPEATED_VOXELS`] voxels; [`ErrorKind::InvalidArgument`] unless the spacings are finite, positive, within
-    /// 1e-30…1e30, the largest at most 1e6 times the smallest, and unless both ends of a range are finite and
-    /// `low <= high`.
+    /// [`MAX_REPEATED_VOXELS`] voxels; [`ErrorKind::InvalidArgument`] for a spacing outside 1e-30…1e30, for a
+    /// largest spacing over 1e6 times the smallest, and for a range unless both ends are finite and `low <=
+    /// high`.
     pub fn with(scalars: Scalars<'a>, dims: [usize; 3], options: VolumeOptions) -> Result<Self> {
         let strides = match options.strides {
             Some(strides) => strides,
@@ -265,7 +266,7 @@ impl<'a> VolumeView<'a> {
         self.range
     }
 
-    /// Element index of a voxel. Panics in debug builds when out of bounds.
+    /// Element index of a voxel. Panics in debug builds if the voxel is out of bounds.
     #[inline]
     pub fn index(&self, x: usize, y: usize, z: usize) -> usize {
         debug_assert!(x < self.dims[0] && y < self.dims[1] && z < self.dims[2]);
@@ -319,13 +320,13 @@ fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
     if spacing.iter().any(|s| !(1e-30..=1e30).contains(s)) {
         bail!(
             InvalidArgument,
-            "voxel spacing is {spacing:?}; all three must lie in 1e-30…1e30, choose another unit of length"
+            "voxel spacing is {spacing:?}; all three must lie in 1e-30…1e30 (choose another unit of length)"
         );
     }
     let (lo, hi) =
         (spacing.iter().copied().fold(f32::MAX, f32::min), spacing.iter().copied().fold(0.0, f32::max));
     if hi / lo > 1e6 {
-        bail!(InvalidArgument, "voxel spacing {spacing:?} has a ratio over 1e6; check its units");
+        bail!(InvalidArgument, "voxel spacings {spacing:?} differ by a factor over 1e6; check their units");
     }
     Ok(Vec3::from_array(spacing))
 }
@@ -344,7 +345,7 @@ fn check_edges(dims: [usize; 3]) -> Result<()> {
     if dims.iter().any(|&n| n > MAX_VOLUME_EDGE) {
         bail!(
             SizeMismatch,
-            "volume of {} x {} x {} voxels; an axis has at most {MAX_VOLUME_EDGE}, check the sizes",
+            "volume of {} x {} x {} voxels; an axis has at most {MAX_VOLUME_EDGE} voxels; check the sizes",
             dims[0],
             dims[1],
             dims[2]
@@ -518,7 +519,7 @@ mod tests {
             assert_eq!(error.kind(), ErrorKind::SizeMismatch, "{n}");
             assert!(error.to_string().contains(says), "{error}");
         }
-        // Axes that overlap repeat elements as well.
+        // Overlapping axes repeat elements, too.
         let voxels = [0u8; 3 * 512 + 1];
         let overlapping = |n: usize| {
             VolumeView::with(

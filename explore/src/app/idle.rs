@@ -76,7 +76,8 @@ impl App {
         SLICE_SHARE * self.state.steer.target
     }
 
-    /// Requests a redraw of the interface if `at_once` is true or the last one is [`SHOW_EVERY`] ago.
+    /// Requests a redraw of the interface if `at_once` is true or [`SHOW_EVERY`] has passed since the last
+    /// request.
     fn show_now_and_then(&self, at_once: bool) {
         if at_once || self.last_paint.elapsed() > SHOW_EVERY {
             self.redraw();

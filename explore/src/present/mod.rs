@@ -183,7 +183,7 @@ impl Presenter {
         }
     }
 
-    /// Makes a swapchain of a size, unless there is one. False if the window has no area.
+    /// Makes a swapchain of a size, unless there is one. Returns false if the window has no area.
     ///
     /// # Errors
     /// When the device fails.
@@ -313,7 +313,8 @@ impl Presenter {
             d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
             d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
         }
-        // Returned only now, since the next frame needs an unsignaled fence.
+        // An error of the presentation is returned only after the fence is reset, since the next frame needs
+        // an unsignaled fence.
         done?;
         Ok(handing)
     }

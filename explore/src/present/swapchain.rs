@@ -122,7 +122,7 @@ impl Swapchain {
         let subpasses = [vk::SubpassDescription::default()
             .pipeline_bind_point(vk::PipelineBindPoint::GRAPHICS)
             .color_attachments(&color)];
-        // The image may be written only from the stage on that waits for its acquisition.
+        // The stage that waits for the acquisition of the image is the first that may write to it.
         let dependencies = [vk::SubpassDependency {
             src_subpass: vk::SUBPASS_EXTERNAL,
             dst_subpass: 0,
@@ -181,7 +181,7 @@ impl Swapchain {
         Ok(Some(this))
     }
 
-    /// True if the device encodes the linear values that are written as sRGB.
+    /// True if the device converts linear values to sRGB when it writes them.
     pub(super) fn is_srgb(&self) -> bool {
         matches!(self.format.format, vk::Format::B8G8R8A8_SRGB | vk::Format::R8G8B8A8_SRGB)
     }
@@ -230,7 +230,7 @@ impl Swapchain {
 }
 
 /// An 8-bit sRGB format, since the interface's pictures are sampled as linear values; else an 8-bit format
-/// without encoding, or the first one.
+/// without encoding, or else the first format.
 fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     let wanted = [
         vk::Format::B8G8R8A8_SRGB,

@@ -22,7 +22,7 @@ const START: Duration = Duration::from_secs(60);
 pub struct Options {
     /// The Python interpreter that has the package.
     pub python: String,
-    /// Number of one-processor workers to start; with a server, the assumed number of its workers.
+    /// Number of one-processor workers to start; if a server is given, the assumed number of its workers.
     pub workers: usize,
     /// The folder of a running server; default: a new one is started.
     pub server_dir: Option<String>,
@@ -112,8 +112,8 @@ impl HyperQueue {
                 Ok(line) => match serde_json::from_str(&line) {
                     Ok(Said::Ready(_)) => return Ok(()),
                     Ok(Said::Missing(error)) => bail!(
-                        "{} has no HyperQueue ({error}); install it (pip install hyperqueue) or name \
-                         the Python that has it with --python",
+                        "{} has no HyperQueue ({error}); install it (pip install hyperqueue), or use \
+                         --python to name a Python that has it",
                         self.options.python
                     ),
                     Ok(Said::Down(error)) => bail!("HyperQueue did not start: {error}"),

@@ -46,7 +46,7 @@ struct Job {
     id: u64,
     state: String,
     nodes: String,
-    /// Number of consecutive queries in which the job was not queued or running.
+    /// Number of consecutive queries in which the job was neither queued nor running.
     gone: u32,
 }
 
@@ -116,9 +116,10 @@ fn partitions(options: &[String], environment: Option<String>) -> Option<String>
     named
 }
 
-/// The longest limit of the partitions that jobs go to, seconds; `None` for no limit. These partitions are
-/// those in `named`, else the default one; if none of them is listed, all. `listed` has lines of sinfo,
-/// `PARTITION LIMIT`; an asterisk marks the default partition.
+/// The longest limit of the partitions that jobs go to, seconds; `None` for no limit. `named`: names of these
+/// partitions, separated by commas; `None` for the default partition. If none of them is listed, the limits
+/// of all listed partitions count. `listed`: lines of sinfo, `PARTITION LIMIT`; an asterisk marks the default
+/// partition.
 fn longest_request(listed: &str, named: Option<&str>) -> Option<f64> {
     let takes_jobs = |partition: &str| match named {
         Some(names) => names.split(',').any(|name| name == partition.trim_end_matches('*')),
@@ -205,7 +206,7 @@ impl Slurm {
                     job.gone = 0;
                 }
                 found => {
-                    // The file system may delay the last lines of its spool.
+                    // The file system may delay the last lines of the job's spool.
                     job.gone += 1;
                     if job.gone >= 3 {
                         let state = found.map_or("GONE", |f| f.0.as_str());

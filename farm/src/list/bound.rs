@@ -3,8 +3,9 @@
 use anyhow::Result;
 use entire_steer::schedule::{assign_longest_first, longest_first};
 
-/// Lower bound on the makespan of any schedule without preemption, seconds: the maximum of all work over the
-/// speed of all nodes and, for every k, the k longest tasks over the speed of the k fastest nodes.
+/// Lower bound on the makespan of any schedule without preemption, seconds: the maximum of (all work) / (sum
+/// of all speeds) and, for every k, (work of the k longest tasks) / (sum of the speeds of the k fastest
+/// nodes).
 ///
 /// # Errors
 /// As [`assign_longest_first`].

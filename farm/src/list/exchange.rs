@@ -8,8 +8,8 @@ const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the longest load.
 const LEAST_GAIN: f64 = 1.0e-6;
 
-/// Change of one round: the task that the node that ends last gives to another node, and the task that it
-/// takes from that node.
+/// Change of one round: the node that ends last gives the task `give` to the node `to`, and takes the task
+/// `take`, if any, from it.
 struct Change {
     give: usize,
     to: usize,
@@ -17,12 +17,13 @@ struct Change {
     longest: f64,
 }
 
-/// Moves a task of the node that ends last to another node, or exchanges one with it, whichever leaves the
-/// shorter longest load of the two, until neither helps (or 40 rounds per node are over). The makespan for
-/// `times` never grows; each round takes O(tasks · log tasks).
+/// In each round, moves a task from the node that ends last to another node, or exchanges two tasks of these
+/// nodes: the change that makes the longer load of the two nodes shortest. Stops when no change helps, or
+/// after 40 rounds per node. The makespan for `times` never grows; each round takes O(tasks · log tasks).
 ///
-/// Loads after longest processing time first differ by about a short task: with few tasks per node that is
-/// several percent, which exchanges remove. Errors of predicted times are not reduced.
+/// After assignment by longest processing time first, loads differ by about one short task. With few tasks
+/// per node, that is several percent; exchanges remove this difference. Errors of predicted times are not
+/// reduced.
 ///
 /// # Errors
 /// As [`Assignment::makespan`].
@@ -62,7 +63,7 @@ pub(super) fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64
     Ok(())
 }
 
-/// The change after which the longer of the two loads, of node `last` and of the other node, is shortest.
+/// The change that makes the longer load of its two nodes, `last` and another node, shortest.
 fn best_change(
     last: usize,
     times: &[f64],
@@ -73,7 +74,8 @@ fn best_change(
     let mut best: Option<Change> = None;
     for &give in &held[last] {
         for to in (0..loads.len()).filter(|&n| n != last) {
-            // Length, in seconds, of a task that would let both nodes end together if it were taken back.
+            // Seconds of a task with which both nodes would end together if `last` took it in exchange for
+            // `give`.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
             let even = times[give] - (loads[last] - loads[to]) / (own + other);
             let above = held[to].partition_point(|&t| times[t] < even);

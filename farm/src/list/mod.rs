@@ -90,8 +90,9 @@ pub struct Task {
     pub load_s: f64,
 }
 
-/// Reads a task list: JSON if the file's name ends in `.json`, else CSV (with commas, or with semicolons or
-/// tabs and decimal commas). Its text is UTF-8, or UTF-16 with a byte order mark.
+/// Reads a task list: JSON if the file's name ends in `.json`, else CSV. Fields are separated by commas, or
+/// by semicolons or tabs; in the latter case numbers may have decimal commas. The text is UTF-8, or UTF-16
+/// with a byte order mark.
 ///
 /// # Errors
 /// Names the file, the task and the error.
@@ -228,7 +229,8 @@ pub enum Plan {
     Assigned(Assignment, Vec<usize>),
     /// An order from which a free node takes the next task.
     Queued(Vec<usize>),
-    /// An order from which a free node takes a task on its loaded volume, if one is near the front.
+    /// An order from which a free node takes a task on its loaded volume if such a task is near the front,
+    /// else the first task.
     Near(Vec<usize>),
 }
 

@@ -80,7 +80,7 @@ pub(super) fn check_order(order: &[usize], tasks: usize) -> Result<()> {
         match seen.get_mut(task) {
             Some(slot) if !*slot => *slot = true,
             Some(_) => bail!("the order holds task {task} twice"),
-            None => bail!("the order holds task {task}, there are {tasks} tasks"),
+            None => bail!("the order holds task {task}, but there are only {tasks} tasks"),
         }
     }
     if order.len() != tasks {

@@ -85,8 +85,8 @@ no_padding!(entire_calibration_report {
 ///
 /// `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
 /// a learned factor with the session's probe, such as those in models/. NULL starts from the unit costs of a
-/// software renderer. Not recorded are unusual and cancelled observations, the first frame of the session,
-/// and the first frame of a volume.
+/// software renderer. Unusual and cancelled observations, the first frame of the session, and the first frame
+/// of a volume are not recorded.
 ///
 /// To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
 /// plan every frame as it was drawn, and observe its time.
@@ -152,12 +152,13 @@ pub unsafe extern "C" fn entire_session_calibrate(
 
 /// Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
 /// model then contains this renderer's quality law (picture error as a function of ray step and image size),
-/// and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw each of
-/// at least 3 scenes (`scene`: the same number for the same view) at the same settings: a ray step of `step`
-/// times the finest, and rays `image_sample_distance` pixels apart. Include full quality (1 and 1, `error`
-/// 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for equal
-/// pictures and grows with the difference, such as the root mean squared difference of colors, or 1 - SSIM.
-/// Enlarge smaller pictures to full size before the comparison. The first 65536 are kept.
+/// and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw at least
+/// 3 scenes, all at the same settings. `scene` is a number that identifies the view, `step` is the ray step
+/// in multiples of the finest, and `image_sample_distance` is the distance of neighboring rays in pixels.
+/// Include full quality (1 and 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is
+/// any measure that is 0 for equal pictures and grows with the difference, such as the root mean squared
+/// difference of colors, or 1 - SSIM. Enlarge smaller pictures to full size before the comparison. The first
+/// 65536 pictures are kept.
 ///
 /// Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
 /// below 1, seconds that are not positive, a negative error, numbers that are not finite),

@@ -30,9 +30,9 @@ pub const ENTIRE_OBSERVE_CANCELLED: u32 = 2;
 /// Reports the measured time of a planned frame. The report may come late, as long as the plan is among the
 /// last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
 ///
-/// Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is
-/// not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an unknown flag),
-/// ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, a plan that was observed before, a
+/// time that is not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an
+/// unknown flag), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_observe(
     session: *mut entire_session,

@@ -29,15 +29,15 @@ pub struct entire_session_options {
     pub trust_limit: f32,
     /// Not 0 to change the step only slowly while nothing in the scene changes abruptly; default 1.
     pub damping: u32,
-    /// Rays along each side of the probe that measures frames for a linear cost model (no model, or an
-    /// analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer rays
-    /// estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which they
-    /// were trained with.
+    /// Number of rays along each side of the probe that measures frames for a linear cost model (no model, or
+    /// an analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
+    /// rays estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which
+    /// they were trained with.
     pub probe_side: u32,
     /// Accepted error of the probe, as a share of the frame's time, 0 to 1. Over 0, plans start with a probe
     /// of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
-    /// larger than this and could change the plan; and while the view has hardly turned since rays were cast,
-    /// their result is used again. Default 0: every plan casts all of its rays. Networks always use their own
+    /// larger than this and could change the plan. While the view has hardly turned since rays were cast,
+    /// their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
     /// probe. Leave it 0 in a session that records frames.
     pub probe_tolerance: f32,
 }
@@ -73,8 +73,8 @@ no_padding!(entire_session_options {
     probe_tolerance
 });
 
-/// The probe of the options: rays along each side, and the error that plans may leave unresolved; `None` for
-/// the predictor's own.
+/// The probe that the options request: number of rays along each side, and its accepted error. `None` keeps
+/// the predictor's own probe.
 pub(super) fn probe_of(options: &entire_session_options) -> Option<(usize, Option<f32>)> {
     let tolerance = (options.probe_tolerance != 0.0).then_some(options.probe_tolerance);
     match options.probe_side {

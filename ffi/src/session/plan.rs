@@ -15,7 +15,7 @@ pub type entire_reason = u32;
 /// The finest step that is expected to meet the target, with an upper bound of at most the target plus the
 /// session's tolerance.
 pub const ENTIRE_REASON_FITS: entire_reason = 1;
-/// As ENTIRE_REASON_FITS, but the step approaches that one slowly because nothing changed abruptly.
+/// The step moves slowly towards that of ENTIRE_REASON_FITS, because nothing changed abruptly.
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
 /// The step of the last plan still fits and is close to the best: it is kept.
 pub const ENTIRE_REASON_HELD: entire_reason = 3;
@@ -198,7 +198,7 @@ fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     })
 }
 
-/// As [`checked`]; a refused plan is withdrawn, so that the next one gets its id.
+/// As [`checked`]; a refused plan is withdrawn, so that the next plan gets its id.
 fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
     checked(plan).inspect_err(|_| session.withdraw(plan.id))
 }
@@ -239,8 +239,8 @@ pub unsafe extern "C" fn entire_session_predict(
 }
 
 /// Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
-/// with an upper bound of at most (1 + tolerance) times that. Draw with plan->step, then pass the frame's
-/// time to entire_session_observe. Set plan->struct_size first. Does not allocate.
+/// with an upper bound of at most (1 + tolerance) times `target_seconds`. Draw with plan->step, then pass the
+/// frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
 ///
 /// Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
 /// positive.
@@ -262,11 +262,11 @@ pub unsafe extern "C" fn entire_session_plan(
     }
 }
 
-/// Chooses among the caller's settings, best quality first: the first that is expected to meet the target,
-/// with an upper bound of at most the target plus the session's tolerance, else the one expected to be
-/// fastest. At most ENTIRE_MAX_SETTINGS. `index` receives the index of the chosen settings, and `plan` their
-/// plan, to be observed like any other. The step, size and modes in the frame itself are ignored. Does not
-/// allocate.
+/// Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
+/// that are expected to meet the target, with an upper bound of at most the target plus the session's
+/// tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
+/// receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The step,
+/// size and modes in the frame itself are ignored. Does not allocate.
 ///
 /// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
 /// range, and with ENTIRE_SIZE_MISMATCH for too many.

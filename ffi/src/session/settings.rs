@@ -132,13 +132,13 @@ pub unsafe extern "C" fn entire_session_set_limits(
 }
 
 /// Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
-/// along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
-/// together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
-/// entire_plan). Up to a step of `step_alone` times the finest, 1 to 64, only the step is coarsened: use 1,
-/// or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1, the default, keeps
-/// the full image size. The model must be a linear cost model, or a network that has the image size among its
-/// inputs. One plan covers all sizes, which is cheaper and corrects predictions better than one plan per
-/// size.
+/// along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Plans then coarsen ray step and image
+/// together (`step` and `image_sample_distance` in entire_plan), which changes the picture less than
+/// coarsening one of them alone. Up to a step of `step_alone` times the finest, 1 to 64, only the step is
+/// coarsened: use 1, or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1,
+/// the default, keeps the full image size. The model must be a linear cost model, or a network that has the
+/// image size among its inputs. One plan covers all sizes, which is cheaper and corrects predictions better
+/// than one plan per size.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a number outside 1 to 64), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -157,11 +157,11 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
 
 /// Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
 /// plans coarsen step or image, whichever adds less error. With a step of s times the finest, and rays d
-/// pixels apart along each side, the picture error is proportional to
-/// (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and the time to
-/// (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to pictures of this renderer. The law
-/// replaces `step_alone` of entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the
-/// law: the session then uses that of its model, if the model was calibrated with pictures of this renderer.
+/// pixels apart along each side, the picture error is proportional to (s - 1)^step_exponent + image_weight *
+/// (d - 1)^image_exponent, and the time to (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to
+/// pictures of this renderer. The law replaces `step_alone` of entire_session_set_max_image_sample_distance.
+/// An `image_weight` of 0 removes the law: the session then uses the law of its model, if the model was
+/// calibrated with pictures of this renderer.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
 /// the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
@@ -237,7 +237,7 @@ pub unsafe extern "C" fn entire_session_set_enabled(
 
 /// Announces that the next frame differs abruptly from the previous one in a way that the session cannot
 /// detect: flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are detected
-/// without it.
+/// without this call.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

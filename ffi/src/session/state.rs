@@ -12,10 +12,11 @@ use std::ffi::c_char;
 /// Names the renderer whose frames are observed and the clock that times them, such as
 /// "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
 /// another: it is forgotten if a name that was not empty changes, saved states contain both names, and
-/// entire_session_load_state refuses states with other names. Both names are empty in a new session, and
-/// states saved then load only into sessions with empty names. Call it before loading and before saving. A
-/// clock named "cpu", "wall" or "device" is compared with the model's (entire_session_clocks); if the result
-/// of the comparison changes, the learned correction is forgotten, too.
+/// entire_session_load_state refuses states with other names. Both names are empty in a new session; a state
+/// saved with empty names loads only into a session with empty names. Call this function before states are
+/// loaded or saved. A clock named "cpu", "wall" or "device" is compared with the model's
+/// (entire_session_clocks); if the result of the comparison changes, the learned correction is forgotten,
+/// too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
 /// ENTIRE_NULL_ARGUMENT.

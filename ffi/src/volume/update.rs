@@ -11,13 +11,13 @@ use entire_steer::features::SummarySeries;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Sets the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes its
-/// voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps the volume's;
-/// any other range must equal the volume's. Precomputed features are removed, since they belong to the
-/// previous time step. Then call entire_session_set_time_step for each session. No other call may use the
-/// volume during this one.
+/// Sets the next time step of a volume. It must have the volume's sizes, spacing and scalar type. `desc`
+/// describes its voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps
+/// the volume's; any other range must equal the volume's. Precomputed features are removed, since they belong
+/// to the previous time step. After this call, call entire_session_set_time_step for each session. No other
+/// call may use the volume during this one.
 ///
-/// One pass over the voxels finds the changes, much faster than the scan of a new volume, and only changed
+/// One pass over the voxels finds the changes; it is much faster than the scan of a new volume. Only changed
 /// cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
 /// bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
 ///
@@ -74,7 +74,7 @@ unsafe fn update(
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
             format!(
-                "a time step has the scalar type {}, its volume {}; make a new volume for this time step",
+                "a time step has the scalar type {}, but its volume has {}; make a new volume for this time step",
                 desc.scalar_type, volume.scalar_type
             ),
         ));
@@ -89,7 +89,7 @@ unsafe fn update(
         let [a, b] = [next.shape(), shape].map(|shape| shape.spacing.to_array());
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
-            format!("a time step has the spacing {a:?}, its volume {b:?}; set the volume's spacing"),
+            format!("a time step has the spacing {a:?}, but its volume has {b:?}; set the volume's"),
         ));
     }
     if next.shape().dims != shape.dims {
@@ -97,7 +97,7 @@ unsafe fn update(
         return Err(Failure::new(
             ENTIRE_SIZE_MISMATCH,
             format!(
-                "a time step has {x} x {y} x {z} voxels, its volume {nx} x {ny} x {nz}; \
+                "a time step has {x} x {y} x {z} voxels, but its volume has {nx} x {ny} x {nz}; \
                  make a new volume for this time step"
             ),
         ));

@@ -50,7 +50,7 @@ fn generate() -> String {
 #[test]
 fn the_committed_header_is_that_of_the_source() {
     if Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml.orig").exists() {
-        // A published package has no repository around it, whose tests have checked the header.
+        // A published package lacks the repository, whose tests have checked the header.
         return;
     }
     let generated = generate();

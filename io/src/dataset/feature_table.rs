@@ -4,9 +4,9 @@
 //! The first line, `# entire-features 1 schema HASH table HASH frames N`, identifies the features: a hash of
 //! the quantities' names and of [`VERSION`] (a table without quantities that were added later stays valid),
 //! the FNV-1a hash of the timing table's bytes (decompressed), and the number of rows. Then follows one row
-//! per frame: its number, every scene quantity (never its logarithm), probe-dependent ones also as
-//! `NAME@SIDE` for probes with another number of rays than the standard, then the features of each VolumeNet,
-//! as columns `volumenet_ID_I` where ID identifies the encoder's weights and I is the feature's index.
+//! per frame: its number, every scene quantity (never its logarithm), probe-dependent quantities also as
+//! `NAME@SIDE` for probes with a nonstandard number of rays, then the features of each VolumeNet, as columns
+//! `volumenet_ID_I` where ID identifies the encoder's weights and I is the feature's index.
 
 use super::TimedFrame;
 use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
@@ -47,7 +47,7 @@ fn schema() -> u64 {
 }
 
 /// True if features with this schema hash have the same meaning in this version: new quantities are added at
-/// the end, so an older table stays valid for those that it has. The others are computed from the volumes.
+/// the end, so an older table stays valid. Quantities that it lacks are computed from the volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }

@@ -69,8 +69,8 @@ impl Manifest {
         write_json(&Self::path_for(table), self)
     }
 
-    /// Difference between a volume's files and those that the frames were measured with; `None` for the same
-    /// files, and where the manifest holds no identities of them.
+    /// Change of a volume's files since its frames were measured, in words; `None` if nothing changed or the
+    /// manifest holds no identities of these files.
     ///
     /// # Errors
     /// When a file cannot be read.

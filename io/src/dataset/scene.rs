@@ -109,10 +109,10 @@ pub fn parse_skipping(name: &str) -> Result<Skipping> {
         .ok_or_else(|| anyhow!("skipping is {name:?}; none, blocks or distance is expected"))
 }
 
-/// Reads Gaussian lobes from `c w h;c w h;…`. An empty text is no lobe.
+/// Reads Gaussian lobes from `c w h;c w h;…`. An empty text gives no lobes.
 ///
 /// # Errors
-/// When a lobe does not have three parts, or one is no number.
+/// When a lobe does not have three parts, or a part is no number.
 pub fn parse_lobes(text: &str) -> Result<Vec<GaussianLobe>> {
     text.split(';')
         .map(str::trim)

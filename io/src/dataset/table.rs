@@ -50,7 +50,7 @@ pub struct Table {
     pub frames: Vec<TimedFrame>,
     /// FNV-1a hash of the CSV's bytes, decompressed.
     pub hash: u64,
-    /// Scene features of its frames, where they are kept beside it.
+    /// Scene features of its frames, if a feature table lies beside it.
     pub features: Option<FeatureTable>,
     /// Folder of its volumes, if it is neither the working folder nor the table's.
     pub root: Option<PathBuf>,
@@ -97,8 +97,8 @@ impl Table {
         stated.and_then(|p| usize::try_from(p).ok()).unwrap_or(1).max(1)
     }
 
-    /// Finds a frame's volume file: the name below the root if one is set, the name itself, else relative to
-    /// the table's folder.
+    /// Path of a volume file: the first that exists of `name` below the root folder (if set), `name` itself,
+    /// and `name` below the table's folder. `None` if none exists.
     pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {
         if let Some(below) = self.root.as_ref().map(|r| r.join(name)).filter(|p| p.exists()) {
             return Some(below);

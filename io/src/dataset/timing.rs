@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 /// One repeat of a frame: seconds by each available clock, and work counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Timing {
-    /// Between device timestamps, seconds.
+    /// Time between device timestamps, seconds.
     pub device: Option<f64>,
-    /// From submission to completion on the host, seconds.
+    /// Wall time from submission to completion on the host, seconds.
     pub wall: Option<f64>,
     /// CPU time of the process, all threads, seconds.
     pub cpu: Option<f64>,
@@ -117,8 +117,8 @@ impl TimedFrame {
         Self { table: 0, number: 0, scene, repeats: Vec::new() }
     }
 
-    /// Median of the repeats by a clock (mean of the middle two for an even number), over the repeats that
-    /// have it and are longer than zero; `None` without any.
+    /// Median seconds by a clock (mean of the middle two for an even number), over the repeats with a
+    /// positive time by this clock; `None` if there is no such repeat.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {
         let mut seconds: Vec<f64> =
             self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
@@ -152,7 +152,7 @@ pub struct Timed<'a> {
     pub seconds: &'a [f64],
 }
 
-/// Frames that have seconds by the clock (and the requested shading), with those seconds.
+/// Frames with a time by the clock and the requested shading (if any), each with its seconds.
 ///
 /// # Errors
 /// When there are none.
@@ -173,8 +173,8 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
     Ok(frames)
 }
 
-/// Note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` where it leaves
-/// out none of them, or all.
+/// Note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` if it leaves out
+/// no frame, or every frame.
 pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Option<String> {
     let frames: Vec<&TimedFrame> = tables
         .iter()
@@ -207,19 +207,20 @@ pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Opt
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a
-    /// frame in the same pass (of different passes where a pass has one repeat), over 0.6745·√2, as for a
-    /// normal distribution. First, the trend that repeats of frames of similar duration have in common by
-    /// their order, such as a slow first one, is removed.
+    /// frame, divided by 0.6745·√2, as for a normal distribution. Both repeats are of one pass (of two passes
+    /// if a pass has one repeat). First, the trend that frames of similar duration have in common, such as a
+    /// slow first repeat, is removed.
     pub log_sd: f64,
-    /// The same for the median of each frame's repeats, taking its standard error as sqrt(π/2) times the
-    /// mean's for three repeats or more, and the mean's for two.
+    /// Standard deviation of ln(median seconds of a frame's repeats), computed from `log_sd`. The standard
+    /// error of the median is taken as that of the mean, times sqrt(π/2) for three repeats or more.
     pub log_sd_of_median: f64,
     /// Median over repeats of |t − frame median| / frame median.
     pub median_relative_deviation: f64,
     /// Median over frames and passes of ln(first repeat / last repeat of the pass): the cost of warm-up.
     pub warm_up: f64,
-    /// Range of the passes' medians of ln(pass median / geometric mean of the frame's pass medians): drift of
-    /// the machine. `None` for a single pass.
+    /// Drift of the machine between passes: range of the passes' values, where the value of a pass is the
+    /// median over frames of ln(pass median / geometric mean of the frame's pass medians). `None` for a
+    /// single pass.
     pub drift: Option<f64>,
     /// Frames with at least two repeats.
     pub frames: usize,
@@ -260,7 +261,7 @@ impl Logs {
     fn of(frame: &TimedFrame, clock: Clock, passes: usize) -> Option<Self> {
         let repeats: Vec<f64> =
             frame.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).map(f64::ln).collect();
-        // Without the times of some repeats, repeats cannot be assigned to passes.
+        // If some repeats lack a time, repeats cannot be assigned to passes.
         let whole = repeats.len() == frame.repeats.len() && repeats.len().is_multiple_of(passes);
         let median = median(&mut repeats.clone())?;
         (repeats.len() > 1).then_some(Self { repeats, median, passes: if whole { passes } else { 1 } })

@@ -154,7 +154,7 @@ impl Writer {
     }
 }
 
-/// Locks the table for this process. The lock ends with the process, however that ends.
+/// Locks the table for this process. The system releases it when the process ends, even by a crash.
 fn lock(file: &File, path: &Path) -> Result<()> {
     match try_lock(file) {
         Ok(()) => Ok(()),

@@ -101,7 +101,7 @@ struct Values {
 
 impl Values {
     /// The distribution in about 100 000 evenly spread voxels. Voxels in the lowest 4 % of the range count as
-    /// background and are left out if more than 0.5 % of the voxels lie above.
+    /// background and are left out if more than 0.5 % of the voxels lie above this threshold.
     fn of(volume: &VolumeView<'_>) -> Self {
         let [nx, ny, nz] = volume.shape().dims;
         let stride = (volume.shape().voxels / 100_000).max(1);

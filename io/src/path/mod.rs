@@ -16,9 +16,9 @@
 //!
 //! * `frame`, required: frame number from 0.
 //! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the
-//!   distance in bounding-sphere radii. With an additional `"parallel_scale": …` the projection is parallel
-//!   (orthographic), and this is half of the visible height in bounding-sphere radii, instead of the field of
-//!   view.
+//!   distance in bounding-sphere radii. An additional `"parallel_scale": …` makes the projection parallel
+//!   (orthographic) and replaces the field of view: it is half of the visible height, in bounding-sphere
+//!   radii.
 //! * `transfer`, required at frame 0: `{"lobes": [{"center": …, "width": …, "height": …}, …]}` or
 //!   `{"points": [{"position": …, "color": [r, g, b], "opacity": …}, …]}`.
 //! * `switch`: with `true`, this keyframe takes effect at once at its frame, and the previous value holds
@@ -26,10 +26,10 @@
 //!
 //! Camera and transfer function are two tracks; a keyframe may give either or both. Between keyframes of a
 //! track, angles are interpolated linearly in degrees (0 to 720 is two turns), the distance and the parallel
-//! scale in their logarithms. Lobes are paired by their position in the list: center and height are linear,
-//! width in its logarithm; points are paired too, with every number linear. Two transfer functions of
-//! different kinds or lengths cannot be interpolated, nor can a perspective and a parallel camera; the later
-//! one must switch.
+//! scale in their logarithms. Lobes and points are paired by their position in the list. Center and height of
+//! a lobe and all numbers of a point are interpolated linearly, the width of a lobe in its logarithm. Two
+//! transfer functions of different kinds or lengths cannot be interpolated, nor can a perspective and a
+//! parallel camera: the later keyframe must then switch.
 
 mod generated;
 mod target;
@@ -95,7 +95,7 @@ pub struct Keyframe {
     /// The transfer function, if this keyframe gives it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<Transfer>,
-    /// True if it takes effect at once.
+    /// True if the keyframe takes effect abruptly, without interpolation before it.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub switch: bool,
 }
@@ -110,8 +110,8 @@ pub struct CameraPose {
     pub ry_deg: f32,
     /// Distance, bounding-sphere radii.
     pub dz_radii: f32,
-    /// Half of the visible height of a parallel projection, bounding-sphere radii; none for a perspective
-    /// one.
+    /// Half of the visible height of a parallel projection, bounding-sphere radii; `None` for a perspective
+    /// projection.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parallel_scale: Option<f32>,
 }
@@ -215,7 +215,7 @@ impl Transfer {
 impl CameraPose {
     fn mix(self, other: Self, t: f32) -> Self {
         let go = |a: f32, b: f32| a + t * (b - a);
-        // Rounding must not move the value out of [a, b], where the camera may be refused.
+        // Rounding must not move the value out of [a, b]: outside, the camera may be refused.
         let grow = |a: f32, b: f32| go(a.ln(), b.ln()).exp().clamp(a.min(b), a.max(b));
         Self {
             rx_deg: go(self.rx_deg, other.rx_deg),
@@ -275,12 +275,12 @@ impl PartialEq for TransferAt {
 pub struct PathFrame {
     /// The camera's pose.
     pub camera: Arcball,
-    /// Half of the visible height of a parallel projection, bounding-sphere radii; none for a perspective
-    /// one.
+    /// Half of the visible height of a parallel projection, bounding-sphere radii; `None` for a perspective
+    /// projection.
     pub parallel_scale: Option<f32>,
     /// The transfer function.
     pub transfer: TransferAt,
-    /// True if the transfer function differs from the frame before (true for the first).
+    /// True if the transfer function differs from that of the frame before; true for the first frame.
     pub transfer_changed: bool,
     /// True if the transfer function switched abruptly here.
     pub transfer_switched: bool,
@@ -370,8 +370,8 @@ impl PathFile {
                     let before: &CameraPose = before;
                     ensure!(
                         key.switch || before.parallel_scale.is_some() == pose.parallel_scale.is_some(),
-                        "{}: one of the cameras here and at frame {frame} has a parallel_scale, the other none; \
-                         they cannot be interpolated; give it to both, or \"switch\": true",
+                        "{}: of the cameras here and at frame {frame}, only one has a parallel_scale, so they \
+                         cannot be interpolated; give it to both, or \"switch\": true",
                         place()
                     );
                 }
@@ -409,7 +409,7 @@ impl PathFile {
             let (key, share, transfer_switched) = at(&keys, index);
             let transfer = TransferAt { keys: keys.clone(), key, share };
             let transfer_changed = frames.last().is_none_or(|f| f.transfer != transfer);
-            // The first frame has none before it, so it is never a switch.
+            // The first frame has no predecessor, so it is never a switch.
             let real = |switched: bool| switched && index > 0;
             frames.push(PathFrame {
                 camera: camera.arcball(),
@@ -424,8 +424,8 @@ impl PathFile {
     }
 }
 
-/// The camera of a pose: with a parallel scale its projection is parallel, else it has the field of view in
-/// degrees, which is always checked.
+/// The camera at a pose: parallel if a parallel scale is given, else perspective with the vertical field of
+/// view `fov_y`, in degrees. The field of view is checked in both cases.
 ///
 /// # Errors
 /// Those of the core.
@@ -434,8 +434,8 @@ pub fn camera(pose: Arcball, fov_y: f32, parallel_scale: Option<f32>) -> entire_
     parallel_scale.map_or(Ok(camera), |scale| camera.with_parallel_scale(scale))
 }
 
-/// The position of a frame on a track: the keyframe at or before it, the share of the way to the next one,
-/// and true if the track switched there.
+/// The position of a frame on a track: index of the keyframe at or before the frame, share of the way to the
+/// next keyframe, and true if the track switches abruptly at this frame.
 fn at<T>(track: &[(u32, bool, T)], index: u32) -> (usize, f32, bool) {
     let next = track.partition_point(|(frame, _, _)| *frame <= index);
     let (frame, switch, _) = &track[next - 1];

@@ -164,12 +164,12 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
     Ok(())
 }
 
-/// Checks the bytes after the voxels: none; fewer than the voxels have, which are left out with a note; or at
-/// least as many, which is an error.
+/// Checks the bytes after the voxels. Fewer bytes than the voxels have are ignored with a note; as many or
+/// more are an error.
 ///
 /// # Errors
-/// When there are at least as many: then sizes or type in the header do not fit the data, or a second volume
-/// follows.
+/// When at least as many bytes follow as the voxels have: sizes or type in the header do not fit the
+/// data, or a second volume follows.
 pub(crate) fn expect_end(
     stream: &mut Stream<'_>,
     dims: [usize; 3],
@@ -366,7 +366,7 @@ pub(crate) fn parse_voxels(
     })
 }
 
-/// The longest number in text; more characters are an error.
+/// Largest length of a number in text, in characters; a longer number is an error.
 const MAX_TOKEN: usize = 512;
 
 fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Option<T>) -> Result<Vec<T>> {

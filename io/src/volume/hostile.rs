@@ -4,7 +4,7 @@ use super::stream::{Companions, Stream};
 use super::{Format, Volume};
 use anyhow::Result;
 
-/// Separates a header from the content of its data file, in one input.
+/// Separator between a header and the content of its data file, in one input.
 const SEPARATOR: &[u8] = b"\n--data--\n";
 
 /// The same bytes under any file name.
@@ -24,8 +24,8 @@ impl Companions for AnyName<'_> {
     }
 }
 
-/// Reads a volume from arbitrary bytes. What follows the first line `--data--`, if there is one, is the
-/// content of any other file that the format asks for.
+/// Reads a volume from arbitrary bytes. Bytes after the first line `--data--`, if there is such a line, are
+/// the content of every other file that the format asks for.
 ///
 /// # Errors
 /// As [`Volume::open`], without the file's name.

@@ -4,7 +4,8 @@
 //!
 //! As in the format's own library, `HeaderSize` counts from the start of the file that holds the voxels,
 //! which is the header's own file with `LOCAL`; -1 says that the voxels are the last bytes of the file, or
-//! that it holds compressed voxels only. Of the two fields of byte order, `BinaryDataByteOrderMSB` counts.
+//! that it holds compressed voxels only. Of the two fields of byte order, `BinaryDataByteOrderMSB` takes
+//! precedence.
 //!
 //! The project has its own reader, since the crate that reads MetaImage, `bioformats` 0.1, supports neither
 //! voxels in text nor 64-bit integers.

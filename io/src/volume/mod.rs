@@ -26,7 +26,8 @@
 //! NaN and infinite voxels are kept; they count as the ends of the range when a view normalizes them (see
 //! [`VolumeView::normalize`]). Voxels with a fill value ([`VolumeView::fill_values`], or those that
 //! [`Reading::fill`] names) get the minimum of all other values, and [`Volume::notes`] says so. Axes stay in
-//! the file's order, the fastest is x; positions and directions in space are not used, voxel spacings are.
+//! the file's order, and x is the fastest. Voxel spacings are used; positions and directions in space are
+//! not.
 
 mod element;
 pub mod hostile;
@@ -369,7 +370,7 @@ impl Volume {
         &self.notes
     }
 
-    /// The file it was read from; empty for one made in memory.
+    /// The file that the volume was read from; empty for a volume made in memory.
     pub fn source(&self) -> &Path {
         &self.source
     }
@@ -412,8 +413,8 @@ pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
     }
 }
 
-/// Brings sizes and spacings of any number of axes to three: fewer than three axes are refused, further ones
-/// must have one element. `spatial` is false for axes without a direction in space; missing entries are true.
+/// Reduces sizes and spacings to three axes. Fewer than three axes are refused; surplus axes must have one
+/// element. `spatial` is false for axes without a direction in space; missing entries count as true.
 ///
 /// # Errors
 /// Names the axis that makes the data multi-component, time-varying or flat.

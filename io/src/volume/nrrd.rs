@@ -1,10 +1,11 @@
-//! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the
-//! voxels in the file that `data file` names, or in several (`LIST [axes]` with a name in each line that follows, or
-//! `name%03d.raw FIRST LAST STEP [axes]`). Encodings raw, gzip, bzip2, hex and ascii are read.
+//! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, and the voxels. The
+//! field `data file` moves the voxels to another file, or to several (`LIST [axes]` with a name in each line
+//! that follows, or `name%03d.raw FIRST LAST STEP [axes]`). Encodings raw, gzip, bzip2, hex and ascii are
+//! read.
 //!
-//! A spacing of NaN, or a direction of `none` or NaN, is unknown: the other of the two fields counts; if it
-//! is unknown too, 1 is taken, with a note. A direction of `none` beside directions of other axes marks an
-//! axis that is not spatial.
+//! A spacing of NaN, or a direction of `none` or NaN, is unknown, and the other of the two fields is used. If
+//! both are unknown, the spacing is 1, with a note. A direction of `none` beside directions of other axes
+//! marks an axis that is not spatial.
 //!
 //! The project has its own reader, since the crate that reads NRRD, `bioformats` 0.1, reserves as much memory
 //! as a header claims, and has no 64-bit integers.
@@ -285,7 +286,8 @@ fn element(value: &str) -> Result<Element> {
     })
 }
 
-/// The lengths of the vectors of "space directions": `(x,y,z)`, or `none` or one of NaN, per axis.
+/// Lengths of the vectors `(x,y,z)` in "space directions", one per axis; `None` for the word `none` and for a
+/// vector with a NaN.
 fn directions(value: &str) -> Result<Vec<Option<f64>>> {
     let mut found = Vec::new();
     let mut rest = value.trim();

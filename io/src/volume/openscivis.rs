@@ -3,8 +3,8 @@
 //! `{"name": "…", "size": [x, y, z], "type": "uint8", "spacing": [x, y, z]}`
 //!
 //! Either file may be given. A `.json` finds its voxels by `"file"`, by the last part of `"url"`, or as the
-//! `.raw` file of its own name; a `.raw` finds the `.json` of its own name, with or without a
-//! `_256x256x256_uint8` at its end. A `.raw` file without a description is read if its name has that part.
+//! `.raw` file of its own name; a `.raw` finds the `.json` of its own name, with or without an ending like
+//! `_256x256x256_uint8`. A `.raw` file without a description is read if its name has such an ending.
 //! `"endian"` (or `"byte_order"`) is `little` by default; `.raw.gz` is decompressed. Endings may be in upper
 //! case.
 

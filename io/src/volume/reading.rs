@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// Smallest width of the value range of unsigned bytes, in scalar values, that looks neither empty nor flat
-/// over 0…255.
+/// Width of the value range of unsigned bytes, in scalar values, below which a note suggests `--range data`.
 const NARROW: f32 = 64.0;
 
 /// Options of reading a volume file. The default determines all of them from the file.
@@ -47,12 +46,12 @@ impl Reading {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Fill {
-    /// Those that [`VolumeView::fill_values`] finds: `auto`.
+    /// The values that [`VolumeView::fill_values`] finds: `auto`.
     #[default]
     Found,
-    /// None: `none`.
+    /// No fill values: `none`.
     None,
-    /// These: numbers separated by commas.
+    /// The given values: numbers separated by commas.
     Values(Vec<f32>),
 }
 
@@ -196,14 +195,14 @@ pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) ->
     })
 }
 
-/// A note if the volume's range hides its values.
+/// A note if the values of unsigned bytes fill only a small part of the range that maps to [0, 1].
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
     let narrow = range == Range::Default && view.range() != (low, high) && high - low < NARROW;
     narrow.then(|| {
         format!(
-            "its bytes hold {low} to {high}, a small part of 0 to 255, which is what a transfer function spans; \
-             `--range data` spans the voxels' own range"
+            "its bytes hold {low} to {high}, a small part of the range 0 to 255 that a transfer function \
+             spans; `--range data` spans the voxels' own range"
         )
     })
 }

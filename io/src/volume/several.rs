@@ -12,13 +12,13 @@ const MAX_LINE: usize = 1 << 16;
 #[derive(Debug, PartialEq)]
 pub(super) struct Several {
     pub(super) names: Vec<String>,
-    /// Number of axes that each file holds; default: one less than the volume has. With as many as the volume
-    /// has, files are slabs of the slowest axis.
+    /// Number of axes of each file; default: one less than the volume's. If it equals the volume's, each file
+    /// is a slab along the slowest axis.
     pub(super) axes: Option<usize>,
 }
 
 impl Several {
-    /// From `LIST [axes]`, with the names in the following lines of the header.
+    /// Reads `LIST [axes]` and the names in the following lines of the header.
     pub(super) fn list(value: &str, stream: &mut Stream<'_>) -> Result<Self> {
         let axes = match value.split_whitespace().nth(1) {
             // MetaImage writes 2D where NRRD writes 2.
@@ -37,7 +37,7 @@ impl Several {
         Ok(Self { names, axes })
     }
 
-    /// From `pattern first last step [axes]`; `None` where that is the name of a single file.
+    /// Expands `pattern first last step [axes]`; `None` if the text is the name of a single file.
     pub(super) fn pattern(value: &str) -> Result<Option<Self>> {
         let words: Vec<&str> = value.split_whitespace().collect();
         let numbers = words.get(1..).is_some_and(|n| !n.is_empty() && n.iter().all(|w| whole(w).is_ok()));
@@ -96,7 +96,7 @@ fn whole(word: &str) -> Result<i64> {
     }
 }
 
-/// A number in place of `%d`, `%03d` and the like.
+/// The pattern with a number in place of `%d`, `%03d` and the like.
 fn numbered(pattern: &str, number: i64) -> Result<String> {
     let mut name = String::new();
     let mut rest = pattern;

@@ -9,12 +9,12 @@ use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// No deflate stream grows by more than this factor when it is decompressed (RFC 1951: 258 bytes from 2 bits,
-/// less the block's own cost).
+/// Upper bound of decompressed bytes per compressed byte of a deflate stream (RFC 1951: 258 bytes from 2
+/// bits, less the block's own cost).
 const DEFLATE_GROWTH: u64 = 1032;
 
-/// No bzip2 stream grows by more than this: a block of 900 000 bytes, of which each five stand for at most
-/// 259, takes more than 14 bytes.
+/// Upper bound of decompressed bytes per compressed byte of a bzip2 stream: a block takes more than 14 bytes
+/// and holds 900 000 bytes, of which each five expand to at most 259.
 const BZIP2_GROWTH: u64 = 1 << 22;
 
 /// Byte order mark that some editors put before UTF-8 text.
@@ -36,13 +36,13 @@ pub(crate) enum Remaining {
 
 /// Watches how far files are read, and may stop the reading.
 pub trait Watcher: Send + Sync {
-    /// Called when this many more bytes are going to be read.
+    /// Called before reading, when `bytes` more bytes are known to be needed.
     fn expect(&self, bytes: u64);
 
-    /// Called when this many more bytes were read.
+    /// Called after `bytes` more bytes were read.
     ///
     /// # Errors
-    /// To stop the reading; the reader gets the error.
+    /// An implementation returns an error to stop the reading; the reader passes it on.
     fn advance(&self, bytes: u64) -> io::Result<()>;
 }
 
@@ -153,7 +153,7 @@ impl<'a> Stream<'a> {
         self.read
     }
 
-    /// The buffered bytes, without consuming them: some, unless the stream is at its end.
+    /// The buffered bytes, without consuming them; empty only at the end of the stream.
     pub(crate) fn peek(&mut self) -> io::Result<&[u8]> {
         loop {
             match self.reader.fill_buf() {
@@ -194,7 +194,7 @@ impl<'a> Stream<'a> {
     /// Skips `count` bytes.
     ///
     /// # Errors
-    /// When the stream ends before.
+    /// When fewer bytes are left.
     pub(crate) fn skip(&mut self, count: u64) -> Result<()> {
         if let Remaining::Exact(left) = self.remaining
             && left < count
@@ -241,7 +241,7 @@ impl<'a> Stream<'a> {
         self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(reader))))
     }
 
-    /// The rest of the stream decompressed as zlib, or as gzip where it starts like that.
+    /// The rest of the stream decompressed as zlib, or as gzip if it starts with the magic bytes of gzip.
     ///
     /// # Errors
     /// When the stream cannot be read.
@@ -261,7 +261,7 @@ impl<'a> Stream<'a> {
         Stream { reader: Box::new(reader), remaining, read: 0, label }
     }
 
-    /// The bytes that the rest of the stream spells in pairs of hexadecimal digits, without blanks.
+    /// The rest of the stream, decoded from pairs of hexadecimal digits; blanks are skipped.
     pub(crate) fn unhex(self) -> Stream<'a> {
         let (Remaining::Exact(digits) | Remaining::AtMost(digits)) = self.remaining;
         let label = self.label;

@@ -1,10 +1,10 @@
-//! VTK XML image data (`.vti`): ascii, base64 in place, appended raw or base64, in zlib or LZ4 blocks or none, in
-//! one piece or several.
+//! VTK XML image data (`.vti`) in one piece or several. Arrays are ascii text, inline base64, appended base64
+//! or appended raw bytes; binary arrays may be compressed in zlib or LZ4 blocks.
 //!
 //! The array is chosen in this order: the one that is named in the options; the active scalars of the points,
-//! else of the cells; the first of the points, else of the cells, in the order of the file, with one
-//! component of numbers. VTK's own arrays (`vtkGhostType` and the like) are read by name only. Direction and
-//! origin are not used.
+//! else of the cells; the first numeric array with one component among those of the points, else of the
+//! cells, in the file's order. VTK's own arrays (`vtkGhostType` and the like) are read by name only.
+//! Direction and origin are not used.
 //!
 //! The project has its own reader, since the crate `vtkio` 0.7 does not read appended raw data, which is VTK's
 //! default.
@@ -104,7 +104,8 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     }
     // Pieces share the points of their borders; each voxel comes from at least one of them.
     let dims = checked_dims(sizes(file.extent, cells)?)?;
-    // Upper bound: all bytes of the file, decompressed. Many pieces that refer to the same data exceed it.
+    // Upper bound of the voxels' bytes: the whole file, decompressed. Many pieces that refer to the same data
+    // exceed it.
     let growth = match file.compressor {
         Compressor::None => 8,
         Compressor::Zlib => 1032,
@@ -287,7 +288,7 @@ impl Section {
     }
 }
 
-/// The array to read, and true if it is of the cells.
+/// The array to read, and true if it is cell data.
 fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> Result<(&'a Array, bool)> {
     let sections = [(&piece.points, false), (&piece.cells, true)];
     let all = || sections.iter().flat_map(|&(s, cells)| s.arrays.iter().map(move |array| (s, array, cells)));
@@ -577,8 +578,8 @@ fn from_base64(text: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     decode_base64(text, needed)
 }
 
-/// Bytes from base64 text, at least as many as needed if they exist: blanks are skipped, padding may end one
-/// part and another follow, and the text ends at the first `<`. Header and data may be two parts or one.
+/// Decodes base64 text, which ends at the first `<`, to at least `needed` bytes if there are as many. Blanks
+/// are skipped. Header and data are one part or two; padding may end each part.
 fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
     // Both parts end in a group of four letters that may hold less than three bytes.
     let letters = usize::try_from(needed / 3 + 3).unwrap_or(usize::MAX).saturating_mul(4);
@@ -606,7 +607,7 @@ fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// One number of a binary header, and the rest after it.
+/// One number of a binary header, and the bytes after it.
 fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
     let cut = || anyhow::anyhow!("the binary data ends within its header; the file is cut short");
     Ok(if file.wide_header {
@@ -618,7 +619,7 @@ fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
     })
 }
 
-/// No LZ4 block grows by more than this factor.
+/// Upper bound of decompressed bytes per compressed byte of an LZ4 block.
 const LZ4_GROWTH: u64 = 255;
 
 /// Decompresses blocks: a header of block count, block size, size of the last block (0: a full one) and

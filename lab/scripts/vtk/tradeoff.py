@@ -14,8 +14,8 @@ apart. The fit is by least squares in logarithms of the means over scenes, of pi
 time (with more time, colors differ by their rounding alone). The numbers are then moved to where the choices by the law
 have the smallest errors.
 
-Prints w p q r. At several shares of the full time, prints the error of the pair that the law chooses over that of the best
-pair, of the best step alone, of the best image size alone, and of the best image size at about twice the step.
+Prints w p q r. At several shares of the full time, prints the error of the pair that the law chooses, divided by that
+of the best pair, of the best step alone, of the best image size alone, and of the best image size at about twice the step.
 """
 import argparse
 import csv

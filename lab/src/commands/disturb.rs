@@ -1,4 +1,4 @@
-//! `entire-lab disturb`: slowdown of frames over time by another program.
+//! `entire-lab disturb`: slowdown of frames over time while another program runs.
 
 use crate::replay::Slowdown;
 use crate::stress::Noise;
@@ -15,21 +15,21 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Other load on the machine.
+/// Load on the machine by another program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Neighbor {
-    /// No other load.
+    /// No load.
     None,
-    /// Bursts of 50 to 500 ms on one core, a fifth of the time.
+    /// Bursts of 50 to 500 ms on one core; they fill a fifth of the time.
     Bursts,
-    /// One core all the time.
+    /// One core is busy all the time.
     Steady,
 }
 
-/// Record the slowdown of frames over time by another program on the machine.
+/// Record the slowdown of frames over time while another program runs on the machine.
 ///
-/// Times one frame repeatedly by wall time, first without the load, then with it, and writes for every frame
-/// of the second part its start and its time divided by the median time of the first part.
+/// Draws one frame repeatedly, first without the load, then with the load, and measures wall times. Writes the start
+/// of every frame of the second part, and its time divided by the median time of the first part.
 /// `entire-lab replay --disturbance` replays recorded paths with these slowdowns.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -38,7 +38,7 @@ pub(crate) struct Options {
     /// The volume file.
     #[arg(value_name = "VOLUME")]
     pub(crate) volume: PathBuf,
-    /// Other load on the machine.
+    /// Load on the machine by another program.
     #[arg(long, value_enum)]
     pub(crate) neighbor: Neighbor,
     /// Duration of the second part, seconds.

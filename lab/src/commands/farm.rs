@@ -11,8 +11,8 @@ use std::path::PathBuf;
 
 /// Compare methods of load balancing on a render farm of 2 to 64 nodes, by measured times.
 ///
-/// The tasks come from a list (see `entire schedule`; both times are needed), or are the frames of a recorded
-/// path, predicted by a model fitted to other volumes.
+/// The tasks come from a list (see `entire schedule`) with predicted and measured times, or are the frames of a
+/// recorded path, predicted by a model fitted to other volumes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab farm tasks.csv --report out/farm
@@ -28,8 +28,8 @@ pub(crate) struct Options {
     /// before. The analytic model, times a factor that depends on the view, is fitted to them and predicts --trace.
     #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
     pub(crate) training: Vec<PathBuf>,
-    /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is computed
-    /// once, so it can afford more than the 11 of steering.
+    /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. Steering uses
+    /// 11 in every frame; a schedule is computed once, so more rays are affordable.
     #[arg(long, default_value_t = PROBE_SIDE, value_name = "N")]
     pub(crate) probe_side: usize,
     /// Write the tasks of --trace as a task list (CSV).

@@ -45,7 +45,7 @@ pub(crate) fn run_bars(options: &BarsOptions) -> Result<()> {
     if options.bars { bars::print(&found) } else { Ok(()) }
 }
 
-/// Simulate a farm on a task list with both times, and print the result as JSON.
+/// Simulate a farm on a task list with predicted and measured times, and print the result as JSON.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -61,13 +61,13 @@ pub(crate) struct SimulateOptions {
     /// Factor on the list's seconds.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
     pub(crate) scale: f64,
-    /// Time that a slot needs for each bundle, seconds.
+    /// Time that a slot needs for each bundle in addition to its tasks, seconds.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub(crate) latency: f64,
     /// Time that the engine needs to dispatch a bundle, seconds; bundles are dispatched one after the other.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub(crate) dispatch: f64,
-    /// Overhead of a bundle that the planner assumes, seconds.
+    /// Overhead of a bundle that the planner assumes, seconds; default: --latency plus --dispatch.
     #[arg(long, value_name = "SECONDS")]
     pub(crate) overhead: Option<f64>,
     /// Send tasks in the order of the list.
@@ -81,7 +81,7 @@ pub(crate) struct SimulateOptions {
 /// Runs `entire-lab farm-simulate`.
 ///
 /// # Errors
-/// When the list lacks a time.
+/// When the list cannot be read, or a task lacks its predicted or measured time.
 pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     ensure!(options.slots > 0, "--slots is 0; at least one is needed");
     let tasks = read_tasks(&options.tasks)?;
@@ -129,7 +129,7 @@ pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
 Example, as the renderer of a job file:
   entire-lab farm-stand-in tasks.csv --scale 0.1")]
 pub(crate) struct StandInOptions {
-    /// The task list, by the job's ids.
+    /// The task list; it names tasks by their ids in the job.
     #[arg(value_name = "TASKS.csv")]
     pub(crate) tasks: PathBuf,
     /// Factor on the list's seconds.

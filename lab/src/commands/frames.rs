@@ -1,4 +1,4 @@
-//! `entire-lab frames`: calibration error by number of frames of another type of machine.
+//! `entire-lab frames`: error of calibrations to few and many frames of another type of machine.
 
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
@@ -28,7 +28,7 @@ const DRAWS: u64 = 8;
 /// Bars: number of frames, and limit of the geometric mean, over types of machine, of the median error.
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
-/// Measure calibration error by number of frames, on another type of machine.
+/// Measure the error of calibrations to few and many frames, on another type of machine.
 ///
 /// Each table and each prior is of one type of machine. A model is calibrated to frames of one type, with the
 /// models of the other types as priors. A draw takes one member of each ensemble, at most nine of their volumes, and
@@ -134,7 +134,7 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
 /// Runs the command.
 ///
 /// # Errors
-/// When tables or models cannot be read, their numbers differ, or no ensemble has two members.
+/// When tables or models cannot be read, there are not equally many of both, or no ensemble has two members.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let (tables, judged, models) = (options.data.len(), options.judged.len(), options.priors.len());
     ensure!(

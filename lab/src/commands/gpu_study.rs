@@ -21,8 +21,8 @@ use std::time::{Duration, Instant};
 
 /// Measure a device: pictures, rates, timing tables, models and steering, in one report.
 ///
-/// Takes at most --seconds. A step that runs out of time is cut short or skipped, and named; the same command
-/// with the same --out completes the missing steps. Needs no network: `make gpu-study-folder` puts everything
+/// Takes at most --seconds. A step that runs out of time is cut short or skipped, and the report names it; the same
+/// command with the same --out completes the missing steps. Needs no network: `make gpu-study-folder` puts everything
 /// into one folder that can be copied to another machine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -42,7 +42,7 @@ pub(crate) struct Options {
     /// Shading modes to study.
     #[arg(long, value_delimiter = ',', default_values = MODES, value_parser = MODES, value_name = "SHADE,…")]
     pub(crate) shade: Vec<String>,
-    /// Small images and few frames: a quick test on a software driver.
+    /// Use small images and few frames, for a quick test on a software driver.
     #[arg(long)]
     pub(crate) short: bool,
     /// The folder with the project's volumes.
@@ -148,8 +148,8 @@ fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     }
 }
 
-/// Half of the median time of those frames whose images are about as large as those of the steering step; of
-/// all frames if there are none.
+/// Target of the steering step, seconds: half of the median time of the frames whose images have about its size; half
+/// of the median time of all frames if no image has.
 fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
     let pixels = u64::from(extent.held_size).pow(2);
@@ -172,7 +172,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let calibrated = calibrated_with(&options.data, extent.calibration_volumes)?;
     let program = std::env::current_exe().context("cannot find the folder of this program")?;
     let entire = program.with_file_name("entire");
-    anyhow::ensure!(entire.is_file(), "{} is not there; build it beside this program", entire.display());
+    anyhow::ensure!(entire.is_file(), "{} does not exist; build it beside this program", entire.display());
     make_folder(&options.out.join("logs"))?;
     let bar = progress_bar("gpu-study");
     let mut study = Study {

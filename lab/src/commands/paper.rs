@@ -39,7 +39,7 @@ pub(crate) struct Options {
 enum Step {
     /// Every step, one after another.
     All(AllOptions),
-    /// Render frames: our raycaster in every mode with the low-resolution proxy in the same run, and yt.
+    /// Render frames: by our raycaster in every mode, each also at low resolution (the proxy), and by yt.
     #[command(after_help = "Example:
   entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20")]
     Collect(StepOptions),
@@ -67,7 +67,7 @@ struct Places {
 struct Making {
     #[command(flatten)]
     places: Places,
-    /// Folder that holds the data sets, or `ensembles` with them.
+    /// Folder that holds the data sets, directly or in its subfolder `ensembles`.
     #[arg(long, value_name = "FOLDER", default_value = "data")]
     data: PathBuf,
     /// Only these data sets.
@@ -134,10 +134,10 @@ struct HowToTrain {
     /// Only these parts.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "PARTS")]
     only: Vec<Panel>,
-    /// Training runs of every network, instead of the description's.
+    /// Training runs of every network; default: the description's number.
     #[arg(long, value_name = "N")]
     runs: Option<usize>,
-    /// Epochs of every network of the paper, instead of the description's.
+    /// Epochs of every network of the paper; default: the description's number.
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
 }
@@ -155,7 +155,7 @@ pub(crate) struct ReportOptions {
 
 #[derive(Debug, Clone, clap::Args)]
 struct HowToReport {
-    /// Results to use for parts that OUT lacks, as written by --keep.
+    /// File written by --keep; its results are used for the parts that OUT lacks.
     #[arg(long, value_name = "JSON.gz")]
     kept: Option<PathBuf>,
     /// Write all results into one small file.
@@ -328,8 +328,8 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     });
     if !calibration.exists() || !folder.is_dir() || network.is_none() {
         entire_io::files::note(&format!(
-            "use case 1 needs recorded paths in {RECORDED} (make steer-traces) and the network of {set}; it \
-             is skipped"
+            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces) and the network \
+             of {set}"
         ));
         return Ok(());
     }

@@ -73,7 +73,7 @@ pub(crate) struct Options {
     /// drawn for the default steps only.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
     pub(crate) steps: Vec<f32>,
-    /// Renderings of every point of the grid.
+    /// Number of renderings of every point of the grid.
     #[arg(long, default_value_t = 2, value_name = "R")]
     pub(crate) repeats: usize,
     /// Image size, pixels.
@@ -164,7 +164,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Trace of an interrupted recording, with --resume.
+/// Trace of an interrupted recording; `None` without --resume, or if there is no such recording.
 fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> {
     if !options.resume || !options.out.exists() {
         return Ok(None);

@@ -83,7 +83,7 @@ impl Paths {
 ///
 /// Every trace (see `entire-lab record`) is replayed under every controller with every target that some
 /// allowed step meets in at least half of the frames, and with a series of these targets. A trace without
-/// such a target gets one of its own, halfway between its median frame times at the finest and at the
+/// such a target gets its own target, halfway between its median frame times at the finest and at the
 /// coarsest step. The predictor is fitted to a timing table of other volumes. Rules that act on image
 /// resolution get the times of smaller images at the reference step; if a trace has none, they act on the ray
 /// step, and the report says so. DIR gets report.html, scores.json and frames.csv.
@@ -96,7 +96,7 @@ pub(crate) struct Options {
     /// Paths to replay.
     #[command(flatten)]
     pub(crate) paths: Paths,
-    /// Replay with the slowdowns of another program that `entire-lab disturb` recorded.
+    /// Replay with the slowdowns that `entire-lab disturb` recorded while another program ran.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) disturbance: Option<PathBuf>,
     /// Model file, instead of the predictor that is fitted to the tables.

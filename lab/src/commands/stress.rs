@@ -20,8 +20,8 @@ const LONG_RUN: u64 = 1_000_000;
 ///
 /// Scenes run on a scripted clock, the same in every run, and each has a rule for passing. Prints the matrix
 /// of scenes and methods, writes report.html and verdicts.json into DIR, and fails when entire's controller
-/// fails a scene. The goals (bars) are about all scenes and methods: they count as missed if only some are
-/// played, and decide the exit status if all are.
+/// fails a scene. The goals (bars) cover all scenes and methods. They decide the exit status only
+/// if all scenes are played under all methods; otherwise they are printed as missed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab stress --out out/stress
@@ -34,7 +34,7 @@ pub(crate) struct Options {
     /// Controllers to compare; default: all.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
     pub(crate) controllers: Vec<ControllerKind>,
-    /// Also play the scenes that work on a real renderer on this device, with its clock.
+    /// Also play, on this device and with its clock, the scenes that work on a real renderer.
     #[arg(long, value_enum)]
     pub(crate) device: Option<Device>,
     /// Clock of frame times on that device.

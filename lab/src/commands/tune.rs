@@ -51,7 +51,7 @@ pub(crate) struct Options {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Table of the paths' cost without each constant.
+/// Table of the increase of the paths' cost when a single constant has no effect.
 fn worth_table(worth: &[Removed]) -> Table {
     let mut table = Table::new(vec![
         Column::text("constant"),

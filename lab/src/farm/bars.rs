@@ -31,7 +31,7 @@ fn measured(tasks: &[Task]) -> Vec<f64> {
     tasks.iter().map(|t| t.measured_s.unwrap_or(1.0)).collect()
 }
 
-/// A planner of tasks whose seconds, `base`, a model predicted.
+/// A planner of tasks with the predicted seconds `base`.
 pub(crate) fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
     let shape = Shape::of_volumes(base, volume).with_constant(CONSTANT_SD_WITH_MODEL);
     let mut planner = Planner::new(shape, loads, setting);
@@ -39,7 +39,7 @@ pub(crate) fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Settin
     planner
 }
 
-/// Settings of a planner with equal slots that keep their volumes, and without overhead per bundle.
+/// Settings of a planner: longest tasks first, equal slots that are bound to volumes, no overhead per bundle.
 pub(crate) fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
 }
@@ -57,8 +57,8 @@ pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots
     }
 }
 
-/// Makespan of the longest-first assignment by predicted times over that of the assignment by measured times,
-/// without exchanges: the largest ratio over 2 to 64 nodes, and its number of nodes.
+/// Largest ratio of two makespans over 2 to 64 nodes, and its number of nodes: that of longest first by predicted times
+/// divided by that of longest first by measured times. Both assignments are without exchanges.
 ///
 /// # Errors
 /// When a time is not usable.
@@ -76,8 +76,8 @@ pub(crate) fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
     Ok(worst)
 }
 
-/// Makespan of the plan over that of the best schedule that a local search finds from `starts` random starts and
-/// the measured times. There are 8 nodes, and loading a volume takes as long as 4 mean frames.
+/// Makespan of the plan divided by that of the best schedule of a local search, which knows the measured times and has
+/// `starts` random starts. There are 8 nodes, and loading a volume takes as long as 4 mean frames.
 pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
     let tasks = &tasks[..tasks.len().min(PAPER)];
     let (base, truth, volume) = (predicted(tasks), measured(tasks), volume_numbers(tasks));
@@ -96,8 +96,8 @@ pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
     out.makespan / best
 }
 
-/// Predictions of the end after a tenth of the work, over simulated runs: median error of the predicted median,
-/// and the share of ends within the predicted 90 % interval.
+/// Quality of the end times that are predicted after a tenth of the work of a simulated run: median error of the
+/// predicted median over all runs, and share of the runs that end within the predicted 90 % interval.
 ///
 /// # Errors
 /// When there are no tasks.
@@ -135,8 +135,8 @@ pub(crate) fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64,
     Ok((median(&mut errors).context("no runs")?, f64::from(hits) / runs as f64))
 }
 
-/// Plans a job of 10⁶ tasks, starting with its file. Returns the seconds to the first bundle, the seconds to the
-/// last one, and the peak memory of the process in GB.
+/// Plans a job of 10⁶ tasks. Returns the seconds from reading the job file to the first bundle, the seconds to the
+/// last bundle, and the peak memory of the process in GB.
 ///
 /// # Errors
 /// When the folder cannot be written.
@@ -208,7 +208,7 @@ pub(crate) fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Resul
     println!("static: {PAPER} tasks of {}: at worst {paper:.4}", pools[0].0);
     let loads = with_loads(&pools[1].1, 1000);
     let (error, share) = foretold(&pools, runs)?;
-    println!("planning: {peak:.3} GB at most, {first:.2} s to the first bundle");
+    println!("planning: peak memory {peak:.3} GB, {first:.2} s to the first bundle");
     let mut bars = vec![
         Bar::at_most("farm-static-random-scenes-worst", Some(all_frames.max(paper)), 1.04),
         Bar::at_most("farm-loads-of-local-search", Some(loads), 1.05),

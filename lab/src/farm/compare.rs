@@ -19,11 +19,11 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Limit that noise sets to any prediction: the result if a second measurement took its place.
+/// Limit that measurement noise sets to any prediction: a second measurement serves as the prediction.
 ///
-/// For each repeat: the longest-first assignment by the medians of the other repeats, judged by this repeat, over
-/// the longest-first assignment by this repeat itself, the largest ratio over 2 to 64 nodes. Returns the least
-/// and the largest over the repeats; `None` with fewer than two repeats.
+/// For each repeat, the makespan of the longest-first assignment by the medians of the other repeats is divided by the
+/// makespan of the longest-first assignment by this repeat; this repeat's times count in both. Of the ratios at 2 to 64
+/// nodes, the largest counts. Returns the least and the largest over the repeats; `None` with fewer than two repeats.
 ///
 /// # Errors
 /// When a time is not finite and positive.
@@ -64,10 +64,10 @@ const COMPARED: [(&str, Method, By, usize); 6] = [
 /// Number of queue entries among which a node searches for a task on its loaded volume.
 const WINDOW: usize = 64;
 
-/// Number of random orders over which the makespan of a queue in any order is averaged.
+/// Number of random orders over which the makespan of a queue is averaged.
 const RANDOM_ORDERS: u64 = 200;
 
-/// Makespan of a queue in any order: the mean over [`RANDOM_ORDERS`] orders, drawn by seeds.
+/// Mean makespan of a queue over [`RANDOM_ORDERS`] seeded random orders.
 fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
     let mut sum = 0.0;
     for seed in 0..RANDOM_ORDERS {
@@ -98,7 +98,7 @@ pub(crate) fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<
     make_folder(folder)?;
     let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;
     let all: Vec<usize> = (2..=64).collect();
-    // Indices: method, number of nodes less 2.
+    // Indices: method, number of nodes minus 2.
     let mut makespans = vec![Vec::new(); COMPARED.len()];
     let mut loads: HashMap<(usize, usize), Vec<f64>> = HashMap::new();
     let (mut bounds, mut random) = (Vec::new(), Vec::new());
@@ -148,8 +148,8 @@ pub(crate) fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<
     }
     page.table(
         &table,
-        "Time until the last node is done over the lower bound (all work over all nodes, and \
-         the longest tasks).",
+        "Time until the last node is done, divided by its lower bound (from the mean work per node and \
+         from the longest tasks).",
     );
     println!("{}", table.to_text());
     let mut chart = Chart::new(
@@ -198,8 +198,8 @@ pub(crate) fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<
     );
     if let Some((low, high)) = comparison.noise {
         let text = format!(
-            "Limit by noise: static longest first by the medians of all repeats but one, judged by that one, \
-             takes up to {low:.3} to {high:.3} of the time of longest first by that one."
+            "Limit by noise: if the medians of all repeats but one serve as the prediction, static longest \
+             first takes at worst {low:.3} to {high:.3} times as long as by the times of the repeat left out."
         );
         println!("{text}");
         page.paragraph(&text);
@@ -229,7 +229,7 @@ fn mixed(tasks: &[Task], measured: &[f64], page: &mut Page) -> Result<()> {
         Column::number("static, predicted"),
         Column::number("queue, arrival"),
         Column::number("queue, predicted longest first"),
-        Column::number("same, near its volume"),
+        Column::number("the same, loaded volume first"),
     ]);
     let mean = measured.iter().sum::<f64>() / measured.len() as f64;
     for nodes in [8usize, 16, 32] {
@@ -269,7 +269,7 @@ fn mixed(tasks: &[Task], measured: &[f64], page: &mut Page) -> Result<()> {
             table.row(cells);
         }
     }
-    page.table(&table, "Time until the last node is done over the lower bound without loading.");
+    page.table(&table, "Time until the last node is done, divided by the lower bound without loading.");
     println!("{}", table.to_text());
     Ok(())
 }

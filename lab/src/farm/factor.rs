@@ -3,7 +3,7 @@
 //!
 //! The analytic model counts work; the cost of a count depends on the direction in which rays cross the
 //! voxels in memory and on their spacing. ln(measured / predicted) is fitted to the view direction and the
-//! spacing and divergence of the rays by ridge regression. That needs frames similar to the predicted ones,
+//! spacing and divergence of the rays by ridge regression. The fit needs frames similar to the predicted ones,
 //! so it serves farms, not steering.
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
@@ -48,7 +48,7 @@ fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option
 pub(crate) struct Factor {
     mean: [f64; TERMS],
     sd: [f64; TERMS],
-    /// Weights of the standardized terms, then of their squares less one.
+    /// Weights of the standardized terms, then of their squares minus one.
     weights: [f64; 2 * TERMS],
     offset: f64,
 }

@@ -1,5 +1,5 @@
-//! Reference for schedulers: a local search from many random starts that knows the measured times and the times
-//! to load volumes.
+//! Reference for schedulers: a local search with many random starts. It knows the measured times and the times to
+//! load volumes.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -108,7 +108,7 @@ impl<'a> State<'a> {
             }
             self.put(node, task);
             if self.ends[last].max(self.ends[node]) >= longest - 1e-9 {
-                // The change helps less than estimated, because of shared volumes: it is taken back.
+                // Because of shared volumes, the change gains less than estimated: it is undone.
                 self.take(task);
                 if let Some(other) = other {
                     self.take(other);

@@ -60,8 +60,8 @@ impl Recorded {
         Ok((model, Factor::fit(&pairs)))
     }
 
-    /// Errors on every volume of a model fitted to the others: without the factor and with it. `None` with fewer
-    /// than two volumes.
+    /// Errors without and with the factor. The model that predicts a volume is fitted to the other volumes. `None`
+    /// with fewer than two volumes.
     fn leave_one_out(&self) -> Result<Option<[Quality; 2]>> {
         let volumes: std::collections::BTreeSet<usize> = self.volumes.iter().copied().collect();
         if volumes.len() < 2 {
@@ -93,7 +93,7 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<(AnalyticModel, F
     );
     ensure!(
         !training.is_empty(),
-        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes)"
+        "the frames of --trace cannot be predicted without --training (recorded frames of other volumes)"
     );
     let mut recorded = Recorded::default();
     for file in training {
@@ -105,7 +105,7 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<(AnalyticModel, F
         {
             println!(
                 "predictor  {title} ({side} x {side} rays; each volume left out in turn, {} frames: median \
-                 error {:.1} %, scatter {:.3})",
+                 error {:.1} %, scatter of ln t {:.3})",
                 q.frames,
                 100.0 * q.median_error,
                 q.log_sd

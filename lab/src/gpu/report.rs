@@ -12,7 +12,7 @@ use serde_json::Value;
 /// The shading modes, in the order of their cost.
 pub(crate) const MODES: [&str; 3] = ["none", "local", "scatter"];
 
-/// Results of a run. A missing one is of a step that did not run or failed.
+/// Results of a run. A result is missing if its step did not run or failed.
 pub(crate) struct Found {
     /// Outcomes of the steps.
     pub(crate) outcomes: Outcomes,
@@ -209,9 +209,9 @@ impl Found {
         page.heading("Predictions");
         page.table(
             &self.errors(),
-            "The models that `entire calibrate` made here, on volumes that it did not render; the noise \
-             floor is the median error of perfect predictions, since repeats of a frame differ. In a session \
-             every frame is predicted, then observed.",
+            "Errors of the models that `entire calibrate` made on this machine, on volumes that the calibration \
+             did not render. The noise floor is the median error of perfect predictions: repeats of a frame \
+             differ. In a session every frame is predicted, then observed.",
         );
         if self.switches.is_some() {
             page.heading("Frames held");

@@ -45,7 +45,7 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// For a device that draws a frame in milliseconds.
+    /// Size for a device that draws a frame in milliseconds.
     pub(crate) const FULL: Self = Self {
         frames: 40,
         max_size: 1024,
@@ -60,7 +60,7 @@ impl Extent {
         volumes: 16,
         picture: 256,
     };
-    /// For tests on a software driver.
+    /// Size for tests on a software driver.
     pub(crate) const SHORT: Self = Self {
         frames: 6,
         max_size: 96,
@@ -112,7 +112,7 @@ pub(crate) fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
         held_out_in(data).with_context(|| format!("cannot read the folder {}; {help}", data.display()))?;
     ensure!(
         !found.is_empty(),
-        "{} holds no ENSEMBLE/MEMBER/t*.nrrd but of the members {}, which models are trained on; {help}",
+        "{} holds no ENSEMBLE/MEMBER/t*.nrrd except of the members {}, on which models are trained; {help}",
         data.display(),
         TRAINING_MEMBERS.join(", ")
     );

@@ -40,8 +40,8 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     }
 }
 
-/// The bars; one without a value is short. Bars on a data set are about the paper's base mode and the split that the
-/// paper uses for it.
+/// The bars; a bar without a value is short. Bars on a data set are about the paper's base mode and the paper's split
+/// of that data set.
 pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],
@@ -162,14 +162,14 @@ fn nth_best(values: &mut [f64], n: usize) -> Option<f64> {
     values.get(n.checked_sub(1)?).copied()
 }
 
-/// Number of voxels of the rendered volumes over that of the low-resolution proxy.
+/// Number of voxels of the rendered volumes divided by that of the low-resolution proxy.
 fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
     let times = results.facts.iter().find(|f| f.name == "times")?;
     let side = |k: &str| times.values.get(k).copied();
     Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
 }
 
-/// True if there are as many frames as the description asks for.
+/// True if there are at least as many frames as the description asks for.
 fn complete(results: &Results) -> bool {
     let times = results.facts.iter().find(|f| f.name == "times");
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();

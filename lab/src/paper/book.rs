@@ -28,7 +28,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
     let mut out = String::from(
         "# The paper's tables\n\n\
          Every table and figure of the paper that was measured here, the paper's numbers above ours.\n\
-         [The paper](paper.md#what-the-comparison-says) says what they mean. Errors are root mean squared errors in\n\
+         [The paper](paper.md#what-the-comparison-says) explains the results. Errors are root mean squared errors in\n\
          seconds of processor time. Hardware and volumes differ from the paper's: compare ratios, not seconds.\n\
          `make bars-paper` writes the whole report from the results that are kept in the repository;\n\
          `entire-lab paper report --kept data/timings/paper-results.json.gz --book docs/src` writes this page.\n",
@@ -81,7 +81,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
     }
     if !missing.is_empty() {
         let mut table =
-            Table::new(vec![Column::text("label"), Column::text("what"), Column::text("what makes it")]);
+            Table::new(vec![Column::text("label"), Column::text("title"), Column::text("command")]);
         for label in missing {
             let command = format!("`{}`", label.command);
             table.row(vec![label.label.as_str().into(), label.title.as_str().into(), command.into()]);

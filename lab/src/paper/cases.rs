@@ -17,8 +17,8 @@ const UNIFORM: &str = "uniform";
 /// Name of the assignment by measured times.
 const GROUND_TRUTH: &str = "GT";
 
-/// Load of the slowest node when tasks are assigned by a predictor's times, over that when they are assigned by
-/// measured times; the largest ratio over all numbers of nodes.
+/// Load of the slowest node when tasks are assigned by a predictor's times, divided by its load when they are assigned
+/// by measured times; the largest ratio over all numbers of nodes.
 pub(super) fn slowest_node(all: &[Results], predictor: &str) -> Option<f64> {
     let facts = all.iter().filter(|r| r.panel == Panel::Balancing).flat_map(|r| &r.facts);
     facts.filter(|f| f.name == predictor).filter_map(|f| f.values.get("slowest")).copied().reduce(f64::max)
@@ -30,7 +30,7 @@ pub(crate) fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
 }
 
 /// Assigns the orbit's tasks to nodes, longest first, by measured, predicted and equal times. Stores the loads of the
-/// nodes over that of the slowest node of the assignment by measured times, and writes the task list.
+/// nodes, divided by the load of the slowest node when measured times assign tasks. Writes the task list.
 ///
 /// # Errors
 /// When results cannot be read or written.
@@ -60,7 +60,7 @@ pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
             for (name, deciding) in
                 [(GROUND_TRUTH, &measured), (NETWORK, &network), (OURS, &ours), (UNIFORM, &uniform)]
             {
-                // A prediction that is not positive counts as very short.
+                // A prediction that is not positive counts as 1 µs.
                 let deciding: Vec<f64> = deciding.iter().map(|t| t.max(1e-6)).collect();
                 let Plan::Assigned(assignment, _) = plan(Method::Longest, &deciding, &vec![1.0; nodes])?
                 else {

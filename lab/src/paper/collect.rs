@@ -18,7 +18,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Frames of a table.
+/// Kind of the frames in a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// Random frames of every volume.
@@ -27,7 +27,7 @@ pub(crate) enum Kind {
     Varied,
 }
 
-/// The table of a data set and mode; `low` is that of its low-resolution proxy.
+/// Path of the table of a data set and mode, or of its low-resolution proxy if `low` is true.
 pub(crate) fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> PathBuf {
     let kind = if kind == Kind::Varied { "-varied" } else { "" };
     let low = if low { "-low" } else { "" };
@@ -79,7 +79,7 @@ struct Wanted {
 }
 
 /// The frames of the experiments and of both orbits. An experiment varies one parameter of a base frame: a random
-/// frame of a test volume of the split by volumes. Varied volumes are the held-out ones of that split.
+/// frame of a test volume of the split by volumes. The experiment on volumes varies the held-out volumes of that split.
 fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let Some(parts) = place.split(super::description::BY_VOLUMES) else { return Ok(Vec::new()) };
     let protocol = protocol(paper, mode, false)?;
@@ -228,7 +228,7 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
 /// training volumes. So a collection that is stopped early holds frames for every split.
 ///
 /// # Errors
-/// A volume that cannot be read, a renderer that fails, a table of other settings, and being stopped.
+/// A volume that cannot be read, a renderer that fails, a table that was begun with other settings, and being stopped.
 pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     make_folder(&work.out.join("tables"))?;
     let template = "collect [{bar:30}] {pos}/{len}, {eta} left  {wide_msg}";

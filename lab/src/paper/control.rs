@@ -81,7 +81,7 @@ pub(crate) struct Played<'a> {
     pub(crate) traces: &'a [PathBuf],
     /// Output of `entire-lab replay` with the paper's network.
     pub(crate) network: &'a Path,
-    /// Output for the hybrid controller with its own predictor.
+    /// Output of the replay of the hybrid controller with our predictor.
     pub(crate) ours: &'a Path,
     /// The calibration table, from which G, the curve of frame time over ray step, is made.
     pub(crate) calibration: &'a Path,
@@ -228,7 +228,7 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
     out
 }
 
-/// Three frames side by side: at the reference step, then as drawn by every controller.
+/// Pictures of three frames: each at the reference step and, beside it, as drawn by every controller.
 fn pictures(
     work: &Work<'_>,
     set: &str,
@@ -282,7 +282,7 @@ fn side_by_side(images: &[Image]) -> Image {
     Image { width, height, rgba }
 }
 
-/// For every calibration scene, its time over that at the reference step, by ray step; and G.
+/// Curves over the ray step: each calibration scene's time divided by its time at the reference step, and G.
 fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     let samples = samples_of(&[calibration.to_owned()], PROBE_SIDE)?;
     let g = response(&samples).context(
@@ -319,8 +319,8 @@ pub(super) const ALL_FRAMES: &str = "all deviation";
 /// Mean distance from the target over the first frames after a change.
 pub(super) const FIRST_FRAMES: &str = "first_frame_deviation";
 
-/// A distance from the target of Algorithm 1 with the paper's network over that of OLP; `None` if one of them was
-/// not played.
+/// Distance from the target of Algorithm 1 with the paper's network, divided by that of OLP; `None` if one of them
+/// was not played.
 pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64> {
     let played = all.iter().find(|r| r.panel == Panel::Steering)?;
     let of = |kind: ControllerKind| {

@@ -66,7 +66,7 @@ pub(crate) struct Paper {
     pub(crate) orbit: Orbit,
     /// Experiments on the causes of the network's error.
     pub(crate) trials: Trials,
-    /// For each part of the study, the data sets and modes that it is made of; `overall` is made of all.
+    /// Data sets and modes of each part of the study; `overall` uses all of them.
     pub(crate) panels: BTreeMap<Panel, Vec<(String, String)>>,
     /// The paper's tables and figures.
     pub(crate) labels: Vec<Label>,
@@ -90,8 +90,8 @@ pub(crate) struct InMode {
 pub(crate) struct FrameCounts {
     /// Frames of a training volume.
     pub(crate) training: u32,
-    /// Frames of a validation or test volume; and, for every volume, frames at low resolution, to which the
-    /// proxy's line is fitted.
+    /// Frames of a validation or test volume. As many frames of every volume are also drawn at low resolution; the
+    /// proxy's line is fitted to those.
     pub(crate) held_out: u32,
     /// Frames of an experiment with one varied parameter.
     pub(crate) varied: u32,
@@ -101,7 +101,7 @@ pub(crate) struct FrameCounts {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct DataSet {
-    /// Name of its folder, in the data folder or in `ensembles` there.
+    /// Name of its folder, in the data folder or in its subfolder `ensembles`.
     pub(crate) name: String,
     /// The name in reports.
     pub(crate) title: String,
@@ -189,7 +189,7 @@ pub(crate) struct Encoders {
     pub(crate) epochs: usize,
     /// Epochs without a better validation loss after which training stops.
     pub(crate) patience: usize,
-    /// Input side and number of features of the main encoder: every part uses it that does not compare encoders.
+    /// Input side and number of features of the main encoder, which all parts use that do not compare encoders.
     pub(crate) main: (usize, usize),
     /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main encoder.
     pub(crate) shipped: Vec<PathBuf>,
@@ -391,28 +391,28 @@ pub(crate) struct Numbers {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Limits {
-    /// RMSE of the network over that of the mean of 15 % of the frames, by data set: in the base mode, on the
+    /// RMSE of the network divided by that of the mean of 15 % of the frames, by data set: in the base mode, on the
     /// paper's split.
     pub(crate) over_constant: BTreeMap<String, f64>,
     /// The same ratio on frames that yt drew, for each of these data sets.
     pub(crate) yt_over_constant: f64,
-    /// RMSE of the network over LVRP's, at the paper's ratio of voxels.
+    /// RMSE of the network divided by that of LVRP, at the paper's ratio of voxels.
     pub(crate) over_lvrp: f64,
-    /// Voxels of the paper's volumes over those that its LVRP renders.
+    /// Voxels of the paper's volumes divided by the voxels that its LVRP renders.
     pub(crate) lvrp_voxels: f64,
-    /// RMSE of ours over the network's.
+    /// RMSE of our predictor divided by the network's.
     pub(crate) ours_over_network: f64,
-    /// Error without the feature vector over that with it, where volumes differ in sparsity: in the ablation, and
-    /// where the volume alone varies.
+    /// Error without the feature vector divided by the error with it, on volumes that differ in sparsity: in the
+    /// ablation, and in the experiment that varies the volume alone.
     pub(crate) feature_vector: (f64, f64),
     /// Peak signal-to-noise ratio of reconstructed held-out volumes, dB.
     pub(crate) psnr: f64,
     /// Number of data sets that must reach this ratio.
     pub(crate) data_sets: usize,
-    /// Mean distance from the target of Algorithm 1 with the network over that of OLP: in the first frame after a
-    /// change, and over all frames.
+    /// Mean distance from the target of Algorithm 1 with the network, divided by that of OLP: in the first frame after
+    /// a change, and in all frames.
     pub(crate) algorithm1_over_olp: (f64, f64),
-    /// Load of the slowest node when tasks are assigned by the network's times, over that by measured times.
+    /// Load of the slowest node if the network's times assign tasks, divided by its load if measured times do.
     pub(crate) slowest_node: f64,
     /// Seconds that the report may take.
     pub(crate) report_seconds: f64,

@@ -159,7 +159,7 @@ pub(crate) fn encode(
             .collect();
         ensure!(
             parts_of.iter().all(|p| p.root == root),
-            "the data sets lie in several folders; an encoder of all is trained from one"
+            "the data sets lie in several folders; an encoder of all data sets needs them in one folder"
         );
         println!(
             "encode {} of {}: {}, {}³, F = {}",

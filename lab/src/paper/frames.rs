@@ -105,8 +105,8 @@ impl Loaded {
     }
 }
 
-/// The encoders for a data set's frames: its own and those of all data sets together, if they are trained,
-/// and the shipped ones. Test-only volumes are encoded by those of every data set.
+/// The encoders for a data set's frames: those trained on the data set or on all data sets together, if there are
+/// any, and the shipped ones. Test-only volumes are encoded by the encoders of every data set.
 fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     for encoder in trained(work, None)? {

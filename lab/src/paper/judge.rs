@@ -123,8 +123,8 @@ impl At<'_> {
     }
 }
 
-/// The line by which the low-resolution proxy predicts: seconds by seconds at low resolution, fitted to the training
-/// frames. `None` if too few of them were rendered at low resolution.
+/// The line by which the low-resolution proxy predicts: seconds as a linear function of the seconds at low resolution,
+/// fitted to the training frames. `None` if too few training frames were rendered at low resolution.
 pub(super) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
     let pairs: Vec<(f64, f64)> = training
         .frames
@@ -196,7 +196,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// The frames that were rendered at low resolution, too.
+    /// The frames that were also rendered at low resolution.
     fn twins(&self) -> TimedFrames<'a> {
         let all = self.frames.frames.iter().zip(&self.frames.seconds).zip(&self.proxy);
         let (frames, seconds) = all.filter(|(_, p)| p.is_some()).map(|((f, t), _)| (*f, *t)).unzip();

@@ -1,5 +1,5 @@
-//! Every data set and mode: the network, ours and the baselines, by the paper's rule for its test volumes and by the
-//! other split beside it.
+//! Errors of the network, our predictor and the baselines for every data set and mode, with test volumes by the
+//! paper's rule and by the other split.
 
 use super::description::{BY_MODALITY, BY_VOLUMES, Paper, Rule};
 use super::interval;
@@ -24,7 +24,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     let mut others = Vec::new();
     let other = table(paper, of, Rule::other, &mut others);
     if !others.is_empty() {
-        let what = "The other split of each data set, which the paper does not judge on";
+        let what = "The other split of each data set, on which the paper does not test";
         s.tables.push((
             other,
             format!("{what}: random volumes of Nyx and Castro, a left-out member of MAESTROeX."),
@@ -47,8 +47,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
             s.tables.push((
                 errors_table(r),
                 format!(
-                    "{}: random volumes, a left-out member, and volumes of another kind ({BY_MODALITY}). Network by \
-                     random volumes on: {}.",
+                    "{}: random volumes, a left-out member, and volumes of another kind ({BY_MODALITY}). Encoder \
+                     of the network in the split by random volumes: {}.",
                     title(paper, r),
                     r.encoder
                 ),

@@ -25,9 +25,9 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
         paper.title.as_str(),
         "Every table and figure of the paper beside ours, by the paper's protocol: its rule for test volumes, its frames \
          per volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
-         differ from the paper's: compare ratios, not seconds (errors over the standard deviation of the times, \
-         over those of the mean of 15 % of the frames, over those of the low-resolution proxy). Where nothing was \
-         measured, the command to do so is named.",
+         differ from the paper's: compare ratios, not seconds (errors divided by the standard deviation of the times, \
+         by the errors of the mean of 15 % of the frames, by the errors of the low-resolution proxy). Where nothing \
+         was measured, the report names the command that measures it.",
     );
     let sections: Vec<(&Label, Section)> =
         paper.labels.iter().map(|l| (l, section(paper, l, material))).collect();
@@ -48,7 +48,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
             page.table(&numbers_table(numbers), "The paper's numbers.");
         }
         if !section.there() {
-            page.paragraph(&format!("Not measured. This makes it: {}", label.command));
+            page.paragraph(&format!("Not measured. Command: {}", label.command));
         }
         for (table, caption) in &section.tables {
             page.table(table, caption);

@@ -34,9 +34,9 @@ pub(crate) struct Row {
     pub(crate) sd: f64,
     /// Mean of the measured seconds.
     pub(crate) mean: f64,
-    /// RMSE over that of the mean of 15 % of the frames.
+    /// RMSE divided by that of the mean of 15 % of the frames.
     pub(crate) over_constant: Option<f64>,
-    /// RMSE over that of the low-resolution proxy, on the frames that were rendered at low resolution.
+    /// RMSE divided by that of the low-resolution proxy, on the frames that were rendered at low resolution.
     pub(crate) over_lvrp: Option<f64>,
     /// Median of |predicted − measured| / measured, mean over the runs.
     pub(crate) mdape: f64,
@@ -47,7 +47,7 @@ pub(crate) struct Row {
     /// Squared errors by volume, from which intervals are computed.
     #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
     pub(crate) by_volume: ByVolume,
-    /// The same, only on frames that were rendered at low resolution, too.
+    /// Squared errors by volume, on the frames that were also rendered at low resolution.
     #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
     pub(crate) of_twins: ByVolume,
     /// Other numbers, by name.
@@ -144,7 +144,7 @@ impl Results {
         }
     }
 
-    /// The interval of a row's RMSE over that of the mean of 15 % of the frames.
+    /// The interval of a row's RMSE divided by that of the mean of 15 % of the frames.
     pub(crate) fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
         let constant = self.row(&row.split, CONSTANT)?;
         // A row on fewer frames is that of the low-resolution proxy.
@@ -152,7 +152,7 @@ impl Results {
         interval::of_ratio(&row.by_volume, under)
     }
 
-    /// The interval of a row's RMSE over LVRP's.
+    /// The interval of a row's RMSE divided by LVRP's.
     pub(crate) fn over_lvrp_interval(&self, row: &Row) -> Option<(f64, f64)> {
         interval::of_ratio(&row.of_twins, &self.row(&row.split, LVRP)?.of_twins)
     }

@@ -67,7 +67,8 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> 
             let split = in_words(BY_VOLUMES);
             format!(" Split by {split}: {} training, {} validation and {} test frames.", f[0], f[1], f[2])
         });
-        s.tables.push((table(r), format!("{}.{frames} Network on: {}.", title(paper, r), r.encoder)));
+        s.tables
+            .push((table(r), format!("{}.{frames} Encoder of the network: {}.", title(paper, r), r.encoder)));
         let found = r.row(BY_VOLUMES, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
         if let Some(row) = found {
             s.summary = format!("{}: {} ± {} s", title(paper, r), seconds(row.rmse), seconds(row.rmse_sd));
@@ -113,7 +114,7 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
 }
 
-/// Charts of curves: one for each name of a chart among them.
+/// One chart for each chart that the curves name.
 fn charts(title: &str, curves: &[&Curve], y: &str) -> Vec<Chart> {
     let names: BTreeSet<&str> = curves.iter().map(|c| c.chart.as_str()).collect();
     names
@@ -257,8 +258,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             best.push(format!("{} {}³F{} {v:.1} dB", e.set, e.size, e.features));
         }
     }
-    let what = "Peak signal-to-noise ratio of the reconstruction, mean over volumes: random volumes held out, of the \
-                encoder that ships whole members.";
+    let what = "Peak signal-to-noise ratio of the reconstruction, mean over volumes. Held out are random volumes, for \
+                the shipped encoder whole members.";
     s.tables.push((table, what.into()));
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
 }
@@ -269,7 +270,7 @@ fn of_all(set: &str) -> &'static str {
 }
 
 fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
-    // Results that compare architectures, whose names hold an arrow.
+    // Results that compare architectures: the name of an architecture holds an arrow.
     let shown: Vec<&&Results> = of.iter().filter(|r| r.rows.iter().any(|x| x.name.contains('→'))).collect();
     let Some(first) = shown.first() else { return };
     let names: Vec<&str> =
@@ -347,12 +348,12 @@ fn tuning(of: &[&Results], s: &mut Section) {
                 .push((chart, format!("From the network that was pre-trained on all data sets.{machine}")));
         }
         let mut table = Table::new(vec![
-            Column::text("taken to"),
-            Column::number("pre-trained as it was, s"),
-            Column::number("ours as it was, s"),
+            Column::text("target"),
+            Column::number("pre-trained, unchanged, s"),
+            Column::number("ours, unchanged, s"),
             Column::number("mean, s"),
             Column::number("SD, s"),
-            Column::number("frames judged on"),
+            Column::number("test frames"),
         ]);
         for f in &r.facts {
             let v = |k: &str| f.values.get(k).map(|v| seconds(*v));
@@ -366,12 +367,12 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.facts.is_empty() {
-            s.tables.push((table, format!("Without any frame of what it is taken to.{machine}")));
+            s.tables.push((table, format!("Without any frame of the target.{machine}")));
         }
         let mut few = Table::new(vec![
-            Column::text("taken to"),
+            Column::text("target"),
             Column::text("predictor"),
-            Column::number("frames learned from"),
+            Column::number("training frames"),
             Column::number("RMSE, s"),
         ]);
         let points =
@@ -386,7 +387,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.curves.is_empty() {
-            s.tables.push((few, format!("With some; median of the runs.{machine}")));
+            s.tables.push((few, format!("With some frames of the target; median of the runs.{machine}")));
         }
     }
     s.summary = of.iter().flat_map(|r| &r.facts).map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -403,7 +404,7 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
             for (i, c) in r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name).enumerate() {
                 chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
             }
-            s.charts.push((chart, "Frames that nothing was learned from, first run.".into()));
+            s.charts.push((chart, "Test frames, first run.".into()));
         }
         all.extend(names);
     }
@@ -512,7 +513,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         )
         .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
         .series(Series::new("mean over runs", Mark::Line(line)).color(0));
-        frames.charts.push((chart, "The same volumes throughout; the labels are a predictor's.".into()));
+        frames.charts.push((chart, "All points use the same volumes. Labels are predicted times.".into()));
     }
     let all = [
         ("The recipe, one change at a time", "make paper-procedure", "trial-procedure", procedure),
@@ -531,7 +532,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
         Column::number("training frames"),
         Column::number("validation frames"),
         Column::number("epochs"),
-        Column::number("of the weights"),
+        Column::number("epoch of the weights"),
         Column::number("RMSE, s"),
         Column::number("± runs"),
         Column::number("RMSE/SD"),

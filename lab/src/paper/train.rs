@@ -404,7 +404,7 @@ impl At<'_> {
         Ok(())
     }
 
-    /// The network with other layers and another encoder. With those of the study, its stored networks are used.
+    /// Networks with these layers and this encoder. For the study's layers and encoder, the stored networks are used.
     fn with_layers(
         &self,
         preset: &str,

@@ -87,7 +87,7 @@ impl Measured {
     /// Reads the tables; `None`, with a note, if one is missing.
     fn read(of: &TrialTables, clock: Clock) -> Result<Option<Self>> {
         if let Some(path) = [&of.training, &of.test].into_iter().find(|p| !p.exists()) {
-            entire_io::files::note(&format!("{} is not there; its trials are left out", path.display()));
+            entire_io::files::note(&format!("{} does not exist; its trials are left out", path.display()));
             return Ok(None);
         }
         let tables = vec![Table::read(&of.training, 0)?, Table::read(&of.test, 1)?];
@@ -129,7 +129,7 @@ pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     Ok(())
 }
 
-/// Trials of the paper's recipe, and of every change of it if `changed`.
+/// Trials of the paper's recipe and, if `changed` is true, of every change of it.
 fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
     let asked = &work.paper.trials;
     let all = measured.frames(0);
@@ -152,12 +152,12 @@ fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Resul
 }
 
 /// Trials of the paper's recipe on growing numbers of labels of each volume. The validation volumes are always the
-/// same, and all chosen labels of them count.
+/// same, and all their chosen labels are used.
 fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
     let path = &work.paper.trials.labels;
     if !path.exists() {
         entire_io::files::note(&format!(
-            "{} is not there; `make paper-frames DATA=FOLDER` has a teacher write it",
+            "{} does not exist; `make paper-frames DATA=FOLDER` writes it with a teacher model",
             path.display()
         ));
         return Ok(Vec::new());

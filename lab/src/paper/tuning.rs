@@ -113,7 +113,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         let elsewhere = machine(&found[0]) != here.as_deref();
         if set == MACHINES && !elsewhere {
             entire_io::files::note(&format!(
-                "{name} is left out: its frames are of the machine that is pre-trained on"
+                "{name} is left out: its frames are of the machine of the pre-training frames"
             ));
             continue;
         }
@@ -169,8 +169,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
     }
     for Found { name, first, last, set } in &others {
-        // Of another machine's frames only those of the pre-training data sets count: nothing but the machine
-        // differs.
+        // Of another machine's frames, only those of the pre-training data sets are used, so that nothing but the
+        // machine differs.
         let known = |f: &TimedFrame| {
             Path::new(&f.scene.volume).iter().any(|part| pretrained_on.iter().any(|s| part == *s))
         };
@@ -178,7 +178,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         let (learned, judged) = if first == last { halves(&of(*first)) } else { (of(*first), of(*last)) };
         if learned.frames.is_empty() || judged.frames.is_empty() {
             entire_io::files::note(&format!(
-                "{name} is left out: it has no frames of what is pre-trained on"
+                "{name} is left out: it has no frames of the pre-training data sets"
             ));
             continue;
         }
@@ -210,7 +210,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
 }
 
 impl Pretrained<'_> {
-    /// Adapts both predictors to a target with increasing numbers of frames, and measures their errors there.
+    /// Adapts both predictors to a target with increasing numbers of frames. Measures their errors on its test frames.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
         let Self { work, runner, context, recipe, network, ours } = self;
         let none = TimedFrames::default();

@@ -81,7 +81,7 @@ impl Place {
         Ok(Some(Self { set: set.clone(), root, jobs, splits }))
     }
 
-    /// Number of frames of a volume: that of training volumes if it is one in some split.
+    /// Number of frames of a volume: that of training volumes if some split trains on the volume.
     pub(crate) fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
         let name = name_of(job);
         let learned = self.splits.iter().any(|s| s.training.contains(&name));

@@ -90,7 +90,7 @@ fn of_volume(work: &Work<'_>, place: &Place, job: &Job, low: bool, to: &std::pat
     rename(begun, to.to_owned())
 }
 
-/// Merges the volumes' frames into tables, numbered as the raycaster's.
+/// Merges the volumes' frames into tables, with the frame numbers of the raycaster's tables.
 fn put_together(work: &Work<'_>, place: &Place) -> Result<()> {
     let each = u64::from(work.paper.frames.training);
     let mut scenes: BTreeMap<u64, Scene> = BTreeMap::new();
@@ -108,10 +108,15 @@ fn put_together(work: &Work<'_>, place: &Place) -> Result<()> {
             for frame in table.frames {
                 let number = j as u64 * each + frame.number;
                 let scene = match scenes.get(&number) {
-                    // The step is rounded for each grid of voxels, so that of the low resolution may differ.
+                    // The step is rounded for each grid of voxels, so the step at low resolution may differ.
                     Some(full) => {
                         let here = Scene { dims: full.dims, step: full.step, ..frame.scene.clone() };
-                        ensure!(here == *full, "{}: frame {} is another one", path.display(), frame.number);
+                        ensure!(
+                            here == *full,
+                            "{}: frame {} has another scene than at full resolution",
+                            path.display(),
+                            frame.number
+                        );
                         Scene { dims: frame.scene.dims, ..full.clone() }
                     }
                     None => frame.scene.clone(),

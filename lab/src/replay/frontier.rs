@@ -26,7 +26,7 @@ impl Frontier {
     }
 }
 
-/// Fits the quality law to every other trace and tests it on the remaining ones; `None` if the law cannot be fitted
+/// Fits the quality law to every second trace and tests it on the other ones; `None` if the law cannot be fitted
 /// or no frame has a choice.
 pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
     // Frames that were also drawn with step and image size coarsened together, with the points of that grid.

@@ -29,7 +29,7 @@ use serde::Serialize;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Number of frames that are not calm: from a change of anything but the camera on, and from the start of a path on.
+/// Number of frames that are not calm, counted from a change of anything but the camera or from the start of a path.
 pub const SETTLING: usize = 3;
 
 /// A trace that is ready to be replayed.
@@ -113,8 +113,8 @@ pub struct Replayed {
     pub upper: f64,
     /// Decision of the controller: the ray step, or s of [`ActsOn::ImageResolution`].
     pub step: f64,
-    /// Finest decision that meets the target without noise: as the oracle's step, but of the quantity that the
-    /// controller sets.
+    /// Finest decision that meets the target without noise: the counterpart of the oracle's step for the quantity that
+    /// the controller sets.
     pub finest_step: f64,
     /// The oracle's step.
     pub oracle_step: f64,
@@ -134,8 +134,8 @@ pub struct Replayed {
     pub reachable: bool,
     /// True if the scene or the target changed abruptly in this frame.
     pub switched: bool,
-    /// True if nothing but the camera changed in the last [`SETTLING`] frames, this one included, and the path did
-    /// not start among them.
+    /// True if, in the last [`SETTLING`] frames including this one, nothing but the camera changed and the path did
+    /// not start.
     pub calm: bool,
     /// Reason for the decision.
     #[serde(serialize_with = "reason_name")]

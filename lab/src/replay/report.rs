@@ -328,7 +328,7 @@ impl Results<'_> {
             .series(Series::new("smaller image", Mark::Line(curve(&|x| law.error(1.0, x)))));
             page.chart(
                 &chart,
-                "The quality law, fitted to 1 - SSIM of every other trace. Settings are tried in the order \
+                "The quality law, fitted to 1 - SSIM of every second trace. Settings are tried in the order \
                  of its error; the first one whose expected time meets the target is drawn.",
             );
         }

@@ -6,7 +6,7 @@ use serde::Serialize;
 /// Three scores: misses, distance from the target, quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Three {
-    /// Share of the feasible frames that took over 1.1 targets.
+    /// Share of the feasible frames that took longer than 1.1 times the target.
     pub missed: f64,
     /// Mean |t − target| / target over the reachable frames.
     pub deviation: f64,
@@ -93,9 +93,9 @@ pub struct Score {
     pub inside_bound: f64,
     /// Mean |t − target| / target of the reachable first frames after abrupt changes.
     pub first_frame_deviation: f64,
-    /// Mean structural similarity to the reference pictures over the oracle's.
+    /// Mean structural similarity to the reference pictures, divided by the oracle's.
     pub ssim_ratio: f64,
-    /// Mean decibels below the oracle's pictures.
+    /// Mean PSNR of the oracle's pictures minus that of the controller's, decibels.
     pub psnr_loss: f64,
     /// Longest run of feasible frames over 1.1 targets.
     pub longest: usize,

@@ -131,7 +131,7 @@ mod tests {
 
     const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 16.0 };
 
-    /// A recorded path of the repository with other seconds: those that `seconds` returns for frame and seconds.
+    /// A recorded path of the repository with other times: `seconds` maps frame index and recorded seconds to them.
     fn path(name: &str, seconds: impl Fn(usize, f64) -> f64) -> Replayable {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut trace = Trace::open(&root.join(format!("data/steer/traces/{name}.json.gz"))).unwrap();

@@ -10,8 +10,8 @@
 //! more slowly ([`Law`]).
 //!
 //! The search goes through the constants and tries a few multiples of each. It takes the best multiple whose cost is
-//! lower by more than two standard errors of the difference among paths, since dozens are tried, and ends after a
-//! round in which it took none.
+//! lower by more than two standard errors of the difference among paths: dozens are tried, so a smaller gain may be
+//! chance. It ends after a round in which no constant changed.
 
 use super::cold::{hybrid, starts, without_model};
 use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
@@ -28,7 +28,7 @@ const SURE: f64 = 2.0;
 /// Factors on a constant that are tried.
 const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 
-/// Promised limit of every error except misses; in the steering bars, that of distance and loss of quality.
+/// Promised limit of every error except misses. The steering bars have the same limit for distance and loss of quality.
 const PROMISED: f64 = 0.08;
 /// Promised limit of the share of frames over 1.1 targets: that of the steering bars.
 const PROMISED_MISSES: f64 = 0.03;
@@ -87,7 +87,7 @@ pub(crate) struct Removed {
     pub(crate) value: f64,
     /// The value at which it has no effect, or as little as its guards allow.
     pub(crate) without: f64,
-    /// Increase of the paths' mean cost without it.
+    /// Increase of the paths' mean cost when the constant is `without`.
     pub(crate) more: f64,
     /// Standard error of the increase, among paths.
     pub(crate) standard_error: f64,
@@ -171,7 +171,8 @@ pub(crate) struct Course<'a> {
 pub(crate) struct Cost {
     /// Scores with a fitted predictor.
     pub(crate) fitted: Three,
-    /// Share of these frames that were coarser than full quality although full quality met the target.
+    /// Share of the frames with a fitted predictor that were coarser than full quality although full quality met the
+    /// target.
     pub(crate) fitted_coarse: f64,
     /// Share of the calm frames of a fitted predictor at which the step jumps.
     pub(crate) jumps: f64,

@@ -30,8 +30,9 @@ enum Heard {
 /// A frame of a script.
 #[derive(Clone, Copy, Debug)]
 struct Shot {
-    /// Seconds that do not depend on the step; and the seconds at step 1 that do (`work`).
+    /// Seconds that do not depend on the step.
     fixed: f64,
+    /// Seconds at step 1 that depend on the step.
     work: f64,
     /// Factor on all seconds, from the machine or from effects that no predictor models.
     speed: f64,
@@ -346,7 +347,7 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
         25 => go(
             &mut |i, n| {
                 // Half of the volume is cropped away, then an occluder covers it, then frames cost more; between these
-                // it is as before. Nothing is announced.
+                // parts, costs are normal. Nothing is announced.
                 let factor = match i / 60 {
                     1 => 0.5,
                     3 => 0.3,
@@ -551,7 +552,7 @@ fn bursts(method: ControllerKind) -> Verdict {
     let share = ends.iter().filter(back).count() as f64 / ends.len() as f64;
     let mut broken = Vec::new();
     if share < 0.9 {
-        broken.push(format!("back at the step before two frames after {:.0} % of bursts", 100.0 * share));
+        broken.push(format!("back at the earlier step two frames after {:.0} % of bursts", 100.0 * share));
     }
     judge(29, method, &seen, Limits { quality: 0.85, ..Limits::missed(0.08) }, broken)
 }

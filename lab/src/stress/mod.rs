@@ -203,7 +203,7 @@ pub(crate) struct Seen {
     pub(crate) oracle: f64,
     /// True if the coarsest step meets the target.
     pub(crate) feasible: bool,
-    /// Upper bound; NaN from methods without one.
+    /// Upper bound, seconds; NaN from methods without one.
     pub(crate) upper: f64,
     /// Expected seconds; NaN from methods that make no prediction.
     pub(crate) predicted: f64,
@@ -387,8 +387,9 @@ fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
     Bar::at_least(name, (!ours.is_empty()).then_some(passed as f64), all as f64)
 }
 
-/// Bars on the scenes on a scripted clock: entire's controller passes each of them, and each is failed by at least one
-/// other method, or it tests nothing. A scene that was not played is neither passed nor failed by any method.
+/// Bars on the scenes on a scripted clock: entire's controller passes each of them, and at least one other method
+/// fails each of them (else the scene tests nothing). A scene that was not played is neither passed nor failed by any
+/// method.
 pub(crate) fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
     let harmless = harmless(verdicts);
     vec![

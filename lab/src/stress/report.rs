@@ -48,7 +48,7 @@ pub(crate) fn page(
     let mut page = Page::new(
         "Stress scenes",
         "Scenes in which methods of holding a frame time are known to fail, on a scripted clock that is the \
-         same in every run, each with a rule that says what passes.",
+         same in every run, each with a rule for passing.",
     );
     page.table(
         &matrix(verdicts, methods),

@@ -37,7 +37,7 @@ fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) 
     }
 }
 
-/// Bars of a study: one for every limit of its sets, short where it could not be measured. Most are about the
+/// Bars of a study: one for every limit of its sets; a bar without a measured value is short. Most are about the
 /// predictor that the rule selects, or about the best on the test frames where it selects none.
 pub(crate) fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();

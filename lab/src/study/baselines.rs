@@ -84,7 +84,7 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut
 /// Seconds of the same frames on 64³ voxels, by table and frame number; empty if the set names no such tables.
 ///
 /// # Errors
-/// When a table cannot be read, or the frames of one number have different scenes.
+/// When a table cannot be read, or frames with the same number have different scenes.
 pub(super) fn low_resolution(
     set: &Set,
     tables: &[Table],
@@ -102,11 +102,11 @@ fn file_name(table: &Table) -> String {
     table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Adds to `low` the seconds of a table's frames at low resolution, which the table at `path` holds, by the table's
-/// index and the frame's number.
+/// Reads the table at `path`, which holds a table's frames at low resolution, and adds their seconds to `low`, by the
+/// full-resolution table's index and the frame's number.
 ///
 /// # Errors
-/// When the other table cannot be read, or the frames of one number have different scenes.
+/// When the table at `path` cannot be read, or frames with the same number have different scenes.
 pub(crate) fn twins(
     (index, table): (usize, &Table),
     path: &std::path::Path,

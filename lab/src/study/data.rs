@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// Minimum number of ensemble members for validation by a tenth of them rather than by a tenth of the volumes. With
-/// fewer members, one would be far more than a tenth of the training frames, and the loss of training data would
+/// fewer members, a single one holds far more than a tenth of the training frames, and the loss of training data would
 /// outweigh the better stopping criterion. The test frames are of other members in any case.
 pub(super) const MEMBERS: usize = 10;
 
@@ -126,7 +126,7 @@ impl<'a> SetData<'a> {
         })
     }
 
-    /// Those of the frames that are of training tables.
+    /// The given frames that belong to training tables.
     pub(super) fn of_training_tables(&self, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
         frames.parted(|f| f.table < self.training_tables).0
     }

@@ -67,7 +67,7 @@ pub(crate) struct Set {
     /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
     pub(crate) low_resolution: BTreeMap<String, PathBuf>,
-    /// Name of the split to a hundred frames of which predictors are calibrated.
+    /// Name of the split that tests calibration: predictors are calibrated to a hundred of its frames.
     #[serde(default)]
     pub(crate) calibration_split: Option<String>,
     /// Group of sets of one shading mode on several machines: the shipped predictor must be the smallest good
@@ -136,7 +136,7 @@ pub(crate) struct Named {
 }
 
 impl Named {
-    /// True for a set for which it is trained.
+    /// True if the predictor is trained for the set.
     pub(crate) fn is_of(&self, set: &str) -> bool {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }
@@ -189,7 +189,7 @@ pub(crate) fn read(path: &Path) -> Result<Study> {
     for Ship { predictor: name, .. } in &study.ship {
         ensure!(
             name == SELECTED || names.contains(&name.as_str()),
-            "{}: ship names {name:?}, which is no predictor; {SELECTED:?} is what the rule selects",
+            "{}: ship names {name:?}, which is no predictor; {SELECTED:?} stands for the one that the rule selects",
             path.display()
         );
     }

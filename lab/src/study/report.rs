@@ -11,8 +11,8 @@ use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::Path;
 
 /// Definition of the intervals, for captions.
-pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement: a few \
-                                    frames carry most of the squared error.";
+pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement; they \
+                                    are wide where a few frames carry most of the squared error.";
 
 /// Table of the errors, bounds and latencies of every predictor on a split. If `panel` is given, only of the predictors
 /// listed there and of the baselines.
@@ -312,7 +312,7 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             }
             page.table(
                 &table,
-                "Tested on volumes that the calibration did not use: half of the volumes each.",
+                "Each half of the volumes is the test set of a calibration to the other half.",
             );
         }
     }

@@ -175,7 +175,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
             assert!(row["name"] == "LVRP" && row["frames"] == 4, "{row}");
         }
     }
-    // All measured frames of a test volume count. That of the split by member has eight, since it is a training
+    // All measured frames of a test volume count. The test volume of the split by member has eight: it is a training
     // volume in the other split.
     let tested = rows.iter().find(|r| r["split"] == "members").unwrap();
     assert_eq!(

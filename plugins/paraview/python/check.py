@@ -7,7 +7,8 @@ import argparse
 import os
 import sys
 
-# ParaView's modules, if they are unpacked in a folder instead of installed; first, before those of another VTK.
+# Folder of ParaView's modules, if they are unpacked and not installed. It comes first, before the modules of another
+# VTK.
 if os.environ.get("PARAVIEW_MODULES"):
     sys.path.insert(0, os.environ["PARAVIEW_MODULES"])
 

@@ -43,7 +43,7 @@ class FrameTime:
         self._drawn_by = self.proxy
 
     def read(self):
-        """Returns READ_OUTS as a dictionary, from the process that drew the last frame; with several ranks, the first."""
+        """Returns READ_OUTS as a dictionary, from the process that drew the last frame (of several ranks, rank 0)."""
         found = {}
         for proxy in (self.proxy, self._remote):
             proxy.SMProxy.UpdatePropertyInformation()

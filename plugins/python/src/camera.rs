@@ -147,9 +147,9 @@ impl Camera {
     /// rx, ry : float
     ///     Elevation and azimuth in degrees; (0, 0) looks along -z.
     /// dz : float
-    ///     Distance from the center in radii of the volume's bounding sphere, over 0.
+    ///     Distance from the center in radii of the volume's bounding sphere, above 0.
     /// fov : float, optional
-    ///     Vertical field of view in degrees, over 0 and up to 179. Default 45.
+    ///     Vertical field of view in degrees, above 0 and at most 179. Default 45.
     /// parallel_scale : float, optional
     ///     Half of the height that a parallel (orthographic) projection shows, in radii of the volume's
     ///     bounding sphere; `fov` is not used with it.

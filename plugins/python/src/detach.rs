@@ -1,9 +1,9 @@
-//! Long calls without the interpreter's lock, calls into Python that may release it, and the interpreter's
-//! end while some are running.
+//! Long calls without the interpreter's lock, calls into Python that may release this lock, and the end of
+//! the interpreter while such calls run.
 //!
 //! A thread that asks for the lock of an ending interpreter is unwound by force, which Rust frames turn into
-//! an abort. So once the interpreter is about to end, such threads do not ask for it again: they block until
-//! the process is over. This concerns only daemon threads; Python waits for others.
+//! an abort. So once the interpreter is about to end, such threads do not ask for the lock again: they block
+//! until the process is over. This concerns only daemon threads; Python waits for others.
 
 use pyo3::prelude::*;
 use std::sync::OnceLock;

@@ -42,7 +42,7 @@ impl<T: Send> Guarded<T> {
     }
 }
 
-/// A guard that a closure returns which runs on the thread that uses the guard.
+/// A guard that a closure returns. The closure runs on the thread that uses the guard.
 struct SendGuard<'a, T>(MutexGuard<'a, T>);
 
 // SAFETY: `Python::detach` runs its closure on the thread that called it, so the guard never changes threads.

@@ -267,7 +267,7 @@ impl Session {
     /// skipping : {"blocks", "none", "distance"}, optional
     ///     Method by which the renderer skips empty space.
     /// termination : float, optional
-    ///     Accumulated opacity at which rays stop, over 0 and up to 1 (never). Default 0.99.
+    ///     Accumulated opacity at which rays stop, above 0 and at most 1 (never). Default 0.99.
     ///
     /// Returns
     /// -------
@@ -392,7 +392,7 @@ impl Session {
     /// Raises
     /// ------
     /// ValueError
-    ///     For no settings, or one out of range; else as :meth:`plan`.
+    ///     If `settings` is empty or a setting is out of range; otherwise as :meth:`plan`.
     #[pyo3(signature = (camera, tf, size, target, settings, *, shading = "none", skipping = "blocks",
         termination = 0.99))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]

@@ -103,7 +103,7 @@ impl TransferFunction {
     /// Raises
     /// ------
     /// ValueError
-    ///     Naming the lobe and what is wrong with it.
+    ///     For an invalid lobe; the text names the lobe and the error.
     #[staticmethod]
     #[pyo3(signature = (lobes, *, unit_distance = None, unit_length = None))]
     fn lobes(
@@ -129,7 +129,7 @@ impl TransferFunction {
     /// Raises
     /// ------
     /// ValueError
-    ///     Naming the point and what is wrong with it.
+    ///     For an invalid point; the text names the point and the error.
     #[staticmethod]
     #[pyo3(signature = (points, *, unit_distance = None, unit_length = None))]
     fn points(points: Vec<Point>, unit_distance: Option<f32>, unit_length: Option<f32>) -> PyResult<Self> {
@@ -162,7 +162,7 @@ impl TransferFunction {
     /// Raises
     /// ------
     /// ValueError
-    ///     Naming the node and what is wrong with it.
+    ///     For an invalid node; the text names the node and the error.
     #[staticmethod]
     #[pyo3(signature = (opacity, color = Vec::new(), *, range, clamp = true, unit_distance = None,
         unit_length = None))]
@@ -206,7 +206,7 @@ impl TransferFunction {
     /// Raises
     /// ------
     /// ValueError
-    ///     For another shape, too few samples, or one outside [0, 1].
+    ///     For another shape, too few samples, or a sample outside [0, 1].
     #[staticmethod]
     #[pyo3(signature = (samples, *, unit_distance = None, unit_length = None))]
     fn table(

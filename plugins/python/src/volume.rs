@@ -98,8 +98,8 @@ impl Data {
 /// fill : "auto", None, float or sequence of float, optional
 ///     Values of voxels without data. Such voxels, those that a masked array hides, and NaN count as the low
 ///     end of the range; a warning says how many there are. "auto" (the default) detects fill values if no
-///     range is given: the least or the greatest value of all, in at least one voxel of a thousand, far from
-///     all others. With None, every value is data.
+///     range is given: the smallest or the largest value is a fill value if at least 0.1 % of the voxels have
+///     it and it is far from all other values. With None, every value is data.
 ///
 /// Masked arrays, and arrays whose fill value is above all other values, are copied.
 ///

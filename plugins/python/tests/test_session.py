@@ -165,7 +165,7 @@ def test_a_model_of_another_clock_is_brought_to_this_one(voxels, tf):
     model = entire.Session(volume, model="unshaded-selected")
 
     def second(clock):
-        """Predicted over measured time of the second frame, if each frame takes a quarter of the model's time."""
+        """Predicted / measured time of the second frame, if each frame takes a quarter of the model's time."""
         session = entire.Session(volume, model="unshaded-selected")
         session.set_timing_source("a renderer", clock)
         session.set_limits(1, 1)
@@ -208,7 +208,7 @@ def test_parallel_cameras_agree(voxels, tf):
     # A narrow field of view far away sees nearly the same.
     angle = 2 * np.degrees(np.arctan(0.9 / 300))
     assert seconds(entire.Camera.arcball(0, 0, 300, angle)) == pytest.approx(times[0], rel=0.02)
-    # Jumps are those of the scale and of the projection.
+    # A change of the scale or of the projection is a jump.
     assert not cameras[4].jumps_from(cameras[1])
     assert entire.Camera.arcball(0, 0, 2.5, parallel_scale=0.5).jumps_from(straight)
     assert entire.Camera.arcball(0, 0, 2.5).jumps_from(straight)

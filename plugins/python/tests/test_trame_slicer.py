@@ -33,14 +33,14 @@ def view(voxels):
     app.volume_rendering.create_display_node(node, "CT-AAA")
     view.update_size(200, 200)
     view.reset_view()
-    # A view does not keep what made it.
+    # Keeps the application alive, since the view has no reference to it.
     view.app = app
     yield view
     view.finalize()
 
 
 def drag(view, steering, moves, first=100):
-    """Moves the mouse with its left button down, one or more frames for each place. Reason and step of the last frame."""
+    """Moves the mouse with its left button down, one or more frames for each place. Returns reason and step."""
     interactor = view.interactor()
 
     def event(name, x):

@@ -38,7 +38,7 @@ def test_other_types_are_converted_to_the_same_values(voxels, dtype, tf):
     assert volume.copied is (dtype != "bool")
     expected = entire.Volume(plain.astype(np.float32), range=(0, 127))
     assert np.array_equal(np.asarray(volume.array, np.float32), np.asarray(expected.array))
-    # The type itself affects the cost of a sample, so times may differ a little; the visible voxels may not.
+    # The type affects the cost of a sample, so predicted times may differ; the visible voxels are the same.
     assert np.allclose(seconds(volume, tf), seconds(expected, tf), rtol=0.6)
 
 

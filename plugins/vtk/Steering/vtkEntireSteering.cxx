@@ -66,7 +66,7 @@ bool vtkEntireSteering::Fail(const std::string& text)
 bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
 {
   const vtkSmartPointer<vtkEntireSteering> self(this);
-  // Detach() clears the state, but one from a LoadState() before this call is for the new attachment.
+  // Detach() clears the state. A state that LoadState() read before this call is kept for the new attachment.
   std::vector<std::uint8_t> state;
   state.swap(this->Internals->State);
   this->Detach();

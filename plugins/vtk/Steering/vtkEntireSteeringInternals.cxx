@@ -16,8 +16,9 @@
 
 namespace
 {
-// Rays along each side of the finest probe for a linear cost model; a network's file states its own. Fewer than the
-// library's default, since a ray takes almost a microsecond after a frame has evicted the probe's data from the caches.
+// Rays along each side of the finest probe for a linear cost model; a network's file states its own. The number is
+// lower than the library's default, since a ray takes almost a microsecond after a frame has evicted the probe's data
+// from the caches.
 constexpr std::uint32_t PROBE_SIDE = 7;
 // Estimated error of the probe, as a share of the frame's time, up to which a plan keeps its first probe of 4 rays
 // along each side. These are enough except for sparse volumes.
@@ -114,7 +115,7 @@ std::string vtkEntireSteering::vtkInternals::ClocksText() const
   std::string text = std::string("frames are timed by the ") + this->ClockName() + " clock";
   if (const char* model = this->ModelClockName())
   {
-    text += std::string(", the model predicts seconds of the ") + model + " clock";
+    text += std::string("; the model predicts seconds of the ") + model + " clock";
   }
   return text;
 }
@@ -133,7 +134,7 @@ void vtkEntireSteering::vtkInternals::NoteClocks(const entire::session& session)
   if (clocks.differ())
   {
     const std::string model = NameOf(clocks.model), own = NameOf(clocks.own);
-    text = "the model predicts seconds of the " + model + " clock, frames are timed by the " + own +
+    text = "the model predicts seconds of the " + model + " clock, but frames are timed by the " + own +
       " clock: the model's scale is learned from the first frames; \"entire train --clock " + own +
       "\" makes a model of the " + own + " clock";
     if (text != this->ClocksSaid)

@@ -491,7 +491,7 @@ void OutlivesItsObjects(Kind kind)
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
 }
 
-// A setting that the application makes during a frame is the mapper's setting for the next.
+// A setting that the application makes during a frame is the mapper's setting in the next frame.
 void KeepsSettingsMadeDuringFrames(Kind kind)
 {
   Scene scene(kind);

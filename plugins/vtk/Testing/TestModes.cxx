@@ -199,7 +199,8 @@ void DrawsWithJitter(Kind kind)
   CHECK(steering->GetNumberOfFallbackFrames() == 0 && Empty(steering->GetStatus()));
 }
 
-// If a volume does not fit into the device's memory, a smart mapper draws a resampled one, by which frames are planned.
+// If a volume does not fit into the device's memory, a smart mapper draws a resampled volume, and frames are planned
+// from that volume.
 void SteersResampledVolumes(Kind kind)
 {
   Scene plain(kind), scene(kind);

@@ -254,7 +254,7 @@ def arguments(description):
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--min-size", type=int, default=32, help="shortest image side, pixels")
     parser.add_argument("--max-size", type=int, default=1024, help="longest image side, pixels")
-    parser.add_argument("--steps", default="1", help="ray steps to draw from, smallest voxel spacings, comma-separated")
+    parser.add_argument("--steps", default="1", help="ray steps to pick from, smallest voxel spacings, comma-separated")
     parser.add_argument("--shade", choices=("none", "local"), default="none")
     parser.add_argument(
         "--proxy", type=int, metavar="EDGE", help="draw every volume resampled to this many voxels along each axis"

@@ -63,7 +63,7 @@ const FAR: f64 = 1e9;
 /// Largest magnitude of a drawn value; larger values are clamped to it, so that ranges stay finite.
 const LARGEST: f64 = 1e300;
 
-/// The range that an axis shows; the drawing library's coordinate of one axis.
+/// The range that an axis shows. It implements the drawing library's trait of one coordinate.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Span {
     pub(super) low: f64,
@@ -165,7 +165,8 @@ impl Span {
                 .filter(|v| *v >= self.low * 0.9999 && *v <= self.high * 1.0001)
                 .collect()
         };
-        // Where decades are skipped, multiples within the others would look like neighboring decades.
+        // Where decades are skipped, multiples within the labeled decades would look like neighboring
+        // decades.
         if stride == 1 {
             for factors in [&[1.0, 2.0, 3.0, 5.0, 7.0][..], &[1.0, 2.0, 5.0], &[1.0, 3.0]] {
                 let ticks = with(factors);
@@ -228,8 +229,8 @@ impl Ranged for Span {
     }
 }
 
-/// A tick's label: as few digits as distinguish it from its neighbors at distance `step`; thousands and more
-/// in short form.
+/// A tick's label: as few digits as distinguish it from its neighbors at distance `step`; with an exponent
+/// below 1e-4 and from 1e6 on.
 fn tick_label(value: f64, step: f64) -> String {
     if value.abs() < step.abs() * 1e-6 {
         return "0".into();

@@ -5,8 +5,8 @@ use super::axis::Span;
 
 type Point = (f64, f64);
 
-/// The parts of a line through the points that lie inside both ranges. Points outside the scale break the
-/// line.
+/// The parts of a line through the points that lie inside both ranges. Points that the scale cannot place
+/// (such as 0 on a logarithmic axis) break the line.
 pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
     for run in points.split(|p| !x.takes(p.0) || !y.takes(p.1)) {

@@ -47,7 +47,7 @@ struct Layout {
     top: f64,
     bottom: f64,
     title_height: f64,
-    /// Series, x, and row of each entry of the legend.
+    /// Entries of the legend: index of the series, x in pixels, row.
     legend: Vec<(usize, f64, usize)>,
     /// Number of rows over which names along the x axis are staggered.
     name_rows: usize,

@@ -51,11 +51,11 @@ pub(super) struct Place {
     pub(super) baseline: f64,
 }
 
-/// Pixels between a point and its text.
+/// Distance between a point and its text, in pixels.
 const GAP: f64 = 7.0;
 
-/// Places a text of a given width beside a point: at the first free place, else where it covers least of
-/// other texts, points and the outside of the frame.
+/// Places a text of a given width beside a point: at the first free place, else at the place with the least
+/// overlap with other texts, points and the outside of the frame.
 pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Rect>) -> Place {
     let rect = |(leftward, down): (bool, f64)| {
         let left = if leftward { x - GAP - width } else { x + GAP };

@@ -2,8 +2,8 @@
 
 use plotters::style::RGBColor;
 
-/// Colors that stay apart without red-green vision (Okabe and Ito's set without black, and some of Tol's), on
-/// a light ground and on a dark one.
+/// Colors that red-green color-blind readers can tell apart (Okabe and Ito's set without black, and some of
+/// Tol's), each as a pair for a light and a dark background.
 pub(super) const PALETTE: [(u32, u32); 11] = [
     (0x0072b2, 0x56a8e0),
     (0xd55e00, 0xff8a3d),

@@ -38,9 +38,9 @@ pub struct FrameBudget {
     count: u32,
     /// Number of begun frames; 0 before the first.
     frame: u32,
-    /// Sum of the passes' seconds at full quality, in the last frame with passes and in the current one.
+    /// Sum of the passes' seconds at full quality, in the last frame with passes and in the current frame.
     full: [f32; 2],
-    /// Number of passes, in the same two frames.
+    /// Number of passes, in the last frame with passes and in the current frame.
     passes: [u32; 2],
     /// Seconds of the passes of the current frame.
     drawn: f32,
@@ -61,12 +61,12 @@ pub struct PassShare {
     before: f32,
     /// Number of the last frame that drew the object; 0 before the first.
     frame: u32,
-    /// Number of the object's passes in that frame.
+    /// Number of the object's passes in frame number `frame`.
     passes: u32,
 }
 
 impl FrameBudget {
-    /// Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
+    /// Begins a frame of the window, which will draw about `volumes` volumes; 0 if the number is unknown.
     pub fn begin(&mut self, volumes: u32) {
         // Frames without passes change nothing.
         if self.passes[1] > 0 || self.frame == 0 {
@@ -82,7 +82,7 @@ impl FrameBudget {
         let left = (target - self.rest()).max(LEAST_SHARE * target);
         let (mut total, mut passes) = (self.full[0], self.passes[0]);
         let known = if pass.frame == self.frame { pass.before } else { pass.mean };
-        // A pass that was never drawn counts as the mean of the others.
+        // A pass that was never drawn is assumed to take the mean time of the other passes.
         let own = if known > 0.0 { known } else { total / passes.max(1) as f32 };
         if !(pass.frame > 0 && pass.frame + 1 >= self.frame) {
             total += own;
@@ -100,7 +100,8 @@ impl FrameBudget {
         if pass.frame != self.frame {
             (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
         }
-        // The frame's sum counts each pass with the latest mean, from which the next frame's shares follow.
+        // All passes of this object enter the sum with its newest mean; the next frame's shares are computed
+        // from the sum.
         self.full[1] -= pass.passes as f32 * pass.mean;
         if full.is_finite() && full > 0.0 {
             pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST * (full - pass.mean) } else { full };
@@ -124,7 +125,8 @@ impl FrameBudget {
         }
     }
 
-    /// Seconds of a frame outside of the passes: the median of the last five; 0 before the second frame.
+    /// Seconds of a frame outside of the passes: the median of the last five frames that counted; 0 before
+    /// the second frame.
     pub fn rest(&self) -> f32 {
         let n = (self.count as usize).min(REST_FRAMES);
         if n == 0 {
@@ -144,8 +146,8 @@ mod tests {
         (a - b).abs() <= 1e-5 * b.abs()
     }
 
-    /// Draws a frame of passes, given with their times at full quality, `coarse` times faster, with 5 ms of
-    /// other work; returns the passes' shares of a target of 50 ms.
+    /// Simulates a frame of `passes`, each given with its seconds at full quality. Each pass takes 1/`coarse`
+    /// of that time, and other work takes 5 ms. Returns the passes' shares of a target of 50 ms, in seconds.
     fn frame(budget: &mut FrameBudget, passes: &mut [(PassShare, f32)], coarse: f32) -> Vec<f32> {
         budget.begin(0);
         let mut total = 0.005;
@@ -231,7 +233,7 @@ mod tests {
         assert!(near(frame(&mut budget, &mut passes[..1], 2.0)[0], 0.045));
         budget.begin(0);
         assert!(near(budget.share(&passes[1].0, 0.050), 0.0225));
-        // A third one, of which nothing is known, counts as the mean of the others.
+        // A third pass, never drawn before, is assumed to take the mean time of the other two.
         assert!(near(budget.share(&PassShare::default(), 0.050), 0.0225));
     }
 
@@ -270,7 +272,7 @@ mod tests {
         for _ in 0..5 {
             draw(0.004, true);
         }
-        // One frame that reads a volume changes nothing; frames that all read one do.
+        // A single frame that reads a volume does not change the median; several such frames in a row do.
         assert!(near(draw(0.02, false), 0.004) && near(draw(0.004, true), 0.004));
         let last = [0; 4].map(|_| draw(0.02, false))[3];
         assert!(near(last, 0.02), "{last}");

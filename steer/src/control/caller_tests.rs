@@ -1,4 +1,4 @@
-//! Plans and settings that a caller chooses, withdraws or cancels, and clocks that it names.
+//! Plans and settings that a caller chooses, withdraws or cancels, and clocks that the caller names.
 
 use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
@@ -93,7 +93,7 @@ fn another_renderer_starts_without_the_learned_state() {
     let f = frame(20.0, 30.0, 2.0);
     let mut session = ready_session();
     let plan = session.plan(&f, 0.02).unwrap();
-    // A renderer that had no name yet is the same one.
+    // Naming a renderer that had no name keeps what was learned about it.
     session.set_timing_source("a renderer", "a watch").unwrap();
     session.observe(plan.id, 0.5, ObserveFlags::default()).unwrap();
     let learned = session.save_state();
@@ -154,7 +154,7 @@ fn a_cancelled_frame_says_something_only_when_it_took_longer_than_expected() {
     let f = frame(20.0, 30.0, 2.0);
     let cancelled = ObserveFlags { cancelled: true, ..ObserveFlags::default() };
     let raw = ready_session().predict(&f).unwrap().seconds;
-    // Machines far slower and far faster than the model.
+    // The machine is 20 times slower, then 20 times faster than the model.
     for speed in [20.0, 0.05] {
         let mut session = ready_session();
         for _ in 0..30 {
@@ -271,8 +271,8 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         }
         crate::predict::load(&file.to_model().unwrap()).unwrap()
     };
-    // On four processors, a frame's wall time is a quarter of its processor time. Returns the second frame's
-    // expected time over its measured one.
+    // On four processors, a frame's wall time is a quarter of its processor time. Returns the ratio of the
+    // second frame's expected time to its measured time.
     let second = |model: Option<&str>, clock: &str| {
         let mut session = Session::new(stated(model), HybridOptions::default());
         session.set_timing_source("a renderer", clock).unwrap();
@@ -294,7 +294,7 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         let ratio = second(Some("cpu"), clock);
         assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
     }
-    // Unless both clocks are known and differ, observed seconds count as the model's.
+    // Unless both clocks are known and differ, observed times count as times by the model's clock.
     for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
         let ratio = second(model, clock);
         assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");

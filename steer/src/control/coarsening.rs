@@ -7,17 +7,18 @@ use crate::predict::{DISTANCE_RATIO, Quality};
 /// ln of [`DISTANCE_RATIO`].
 const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 
-/// Ratio of the step, in finest steps, to the image sample distance along the path, where the renderer's
-/// picture quality is unknown. Theory suggests about 1: samples along a ray as far apart as the rays; the
-/// extra tenth is a choice.
+/// Ratio of the step, in finest steps, to the image sample distance, in pixels, along a path without a
+/// picture quality law. At a ratio of 1, samples along a ray are as far apart as neighboring rays, which
+/// theory suggests; the extra tenth is a choice.
 const TOGETHER: f64 = 1.1;
 
 /// Hysteresis factor: a distance is kept until c lies beyond one of its thresholds by this factor. Successive
 /// thresholds are a factor of 1.2³ = 1.73 apart in c, so the middle between two is a factor of 1.31 from
-/// each; this is half of that, in ln(c).
+/// each; `KEEP` is half of this factor in ln(c).
 const KEEP: f64 = 1.15;
 
-/// Capacity for levels; distance 1 and the powers of [`DISTANCE_RATIO`] up to 64 are 23.
+/// Capacity of the arrays, in levels; distance 1 and the powers of [`DISTANCE_RATIO`] up to 64 make 23
+/// levels.
 const LEVELS: usize = 24;
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
@@ -26,14 +27,14 @@ const LEVELS: usize = 24;
 /// pixels; a frame's time is about proportional to 1/c. Without a picture quality law, step and distance grow
 /// together along the path: at equal time, the picture error is smaller than if one of them grew alone. For a
 /// renderer whose smaller images are strongly blurred, the step grows alone first (`step_alone`). With a law
-/// ([`Quality`]), the path follows it. Distances are powers of 1.2, so that buffers seldom change, and
-/// a distance is kept while its step is close to the best. Where the distance changes, the step changes with
-/// it and c is met, unless the limits of the step are too close together.
+/// ([`Quality`]), the path follows the law. Distances are powers of 1.2, and a distance is kept until c lies
+/// clearly beyond its thresholds ([`KEEP`]), so that buffers seldom change. A change of the distance changes
+/// the step too, so that step · distance² stays equal to c, unless the step would leave its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
     steps: StepLimits,
-    /// The largest image sample distance, and the coarsening by the step alone before any distance over 1, in
-    /// finest steps.
+    /// Largest image sample distance, in pixels, and the step, in finest steps, up to which the distance
+    /// stays 1.
     largest: (f32, f32),
     quality: Option<Quality>,
     /// Number of distances over 1.
@@ -312,8 +313,8 @@ mod tests {
                 prop_assert!(off.abs() < if coarsening > 2.0 * alone { 1e-5 } else { 7.0 }, "{off}");
                 let s = path.setting(full, c);
                 let pixels = f64::from(s.width) * f64::from(s.height);
-                // Work that depends on rays only, and on samples only; an image of whole pixels is slightly
-                // smaller than the exact size.
+                // Number of rays, and number of samples. The image's size is rounded down to whole pixels, so
+                // the numbers are slightly too small.
                 let work = (pixels, pixels / f64::from(s.step));
                 prop_assert!(work.0 <= before.0 && work.1 <= before.1 * 1.005, "{work:?} {before:?}");
                 before = work;

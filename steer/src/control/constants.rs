@@ -5,14 +5,15 @@ crate::adapt::constants! {
     /// (`entire-lab tune`); nothing needs to be set.
     HybridConstants {
         /// Distance from the finest step, in ln(step), within which the finest step is drawn if it is
-        /// expected to meet the target: a coarser one would save little and lose full quality.
+        /// expected to meet the target: a coarser step would save little time and lose full quality.
         full = 0.4,
-        /// Largest change of the step in a calm frame, in ln(step): to a finer one, and to a coarser one
-        /// where the expected time stays within the target.
+        /// Largest change of the step in a calm frame, in ln(step). It limits every change to a finer step;
+        /// it limits a change to a coarser step only if the limited step is expected to meet the target.
         damping = 0.16,
         /// Standard deviation of the slope of the predicted step curve, d ln(seconds) / d ln(step).
         slope_sd = 0.1,
-        /// Distance of two predictions at one step from which the frame before is unrelated to this one.
+        /// Distance of the predictions of two successive frames at one step, in ln(time), from which the two
+        /// frames count as unrelated.
         far = 0.35,
         /// Initial margin, in standard deviations.
         margin_start = 2.0,

@@ -1,9 +1,10 @@
-//! Predicts a frame's time from the times of the last three frames alone.
+//! Predicts a frame's time from the times of the last three frames alone. The recent frames *lead* while this
+//! forecast replaces the model's prediction.
 
 use crate::adapt::state::{Reader, Writer};
 use entire_core::Result;
 
-/// Clip of errors, in ln(time): a guard against a single dominant frame.
+/// Clipping limit of errors, in ln(time): a guard against a single dominant frame.
 const LARGEST_ERROR: f64 = 2.0;
 
 /// Initial expected error, in ln(time). It affects only upper bounds: recent frames may lead only after
@@ -23,17 +24,19 @@ const LEAST_ERROR: f64 = 0.15;
 /// Smallest ratio of the prediction's mean error to that of recent frames at which recent frames lead.
 const LEAD: f64 = 1.5;
 
-/// Smallest learning rate of both errors: averages over about twelve frames.
+/// Smallest learning rate of both mean errors: averages over about twelve frames.
 const PACE: f64 = 0.08;
 
-/// Share of a frame's time that does not depend on the step: a guess, as renderers differ.
+/// Share of a frame's time that does not depend on the step: a guess, since this share differs between
+/// renderers.
 const FIXED_SHARE: f64 = 0.1;
 
 /// Ratio of the errors below which the prediction leads again: lower than [`LEAD`], so that the two do not
 /// alternate.
 const RETURN: f64 = 1.1;
 
-/// The last three frames, and their accuracy as a predictor of the next one, compared with the prediction's.
+/// The last three frames, and the mean errors of two predictors of the next frame: the forecast from these
+/// frames, and the corrected prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct History {
     /// (step, seconds).
@@ -41,9 +44,9 @@ pub(super) struct History {
     len: usize,
     next: usize,
     spread: f64,
-    /// Mean |ln(measured / predicted)| of this predictor, without frames after a change.
+    /// Mean |ln(measured / predicted)| of the forecast, without frames after a change.
     history_error: f64,
-    /// The same of the corrected prediction.
+    /// Mean |ln(measured / predicted)| of the corrected prediction, over the same frames.
     own_error: f64,
     leads: bool,
     compared: u32,

@@ -25,12 +25,13 @@ const DEFAULT_TOLERANCE: f32 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
     /// Miss rate: share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by
-    /// default. The share of undisturbed frames over the target plus `tolerance` is smaller, since many
-    /// bounds are below that sum. The miss rate of the first frames of new scenes is at least 0.07.
+    /// default. The share of undisturbed frames over (1 + `tolerance`) × target is smaller, since many bounds
+    /// are below that limit. The miss rate of the first frames of new scenes is at least 0.07.
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
-    /// The finest step is drawn even if its bound exceeds the tolerance, where it is expected to meet the
-    /// target and the chosen step would be close to it (`full` of the constants).
+    /// The finest step is drawn even if its bound exceeds the tolerance, provided that its expected time
+    /// meets the target and the step that would be chosen otherwise is at most `full` ([`HybridConstants`])
+    /// away.
     pub tolerance: f32,
     /// Prior knowledge of the prediction's errors.
     pub prior: Prior,
@@ -81,26 +82,27 @@ impl HybridOptions {
     }
 }
 
-/// Feed-forward prediction × online correction × adaptive-conformal margin → the finest step that is expected
-/// to meet the target and whose bound stays within the tolerance.
+/// Chooses the finest step whose expected time meets the target and whose upper bound stays within the
+/// tolerance. The expected time is the feed-forward prediction times the online correction; an
+/// adaptive-conformal margin gives the bound.
 ///
 /// * Novelty: the relative change of the predicted cost, in amount and composition, at the last drawn step.
 ///   The larger it is, the less the earlier frames count. A change that the caller announces after calm
 ///   frames begins a scene; in a series of announced changes (a drag) only the change of the cost counts.
 /// * Calm phases: the correction follows the present scene, so the margin shrinks to the noise between frames
-///   and the target is met on average. The step is kept while it is close to the best; other changes that no
-///   prediction requires are limited per frame.
-/// * Other programs on the machine: a detected load is a factor on every expectation, until the first frame
-///   without it. The step is chosen by the bound for undisturbed frames; the bound of the plan includes
-///   disturbed ones.
+///   and the target is met on average. The step is kept while it is close to the best. A larger change is
+///   limited per frame, unless only the whole change meets the target.
+/// * Other programs on the machine: a detected load multiplies every expected time, until the first frame
+///   without the load. The step is chosen by the bound for undisturbed frames; the bound of the plan covers
+///   disturbed frames too.
 /// * A new scene: nothing is damped, the scene's own correction is dropped, and the margin is that of new
 ///   scenes.
 /// * Wide bounds: where some step is expected to fit but the bound of none does, the chosen step lies
 ///   halfway, in ln(step), between the finest step that is expected to fit and the coarsest.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
 /// * Fallback: a second predictor from the last three frames alone (scaled to a common step by a simple rule)
-///   takes over where the prediction is out of range or has recently been clearly worse. Without either, the
-///   coarsest step is chosen.
+///   takes over where the prediction is out of range or has recently been clearly worse. If neither predictor
+///   is available, the coarsest step is chosen.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,
@@ -150,8 +152,9 @@ const MARGIN_PACE: f32 = 0.05;
 const DEAD_BAND: f64 = 0.01;
 /// Difference of two targets, in ln, below which they count as equal.
 const SAME_TARGET: f64 = 0.02;
-/// Trust in the very first frame, which may include a compilation or an upload: its variance counts as a
-/// hundred times that of others, so it sets the order of magnitude only where nothing else does.
+/// Trust in the very first frame, which may include a compilation or an upload: the variance of its time
+/// counts as a hundred times that of other frames, so the first frame sets the order of magnitude only where
+/// nothing else does.
 const FIRST_TRUST: f64 = 0.01;
 
 /// Expected time of a frame and its bounds, in seconds.
@@ -527,7 +530,7 @@ fn normal_quantile(probability: f64) -> f64 {
 }
 
 /// Distance of two predictions at one step: the absolute difference of their logarithms, plus half the sum of
-/// the absolute differences of their terms' shares. NaN where one is unknown.
+/// the absolute differences of their terms' shares. NaN if either prediction is unknown.
 fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
     let (sum_a, sum_b) = (f64::from(a.seconds()), f64::from(b.seconds()));
     if !(sum_a > 0.0 && sum_b > 0.0 && sum_a.is_finite() && sum_b.is_finite()) {

@@ -79,7 +79,7 @@ pub enum Reason {
     /// The finest step that is expected to meet the target and whose upper bound is within the tolerance; a
     /// coarser one where no step has such a bound.
     Fits = 1,
-    /// As `Fits`, but approached slowly because nothing has changed abruptly.
+    /// As `Fits`, but the change of the step was limited, because nothing has changed abruptly.
     Damped = 2,
     /// The previous step still fits and is close to the best.
     Held = 3,
@@ -178,14 +178,14 @@ pub trait Controller {
     /// Forgets all observations.
     fn reset(&mut self);
 
-    /// Sets whether observed frames are timed by another clock than the predictor's. The caller calls this on
-    /// a change, and [`Controller::reset`] after it.
+    /// Sets whether observed frames are timed by another clock than the predictor's. On a change, the caller
+    /// calls this method and then [`Controller::reset`].
     fn convert(&mut self, converted: bool) {
         let _ = converted;
     }
 
-    /// Begins a frame whose setting the caller chooses; [`Controller::plan`] needs no such call. Frames are
-    /// compared at `step`.
+    /// Begins a frame whose setting the caller chooses; [`Controller::plan`] begins its frame itself. The
+    /// frame is compared with the one before at `step`.
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let _ = (changes, step, cost);
     }

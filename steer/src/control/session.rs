@@ -113,7 +113,7 @@ impl Session {
         predictor: Box<dyn Predictor + Send>,
         controller: Box<dyn Controller + Send>,
     ) -> Self {
-        // A predictor without a probe is scaled by the analytic model, which needs one.
+        // A predictor without a probe is scaled by the analytic model, which needs a probe.
         let features = match predictor.probe_side() {
             0 => FrameFeatures::default(),
             side => FrameFeatures::with_probe_side(side),
@@ -158,14 +158,14 @@ impl Session {
     }
 
     /// Sets the summary of the volume's next time step (made by [`crate::features::SummarySeries`]), and
-    /// VolumeNet's output for it; `None` keeps that of the preceding step. Transfer function and learned
-    /// state stay: no change is announced. Where a frame includes an upload, announce it with
+    /// VolumeNet's output for it; `None` keeps the output for the preceding step. Transfer function and
+    /// learned state stay: no change is announced. Where a frame includes an upload, announce it with
     /// [`Session::mark`].
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for one of
-    /// other sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for one of another type; on an
-    /// error nothing has changed. Does not allocate.
+    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for a
+    /// summary of other sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for a summary of
+    /// another voxel type; on an error nothing has changed. Does not allocate.
     pub fn set_time_step(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) -> Result<()> {
         let Some(before) = &self.volume else {
             bail!(NotReady, "no volume is set; set a series' first time step as a volume");
@@ -322,13 +322,13 @@ impl Session {
         Ok(plan)
     }
 
-    /// Chooses among settings, best quality first: returns index and plan of the first one that is expected
-    /// to meet the target ([`Controller::fits`]), otherwise of the one expected to be fastest. Images must
-    /// have the frame's aspect ratio, in any size.
+    /// Chooses among settings, best quality first: returns index and plan of the first setting that is
+    /// expected to meet the target ([`Controller::fits`]). If none is, returns those of the setting with the
+    /// shortest expected time. Images must have the frame's aspect ratio, in any size.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step or an image size that [`Frame::checked`]
-    /// refuses; otherwise as [`Session::plan`].
+    /// [`crate::ErrorKind::InvalidArgument`] for an empty list, and for a step or image size that
+    /// [`Frame::checked`] refuses; otherwise as [`Session::plan`].
     pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<(usize, Plan)> {
         check_target(target)?;
         if settings.is_empty() {
@@ -596,8 +596,8 @@ struct Cost<'a> {
     coarsening: Coarsening,
     /// The frame's setting at full image size.
     full: Setting,
-    /// An image's width and height and the prediction there at the reference step, for predictors that do
-    /// not depend on the step.
+    /// Width and height of an image, and the prediction for this image at the reference step; used for
+    /// predictors that do not depend on the step.
     reference: Option<([u32; 2], CostTerms)>,
     /// The last evaluated step and its cost.
     last: Option<(f32, CostTerms)>,

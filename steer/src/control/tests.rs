@@ -537,8 +537,8 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
         session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default()).unwrap();
     }
     session.set_enabled(true);
-    // Only step 1 was observed: the first frame may be too fast but not late, and after four frames the step
-    // is right.
+    // Only step 1 was observed: the first four frames may take less time than needed but do not miss the
+    // target, and then the step is right.
     for i in 0..8 {
         let plan = session.plan(&f, 0.02).unwrap();
         let seconds = 3.0 * (0.0005 + 0.03 / plan.step);
@@ -624,7 +624,8 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     // Every step meets the first target, no step the second.
     assert_eq!(climbed(0.0, 1e3), 4);
     assert_eq!(climbed(0.0, 1e-9), 4);
-    // Between these targets every error changes the step; a high tolerance accepts the error.
+    // For a target between these two, any error of the probe changes the step; a high tolerance accepts the
+    // error.
     let target = 0.8 * expected;
     assert_eq!(climbed(0.0, target), 24);
     assert_eq!(climbed(1.0, target), 4);

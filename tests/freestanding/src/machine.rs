@@ -7,7 +7,7 @@ use core::cell::UnsafeCell;
 use core::fmt::{self, Write};
 use core::sync::atomic::{AtomicUsize, Ordering};
 
-/// The model, part of the program.
+/// The model file, embedded in the program.
 static MODEL: &[u8] = include_bytes!(env!("ENTIRE_FREESTANDING_MODEL"));
 
 // The kernel enters with the stack aligned to 16 bytes and no return address on it.
@@ -172,7 +172,7 @@ unsafe extern "C" fn memcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
 /// As in C.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn bcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
-    // SAFETY: passed on to the caller.
+    // SAFETY: the caller vouches for both pieces.
     unsafe { memcmp(a, b, count) }
 }
 

@@ -1,5 +1,5 @@
 //! Runs mutants of model files one after another: `model_mutants FIRST END PROGRESS`, with seeds from FIRST
-//! to END, END excluded. Before each mutant its seed is written to the file PROGRESS, so that the one that
+//! to END, END excluded. Before each mutant its seed is written to the file PROGRESS, so that the mutant that
 //! ended the process is known. Prints the number of panics, the CPU seconds of the slowest mutant, and the
 //! numbers of mutants that reached each stage.
 

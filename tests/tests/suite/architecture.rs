@@ -196,7 +196,7 @@ fn says(word: &str, tokens: TokenStream) -> bool {
 /// Modules of a crate, with the other modules that each may use.
 type Rooms = [(&'static str, &'static [&'static str])];
 
-/// A module may also use itself.
+/// Modules of `core`. A module may also use itself.
 const CORE: &Rooms = &[
     ("error", &[]),
     ("names", &[]),
@@ -246,7 +246,7 @@ const TRAIN: &Rooms = &[
     ("fit", &["gradient", "inputs"]),
 ];
 
-/// A module is a folder or a file. Only `command_line` uses `commands`.
+/// Modules of `cli`: folders and files. Only `command_line` uses `commands`.
 const CLI: &Rooms = &[
     ("pictures", &[]),
     ("program", &[]),

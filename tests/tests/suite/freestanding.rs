@@ -14,7 +14,7 @@ fn noise() -> impl FnMut() -> f32 {
     }
 }
 
-/// A small model with both networks; widths that are no multiple of any vector.
+/// A small model with both networks; widths that are no multiple of any vector length.
 fn model() -> Vec<u8> {
     let mut next = noise();
     let widths = [19, 70, 33, 1];

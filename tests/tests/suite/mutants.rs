@@ -1,5 +1,5 @@
 //! Two thousand mutants of model files through opening, prediction and encoding; `make bars-robust` runs many
-//! more, under a limit of memory.
+//! more, with a memory limit.
 
 use entire_tests::mutants::{Mutants, exercise};
 use entire_tests::small_models;

@@ -1,5 +1,5 @@
-//! Hot calls allocate nothing after set-up: counted by the global allocator, on every level and storage
-//! format.
+//! Calls that run in every frame allocate nothing after set-up. The global allocator counts allocations, for
+//! every level and storage format.
 
 use entire_core::kernels::Level;
 use entire_core::kernels::{Executor, Helper, Storage};
@@ -17,7 +17,7 @@ thread_local! {
 }
 
 fn count() {
-    // A thread that is being torn down has no counter, and no test uses it.
+    // A thread that is being torn down has no counter, and no test counts on such a thread.
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
 }
 

@@ -9,10 +9,10 @@ use entire_steer::features::VolumeSummary;
 use glam::Vec3;
 
 const DIMS: [usize; 3] = [24, 20, 36];
-/// Voxel spacing in a unit of 1.
+/// Voxel spacing along x, y, z, in the reference unit of length.
 const SPACING: [f32; 3] = [1.0, 1.5, 0.5];
 
-/// Largest relative difference between predictions of one scene in two units: rounding of lengths.
+/// Largest relative difference between predictions of one scene in two units, due to rounding of lengths.
 const TOLERANCE: f32 = 1e-3;
 
 fn voxels() -> Vec<u8> {
@@ -34,7 +34,7 @@ fn predicted(summary: VolumeSummary) -> [f32; 2] {
     session.set_volume(summary, None);
     session.set_transfer(&table(), None).expect("a transfer function");
     let pose = Camera::from_arcball(Arcball { rx: 20.0, ry: 35.0, dz: 2.0 }).expect("a camera");
-    // A pose in radii, moved away from the volume in its unit of length.
+    // A pose whose distance is converted from radii to the volume's unit of length.
     let other = Camera::from_arcball(Arcball { rx: -15.0, ry: 250.0, dz: 2.6 }).expect("a camera");
     let mut view = other.view();
     view.w_axis *= Vec3::splat(radius).extend(1.0);
@@ -53,7 +53,7 @@ fn equal(found: [f32; 2], expected: [f32; 2], what: &str, unit: f32) {
     }
 }
 
-/// Every power of ten by which all spacings can be multiplied and are still accepted.
+/// Every power of ten such that all spacings, multiplied by it, are still accepted.
 fn units() -> impl Iterator<Item = f32> {
     (-29..=29).map(|power| 10f64.powi(power) as f32)
 }

@@ -40,7 +40,7 @@ pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
     if part.frames.iter().all(own) { UnitCosts::SOFTWARE } else { UnitCosts::CONVERTING }
 }
 
-/// The counts that unit costs multiply, one row per frame; 0 for those without a cost.
+/// The counts that unit costs multiply, one row per frame; 0 for counts whose unit cost is 0.
 pub fn counts(
     context: &FitContext<'_>,
     part: Timed<'_>,

@@ -1,4 +1,4 @@
-//! Networks composed of networks: an ensemble as one network, and a network with an estimate carried past it.
+//! Networks composed of networks: the mean of an ensemble, and the sum of an estimate and a network's output.
 
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::SELU_SCALE;
@@ -41,12 +41,14 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     Ok(out)
 }
 
-/// Range below its mean, in standard deviations, in which the carried estimate is exact.
+/// Largest distance of the estimate below its mean, in standard deviations, at which it reaches the output
+/// exactly.
 const CARRY_RANGE: f32 = 12.0;
 
-/// Adds the logarithm of an estimate, as a last input with the given mean and deviation, to the output of a
-/// network on log ratios. In every hidden layer one additional unit holds the estimate, kept so far above
-/// zero that SELU is linear there; the last layer removes factor and offset.
+/// Adds the logarithm of an estimate to the output of a network that predicts log ratios. The logarithm
+/// becomes the last input, with the given mean and standard deviation. One additional unit in each hidden
+/// layer passes it on, shifted so far above zero that SELU is linear there. The last layer removes factor and
+/// shift.
 pub(super) fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetParts {
     let (out_mean, out_std) = match &parts.output {
         Some(n) => (n.mean[0], n.std[0]),

@@ -4,7 +4,7 @@
 //!   dense layer on counts that gives seconds.
 //! * `prednet`: PredNet by gradient descent.
 //! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
-//!   as dense layers that carry `log_estimated_seconds` past the network.
+//!   as dense layers that add the input `log_estimated_seconds` to the network's output.
 
 mod analytic;
 mod compose;
@@ -49,7 +49,7 @@ pub struct FittedModel {
     pub what: String,
     /// Settings of the fit.
     pub settings: serde_json::Value,
-    /// Epochs of the network, or of the first one of an ensemble; empty for other models.
+    /// Epochs of the network, or of the first network of an ensemble; empty if no network was trained.
     pub history: Vec<EpochRecord>,
     /// Result of the fit, in one line.
     pub outcome: String,
@@ -65,7 +65,7 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
     rows_by_network(model, &PredNet::new(parts)?, rows, width)
 }
 
-/// As [`predict_rows`], with a network that was built from the model before.
+/// As [`predict_rows`], with the model's network already built.
 ///
 /// # Errors
 /// When its output for a row is not finite.

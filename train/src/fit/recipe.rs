@@ -100,7 +100,7 @@ pub struct Recipe {
     pub epochs: usize,
     /// Frames per step.
     pub batch: usize,
-    /// First learning rate; 1e-4 with a preset or when fine-tuning, else 1e-3.
+    /// First learning rate; default: 1e-4 with a preset or when fine-tuning, else 1e-3.
     pub learning_rate: Option<f64>,
     /// Last learning rate; default: a hundredth of the first.
     pub final_learning_rate: Option<f64>,
@@ -114,7 +114,7 @@ pub struct Recipe {
     pub volumenet: Option<PathBuf>,
     /// Model file whose weights training starts from; default: random weights.
     pub fine_tune: Option<PathBuf>,
-    /// True if Gaussian lobes go in by ascending center.
+    /// True if Gaussian lobes are inputs in ascending order of their centers.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub sorted_lobes: bool,
     /// An existing model file; all other fields are then ignored.
@@ -173,7 +173,7 @@ pub fn parse_loss(text: &str) -> Result<Loss> {
     }
 }
 
-/// Measured over estimated seconds of each frame.
+/// Measured seconds divided by estimated seconds, for each frame.
 fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
 }
@@ -213,7 +213,8 @@ impl Recipe {
         self.scene_features.iter().map(|n| Ok(n.trim().parse()?)).collect()
     }
 
-    /// Fits the predictor. Validation frames decide when a network stops; the other kinds do not use them.
+    /// Fits the predictor. Validation frames decide when the training of a network stops; the analytic model
+    /// does not use them.
     ///
     /// # Errors
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or
@@ -452,8 +453,8 @@ impl Recipe {
         })
     }
 
-    /// Trains the ensemble's networks, with consecutive seeds, and combines them. Returns also the epochs of
-    /// the first one, and the results of all.
+    /// Trains the ensemble's networks, with consecutive seeds, and combines them. Also returns the epochs of
+    /// the first network and the outcomes of all networks.
     fn ensemble(
         &self,
         context: &FitContext<'_>,

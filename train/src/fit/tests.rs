@@ -115,7 +115,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         assert_eq!(layout.probe_side(), 5);
         let mut predictor = ModelPredictor::new(&model).unwrap();
         let factor = PredNet::new(&ratio).unwrap();
-        // Training range: images of 3 to 50 pixels, so that most are beyond; chords of 12 to 13.
+        // Training range: images of 3 to 50 pixels, so that most images are outside; chords of 12 to 13.
         let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
         InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
         let limited = file.to_model().unwrap();

@@ -48,14 +48,14 @@ pub(super) fn run_training(
     Ok((trained.to_parts(), trained.history, outcome))
 }
 
-/// The end of a run, and the epoch that its weights are from.
+/// Text that states the reason for the end of a run, and the epoch of its weights.
 fn ending(trained: &Trained<f32>) -> String {
     let ran = trained.history.len();
     let why = match trained.stop {
         Stop::Finished => format!("all {ran} epochs done"),
         Stop::Early => format!("stopped early after {ran} epochs"),
         Stop::Interrupted => format!("interrupted after {ran} whole epochs"),
-        Stop::Diverged => format!("diverged after {ran} epochs (the weights before are kept)"),
+        Stop::Diverged => format!("diverged after {ran} epochs (the best weights before that are kept)"),
     };
     let best = match trained.best_epoch {
         unfinished if unfinished > ran => "weights of the unfinished epoch".to_owned(),
@@ -64,7 +64,7 @@ fn ending(trained: &Trained<f32>) -> String {
     format!("{why}, {best} with loss {:.4e}", trained.best_loss)
 }
 
-/// Frames of all `steps`, where every epoch takes `frames` frames in batches of `batch`.
+/// Number of frames in `steps` training steps; every epoch takes `frames` frames in batches of `batch`.
 fn passed(frames: usize, batch: usize, steps: u64) -> u64 {
     let (frames, batch) = (frames as u64, batch.min(frames).max(1) as u64);
     let per_epoch = frames.div_ceil(batch).max(1);

@@ -19,7 +19,7 @@ pub(super) fn vectorized<R>(loops: impl FnOnce() -> R) -> R {
 /// A matrix in a slice: `rows` × `columns`, rows one after the other.
 ///
 /// # Panics
-/// When the slice is shorter than that.
+/// When the slice has fewer than `rows` × `columns` elements.
 pub(super) fn matrix<T>(data: &[T], rows: usize, columns: usize) -> ArrayView2<'_, T> {
     ArrayView2::from_shape((rows, columns), &data[..rows * columns]).expect("as many elements as the shape")
 }

@@ -42,7 +42,7 @@ impl Span {
 
 impl<T: Real> Network<T> {
     /// A network with random weights: normal with mean 0 and variance 1/inputs (LeCun), as SELU needs; biases
-    /// 0. `widths` runs from the input's to the output's.
+    /// 0. `widths` lists the layer widths from input to output.
     ///
     /// # Errors
     /// For fewer than two widths, a width of 0 or over 65 536, or over 1024 layers.
@@ -96,7 +96,7 @@ impl<T: Real> Network<T> {
         Self::from_layers(parts.layers.first().map_or(0, |layer| layer.inputs), &borrowed)
     }
 
-    /// Widths from the input's to the output's.
+    /// Layer widths from input to output.
     pub(crate) fn widths(&self) -> &[usize] {
         &self.widths
     }
@@ -161,7 +161,7 @@ pub(crate) struct Pass<T> {
     rows: usize,
     /// Output of every layer, [rows, width] each.
     activations: Vec<Vec<T>>,
-    /// Gradient with respect to a layer's output, and the next one.
+    /// Gradients with respect to the output of a layer, and of the layer before it.
     delta: Vec<T>,
     next_delta: Vec<T>,
     /// As `Network::parameters`.
@@ -169,7 +169,7 @@ pub(crate) struct Pass<T> {
 }
 
 impl<T: Real> Pass<T> {
-    /// Buffers for up to `rows` rows, with those of the backward pass or without.
+    /// Buffers for `rows` rows; those of the backward pass are empty unless `backward` is true.
     pub(crate) fn new(network: &Network<T>, rows: usize, backward: bool) -> Self {
         let widest = network.widths.iter().copied().max().unwrap_or(0);
         let delta = if backward { rows * widest } else { 0 };

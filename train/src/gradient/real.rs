@@ -1,4 +1,4 @@
-//! Number types of training: `f32` for use, `f64` to check it.
+//! Number types of training: `f32` in use, `f64` in tests.
 
 use super::matmul::level;
 use entire_core::kernels::{SELU_ALPHA, SELU_SCALE, selu};

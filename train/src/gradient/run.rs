@@ -252,8 +252,8 @@ pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
     Ok(widths)
 }
 
-/// Losses of one epoch: of the squared error in squared standard deviations of the target, of other loss
-/// functions in their own units.
+/// Losses of one epoch. The squared error is in squared standard deviations of the target, every other loss
+/// in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpochRecord {
     /// Number of the epoch, from 1.
@@ -293,7 +293,7 @@ pub enum Stop {
     Finished,
     /// The validation loss stopped falling.
     Early,
-    /// The callback stopped it.
+    /// The callback stopped the run.
     Interrupted,
     /// A loss or a gradient was not finite: the learning rate is too high.
     Diverged,
@@ -310,7 +310,7 @@ pub struct Trained<T> {
     pub target: Target,
     /// Every epoch that ended.
     pub history: Vec<EpochRecord>,
-    /// The epoch that the weights are from; 0 where they are those of the start.
+    /// The epoch after which the network had these weights; 0 for the initial weights.
     pub best_epoch: usize,
     /// The validation loss of the weights.
     pub best_loss: f64,
@@ -386,11 +386,12 @@ fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settin
 /// loss.
 ///
 /// `standardization` is fitted to the training frames where it is `None`; a fine-tuned model brings its own.
-/// Without validation frames the training loss decides. `progress` is called after every step and stops the
-/// run by [`ControlFlow::Break`]; the weights at that moment are then also candidates for the best.
+/// Without validation frames, the lowest training loss decides. `progress` is called after every step and
+/// stops the run by [`ControlFlow::Break`]; the weights at that moment are then also candidates for the best.
 ///
 /// # Errors
-/// For settings out of range, frames that are not finite, no frame at all, or where sizes do not fit.
+/// When a setting is out of range, an input or a time is invalid, there are no training frames, or
+/// sizes do not fit.
 pub fn train<T: Real>(
     pool: &ThreadPool,
     network: Network<T>,

@@ -65,7 +65,8 @@ pub struct Split {
 
 impl Split {
     /// Splits groups: `validation` and `test` name groups, all others are for training. Where both are empty
-    /// and there are at least three groups, a random tenth (at least one) is taken for each.
+    /// and there are at least three groups, a random tenth of the groups (at least one group) is taken for
+    /// each.
     ///
     /// # Errors
     /// For a name that is no group or is named twice, or when no training group is left.
@@ -148,7 +149,7 @@ pub enum Part {
     Validation,
     /// Frames that are not used in training.
     Test,
-    /// The group is not part of the split.
+    /// Frames whose group is not in the split.
     Unknown,
 }
 

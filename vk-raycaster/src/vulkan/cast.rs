@@ -18,7 +18,7 @@ enum Sink<'a> {
 }
 
 impl Sink<'_> {
-    /// Destination of a dispatch's pixels: only the last dispatch of a tile (`done`) has the finished ones.
+    /// Destination of a dispatch's pixels: only the last dispatch of a tile (`done`) has the finished pixels.
     fn output(&self, done: bool) -> Output {
         match self {
             _ if !done => Output::Device,
@@ -29,7 +29,7 @@ impl Sink<'_> {
 }
 
 impl VulkanRaycaster {
-    /// Renders a part of a frame and reads it back; its pixels equal those of the whole frame.
+    /// Renders a part of a frame and reads it back. The pixels equal those of the whole frame.
     ///
     /// # Errors
     /// For a region beyond the frame; else as [`crate::Renderer::render`].
@@ -41,8 +41,8 @@ impl VulkanRaycaster {
         Ok(Rendered { image, time, counts: self.options.count_work.then_some(counts) })
     }
 
-    /// Renders a part of a frame into a picture on the device, at the region's place in the frame; the rest
-    /// of the picture is unchanged. Returns once the device has finished.
+    /// Renders a part of a frame into a picture on the device, at the region's place in the frame; the other
+    /// pixels of the picture are unchanged. Returns once the device has finished.
     ///
     /// # Errors
     /// For a region beyond the frame or the picture, a picture of another device; else as

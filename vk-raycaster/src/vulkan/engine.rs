@@ -13,7 +13,8 @@ use gpu_allocator::MemoryLocation;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Every compiled variant of the shader: shading, skipping, fetch, counting, packets, bricks; SPIR-V.
+/// All compiled variants of the shader. The six numbers are shading, skipping, fetch, counting, packets and
+/// bricks; the bytes are SPIR-V.
 static SHADERS: &[([u32; 6], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 
 /// Size of a staging buffer, in bytes, unless one slice needs more.
@@ -61,7 +62,7 @@ type Shader = (vk::Pipeline, vk::DescriptorSet);
 
 /// A finished tile.
 pub(crate) struct CastTile<'a> {
-    /// Time between the timestamps around the dispatch.
+    /// Time between the timestamps around the dispatch, in seconds.
     pub(crate) seconds: Option<f64>,
     pub(crate) image: &'a [u8],
     /// Empty unless the work was counted.
@@ -295,8 +296,8 @@ impl Engine {
         &self.gpu
     }
 
-    /// Makes the image for `target`, unless it exists with this shape. Its contents are undefined. Nothing
-    /// may be running.
+    /// Makes the image for `target`, unless it exists with this shape. Its contents are undefined. No
+    /// submission may be running.
     pub(crate) fn reserve(&mut self, target: Target, shape: Shape) -> Result<()> {
         if self.image(target).is_ok_and(|i| i.shape == shape) {
             return Ok(());
@@ -307,7 +308,7 @@ impl Engine {
             Target::SkipMap => "skip map",
             Target::Table => "transfer table",
         };
-        // The old image is freed first: both may not fit.
+        // The old image is freed first: the memory may not have room for both.
         match target {
             Target::Volume(brick) => self.volume.truncate(brick),
             Target::SkipMap => self.skip_map = None,
@@ -324,7 +325,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Keeps the first `bricks` textures of the volume. Nothing may be running.
+    /// Keeps the first `bricks` textures of the volume. No submission may be running.
     pub(crate) fn keep_bricks(&mut self, bricks: usize) {
         if self.volume.len() > bricks {
             self.forget_sets();
@@ -370,7 +371,7 @@ impl Engine {
         Ok(())
     }
 
-    /// True if a shader was cast with before.
+    /// True if the pipeline of a shader variant exists.
     pub(crate) fn has_pipeline(&self, key: ShaderKey) -> bool {
         self.pipelines.contains_key(&key)
     }
@@ -379,7 +380,7 @@ impl Engine {
     pub(crate) fn free_slot(&self) -> Result<usize> {
         self.slots[..COPIES].iter().position(|s| s.running.is_none()).ok_or_else(|| {
             Error::new(format!(
-                "{FRAMES_IN_FLIGHT} frames are in flight, no more are taken: collect one first"
+                "{FRAMES_IN_FLIGHT} frames are in flight, which is the maximum: collect one first"
             ))
         })
     }
@@ -482,9 +483,9 @@ impl Engine {
         Ok(())
     }
 
-    /// The slot's descriptor set for a brick, made from the current resources where it is missing. Sets are
-    /// never rewritten: some drivers read every descriptor of a set, including those that the shader does
-    /// not use and whose resources are freed.
+    /// The slot's descriptor set for a brick, made from the current resources if it does not exist. Sets are
+    /// never rewritten: some drivers read every descriptor of a set, including those that the shader does not
+    /// use and whose resources are freed.
     fn prepare_set(&mut self, index: usize, brick: usize) -> Result<vk::DescriptorSet> {
         let slot = &mut self.slots[index];
         if let Some(set) = slot.sets.get(&brick) {

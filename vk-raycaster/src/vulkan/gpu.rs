@@ -12,12 +12,12 @@ use std::time::Duration;
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
 /// Time limit of a submission on a GPU, after which the device counts as hanging: 30 s. A submission is one
-/// tile or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does
-/// not answer for 2 to 10 s, so that a sound device is far below this.
+/// tile or one copy of 64 MiB. A working device stays far below the limit: tiles shrink after one has taken
+/// half a second, and drivers reset a GPU that does not answer for 2 to 10 s.
 const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
-/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. The largest tile takes them
-/// minutes, longer on a loaded host, and no driver ends them.
+/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. The largest tile takes minutes
+/// on such a device, more on a loaded host, and no driver stops it.
 const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 
 /// Replaces functions of the device by those of a test.
@@ -27,10 +27,10 @@ pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 pub(crate) struct GpuOptions<'a> {
     /// Time limit of a submission; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
     pub(crate) longest_wait: Option<Duration>,
-    /// Part of a device's name, in any case, or its index among all devices.
+    /// Part of a device's name (case is ignored), or its index among all devices.
     pub(crate) device: Option<&'a str>,
     pub(crate) validation: bool,
-    /// Instance extensions of a window system; with any, the device can present (see
+    /// Instance extensions of a window system; if there are any, the device can present (see
     /// [`super::VulkanOptions::surface_extensions`]).
     pub(crate) surface_extensions: &'a [CString],
 }
@@ -149,7 +149,7 @@ impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
 }
 
 impl Gpu {
-    /// `wrap` may replace the device's functions.
+    /// Opens a device. `wrap` may replace its functions.
     pub(crate) fn open(options: &GpuOptions<'_>, wrap: WrapDevice<'_>) -> Result<Self> {
         // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
@@ -284,7 +284,8 @@ impl Gpu {
         self.abandoned.store(true, Ordering::Relaxed);
     }
 
-    /// True if optimally tiled images of a format can be sampled; true if they can with a linear filter.
+    /// Returns two flags: true if optimally tiled images of a format can be sampled, and true if they can be
+    /// sampled with a linear filter.
     pub(crate) fn sampling(&self, format: vk::Format) -> (bool, bool) {
         // SAFETY: the physical device belongs to this instance.
         let properties =
@@ -405,7 +406,8 @@ fn create_instance(
     }
     let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
     let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
-    // Also receives the layer's messages on the instance's own creation and destruction.
+    // This messenger also receives the layer's messages about creation and destruction of the instance
+    // itself.
     let mut messenger = messenger_info(messages);
     let mut info = vk::InstanceCreateInfo::default()
         .application_info(&application)
@@ -469,7 +471,7 @@ fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<C
     match position {
         Some(p) => Ok(usable.swap_remove(p).1),
         None => Err(Error::new(format!(
-            "no Vulkan device has the index or a name with {:?} in it; there are: {names}",
+            "no Vulkan device has {:?} as its index or in its name; there are: {names}",
             wanted.unwrap_or_default()
         ))),
     }

@@ -51,21 +51,22 @@ pub enum VoxelFetch {
     /// Eight texels of a 3-D texture, interpolated by the shader in 32 bits.
     Texels,
     /// Two texels that hold four neighboring voxels each, interpolated by the shader: fastest on software
-    /// devices; bytes only, four times the memory.
+    /// devices. Only for volumes of bytes; takes four times the memory.
     Packed,
 }
 
 /// Options of opening a [`VulkanRaycaster`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct VulkanOptions {
-    /// Part of the device's name, in any case, or its index. `None` takes the best: discrete, then
-    /// integrated, virtual, CPU.
+    /// Part of the device's name (case is ignored), or its index. `None` takes the best device: discrete,
+    /// then integrated, virtual, CPU.
     pub device: Option<String>,
-    /// Run under the Khronos validation layer with synchronization validation.
+    /// True to run under the Khronos validation layer with synchronization validation.
     pub validation: bool,
     /// Source of voxels. `None` takes the fastest on the device.
     pub fetch: Option<VoxelFetch>,
-    /// Count rays, samples, skips and shaded samples (a variant of the shader; times are a little longer).
+    /// True to count rays, samples, skips and shaded samples, by a variant of the shader; frames take a
+    /// little longer.
     pub count_work: bool,
     /// Edge of the tiles that large images are cut into, in pixels. `None` is 1024.
     pub tile: Option<u32>,
@@ -75,14 +76,14 @@ pub struct VulkanOptions {
     /// Time limit of one submission (a tile, a copy), after which the device counts as hanging. `None` is
     /// 30 s, on software devices 30 min.
     pub longest_wait: Option<Duration>,
-    /// Instance extensions of a window system (`VK_KHR_surface` and the like). With any, the device is opened
-    /// so that it can present in a window: with `VK_KHR_swapchain`, and a queue with graphics.
+    /// Instance extensions of a window system (`VK_KHR_surface` and the like). If there are any, the device
+    /// is opened so that it can present in a window: with `VK_KHR_swapchain`, and a queue with graphics.
     pub surface_extensions: Vec<CString>,
 }
 
 impl VulkanOptions {
     /// Reads `ENTIRE_DEVICE`, `ENTIRE_VALIDATION` (1 or 0), `ENTIRE_TILE` (pixels) and `ENTIRE_DEVICE_WAIT`
-    /// (seconds, [`VulkanOptions::longest_wait`]); variables that are not set mean the default.
+    /// (seconds, [`VulkanOptions::longest_wait`]); a variable that is not set leaves the default.
     ///
     /// # Errors
     /// When a variable has an invalid value.
@@ -171,7 +172,7 @@ struct DeviceVolume {
     geometry: Geometry,
     blocks: BlockMap,
     fetch: VoxelFetch,
-    /// Part of the volume in each texture; one where all of it fits.
+    /// Parts of the volume, one per texture; a single brick if the whole volume fits a texture.
     bricks: Vec<Brick>,
     /// Bricks along each axis.
     grid: [usize; 3],
@@ -187,15 +188,15 @@ impl VulkanRaycaster {
         Self::open(options, &|device| device)
     }
 
-    /// As [`VulkanRaycaster::new`] with replaced functions of the device, so that tests have devices that
-    /// fail.
+    /// As [`VulkanRaycaster::new`], with functions of the device replaced by `wrap`, so that tests can make
+    /// it fail.
     ///
     /// # Errors
     /// As [`VulkanRaycaster::new`].
     ///
     /// # Safety
-    /// The functions of the device that `wrap` returns must follow the Vulkan specification, failures
-    /// included.
+    /// The functions of the device that `wrap` returns must follow the Vulkan specification, also where they
+    /// fail.
     #[doc(hidden)]
     #[allow(unsafe_code, reason = "calls into Vulkan go through what the caller gives")]
     pub unsafe fn with_device_functions(
@@ -273,7 +274,7 @@ impl VulkanRaycaster {
     /// # Errors
     /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one
     /// dispatch (an image larger than a tile, a volume in bricks, very long rays: [`Renderer::render`] draws
-    /// such frames), or as [`Renderer::render`] fails.
+    /// such frames), or where [`Renderer::render`] fails.
     pub fn enqueue(&mut self, frame: &Frame) -> Result<()> {
         let watch = Stopwatch::start();
         let plan = self.plan(frame)?;
@@ -311,8 +312,9 @@ impl VulkanRaycaster {
         Ok(())
     }
 
-    /// Waits for the oldest frame in flight; `None` if there is none. Its wall time starts with the call of
-    /// [`VulkanRaycaster::enqueue`] and overlaps with that of its neighbors.
+    /// Waits for the oldest frame in flight; `None` if there is none. The frame's wall time starts with the
+    /// call of [`VulkanRaycaster::enqueue`] and overlaps with the wall times of the frames before and after
+    /// it.
     ///
     /// # Errors
     /// When the device fails.
@@ -514,9 +516,9 @@ fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
     }
 }
 
-/// The bricks from front to back. Along each axis, a ray goes away from the eye (a parallel ray: from the
-/// side of the box where it enters), so the bricks are sorted by their distance from the first brick, summed
-/// over the axes.
+/// The bricks from front to back. Along each axis, rays go away from the eye (parallel rays: from the side of
+/// the box where they enter). The bricks are therefore sorted by the number of bricks between them and the
+/// first one, summed over the axes.
 fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     let parallel = setup.origin_up != [0.0; 3];
     let inside = |brick: &Brick, a: usize| {

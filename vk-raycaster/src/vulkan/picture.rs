@@ -20,7 +20,7 @@ pub struct Region {
 }
 
 impl Region {
-    /// All of a frame.
+    /// The whole frame.
     pub fn whole(frame: &Frame) -> Self {
         Self { x: 0, y: 0, width: frame.width, height: frame.height }
     }
@@ -39,7 +39,7 @@ impl Region {
         )))
     }
 
-    /// Pixels.
+    /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
     }
@@ -55,7 +55,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// A picture, its contents undefined.
+    /// Makes a picture with undefined contents.
     ///
     /// # Errors
     /// For a size of 0 or over [`SharedDevice::max_image_side`], and when the memory is full.
@@ -72,12 +72,12 @@ impl Picture {
         Ok(Self { device: device.clone(), image, fresh: true })
     }
 
-    /// Pixels along x.
+    /// Width in pixels.
     pub fn width(&self) -> u32 {
         self.image.shape.extent[0]
     }
 
-    /// Pixels along y.
+    /// Height in pixels.
     pub fn height(&self) -> u32 {
         self.image.shape.extent[1]
     }

@@ -4,7 +4,7 @@
 // Lines that start with # are directives of build.rs, which makes one module per mode:
 // SHADING   0 none, 1 local, 2 scatter
 // SKIPPING  0 none, 1 blocks, 2 distance
-// FETCH     where voxels come from: 0 sampler, 1 eight texels, 2 two texels of four packed bytes
+// FETCH     source of voxels: 0 sampler, 1 eight texels, 2 two texels of four packed bytes
 // COUNTING  1 to count the work of each pixel
 // BRICKS    1: the texture holds a part of the volume, and the dispatch takes the samples in that part
 // PACKETS   1: the rays of a subgroup skip together (same picture; cannot count)
@@ -15,7 +15,7 @@ const EMPTY_BIT: u32 = 128u;
 const COLORS_PER_ENTRY: f32 = 16.0;
 const SHADOW_TERMINATION: f32 = 0.25;
 const ROW_SHIFT: u32 = 14u;
-// Distance in samples within which the starts of runs of a packet's rays are merged.
+// Runs of a packet's rays are merged if their starts are at most this many samples apart.
 const PACKET_SLACK: f32 = 4.0;
 
 struct FrameSetup {
@@ -60,7 +60,8 @@ struct FrameSetup {
 @group(0) @binding(0) var<storage, read> setup: FrameSetup;
 // Software devices load from storage images without the arithmetic of mip levels.
 #if FETCH == 2
-// At every 1/COLORS_PER_ENTRY entry: the opacities of the entry and of the next, as bits; the color, 11, 11 and 10 bits.
+// COLORS_PER_ENTRY texels per entry. Each holds the bits of two opacities, of the entry and of the next, and an
+// interpolated color in 11, 11 and 10 bits.
 @group(0) @binding(7) var table: texture_storage_2d<rgba32uint, read>;
 // A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice. The words lie block by block, 8 × 8 × 8
 // each, in rows of 2^ROW_SHIFT: samples that follow each other are close in memory.
@@ -108,7 +109,7 @@ var<private> block_row: i32;
 var<private> block_slice: i32;
 #endif
 
-// The integer of a whole number in 0…2²³ − 1, without the range checks of a conversion.
+// Converts a whole number in 0…2²³ − 1 to an integer, without the range checks of a cast.
 fn whole(v: vec3<f32>) -> vec3<i32> {
     return bitcast<vec3<i32>>(v + 8388608.0) & vec3<i32>(0x7fffff);
 }
@@ -131,7 +132,7 @@ struct Segment {
     end: f32,
 }
 
-// The run of equally treated samples from k on.
+// The run of samples from k on that are all skipped or all taken.
 fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32) -> Segment {
     let cell = floor(min(max(first + k * advance - 0.5, vec3<f32>(0.0)), last));
     let block = whole(cell) >> vec3<u32>(block_shift);

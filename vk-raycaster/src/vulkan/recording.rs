@@ -10,7 +10,7 @@ pub(crate) const GROUP_EDGE: u32 = 8;
 pub(crate) const IMAGE_BYTES: u64 = 4;
 pub(crate) const WORK_BYTES: u64 = 16;
 
-/// Resources of commands.
+/// Images that commands write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     /// A brick of the volume.
@@ -38,7 +38,7 @@ pub(crate) enum Command {
     BufferBarrier(Hazard),
     /// Clears the two timestamps.
     ResetTimestamps,
-    /// Writes timestamp 0 (before) or 1 (after the work so far).
+    /// Writes timestamp 0 (before the work) or 1 (after it).
     Timestamp(u32),
     /// Casts the rays of the tile.
     Dispatch { groups: [u32; 2] },
@@ -154,7 +154,7 @@ pub(crate) fn record_tile(
 pub(crate) fn record_slices(target: Target, depth: u32, first_slice: u32, slices: u32) -> Vec<Command> {
     let mut commands = vec![Command::PrepareCopy { target, keep: first_slice > 0 }];
     commands.push(Command::CopySlices { target, first_slice, slices });
-    // Only a whole image may be sampled; until then it stays a copy target.
+    // The image may be sampled only once all of it is copied; until then it stays a copy destination.
     if first_slice + slices == depth {
         commands.push(Command::FinishCopy { target });
     }

@@ -42,7 +42,7 @@ fn allocate(
 ) -> Result<Allocation> {
     if requirements.size > gpu.max_allocation {
         return Err(Error::new(format!(
-            "the {name} needs {} bytes, {} allocates at most {} at once; use a smaller volume or image",
+            "the {name} needs {} bytes, but {} allocates at most {} at once; use a smaller volume or image",
             requirements.size, gpu.name, gpu.max_allocation
         )));
     }
@@ -161,7 +161,8 @@ impl Shape {
         self.extent[2] == 0
     }
 
-    /// Units of copies: slices of a 3-D image, rows of a 2-D one. Their number and the texels in each.
+    /// Returns the number of copy units (slices of a 3-D image, rows of a 2-D image), and the number of
+    /// texels in each.
     pub(crate) fn slices(&self) -> (u32, u64) {
         let [x, y, z] = self.extent;
         if self.is_flat() { (y, u64::from(x)) } else { (z, u64::from(x) * u64::from(y)) }
@@ -178,7 +179,7 @@ pub(crate) struct Image {
 }
 
 impl Image {
-    /// A 2-D or 3-D image that is copied to and read by shaders.
+    /// Makes a 2-D or 3-D image that copies write and shaders read.
     pub(crate) fn new(gpu: &Arc<Gpu>, name: &str, shape: Shape) -> Result<Self> {
         let Shape { extent, format, storage } = shape;
         let kind = if shape.is_flat() { vk::ImageType::TYPE_2D } else { vk::ImageType::TYPE_3D };

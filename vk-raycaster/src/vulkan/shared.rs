@@ -6,11 +6,11 @@ use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 
-/// The device of a [`VulkanRaycaster`], kept open for as long as one of these, a raycaster or a
-/// [`Picture`](super::Picture) lives.
+/// The device of a [`VulkanRaycaster`]. It stays open as long as any `SharedDevice`, raycaster or
+/// [`Picture`](super::Picture) of it exists.
 ///
-/// Code that makes Vulkan objects from [`SharedDevice::device`] must keep a clone of this, and destroy the
-/// objects before it drops the clone.
+/// Code that makes Vulkan objects from [`SharedDevice::device`] must keep a clone of the `SharedDevice`, and
+/// destroy the objects before it drops the clone.
 #[derive(Clone)]
 pub struct SharedDevice {
     gpu: Arc<Gpu>,
@@ -50,7 +50,7 @@ impl SharedDevice {
         self.gpu.family
     }
 
-    /// Calls `use_queue` with the locked queue. It must not call a raycaster of this device.
+    /// Calls `use_queue` with the locked queue. `use_queue` must not call a raycaster of this device.
     pub fn with_queue<T>(&self, use_queue: impl FnOnce(vk::Queue) -> T) -> T {
         let queue = self.gpu.queue();
         use_queue(*queue)
@@ -76,8 +76,8 @@ impl SharedDevice {
         self.gpu.is_lost()
     }
 
-    /// The error of a Vulkan call on this device, with the remedy. The device is marked lost if the result
-    /// says so.
+    /// The error of a Vulkan call on this device, with the remedy. The device is marked lost if `result` is
+    /// `VK_ERROR_DEVICE_LOST`.
     pub fn error(&self, call: &str, result: vk::Result) -> Error {
         if result == vk::Result::ERROR_DEVICE_LOST {
             self.gpu.mark_lost();
@@ -92,8 +92,8 @@ impl SharedDevice {
 }
 
 impl VulkanRaycaster {
-    /// A further raycaster on an open device, with its own volume and transfer function. Raycasters of one
-    /// device may be used from several threads, each from one.
+    /// A further raycaster on an open device, with its own volume and transfer function. Raycasters that
+    /// share a device may run at the same time, each on its own thread.
     ///
     /// # Errors
     /// When the device is lost or its memory is full.
@@ -102,7 +102,7 @@ impl VulkanRaycaster {
         Self::on(Arc::clone(&device.gpu), options)
     }
 
-    /// The device, to show pictures with or to open further raycasters on.
+    /// The device, for code that shows pictures and for further raycasters.
     pub fn shared_device(&self) -> SharedDevice {
         SharedDevice::new(self.engine.shared_gpu())
     }

@@ -11,13 +11,13 @@ use ash::vk;
 use entire_core::scene::TABLE_LEN;
 use rayon::prelude::*;
 
-/// Colors per table entry in a packed table.
+/// Number of texels per table entry in a packed table.
 const COLORS_PER_ENTRY: usize = 16;
 
-/// Texels of a packed table.
+/// Number of texels of a packed table.
 const PACKED_TEXELS: usize = 4096;
 
-/// Words along a row of a packed volume's image.
+/// Number of words along a row of a packed volume's image.
 const PACKED_ROW: usize = 16384;
 
 /// Words in a block of a packed volume, and voxels along its edge.
@@ -40,10 +40,11 @@ pub(crate) struct Plan {
 /// A part of the volume in a separate texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Brick {
-    /// First and last cell whose samples use it.
+    /// First and last cell whose samples use the brick.
     pub(crate) low: [usize; 3],
     pub(crate) high: [usize; 3],
-    /// Its first voxel, and its voxels along each axis: those that these samples and their gradients read.
+    /// First voxel of the brick, and number of its voxels along each axis. It holds all voxels that its
+    /// samples and their gradients read.
     pub(crate) origin: [usize; 3],
     pub(crate) dims: [usize; 3],
 }
@@ -60,7 +61,7 @@ pub(crate) fn cut(dims: [usize; 3], limit: usize, most: u64) -> Option<(Vec<Bric
         edge.iter().map(|&n| n as u64).product::<u64>()
     };
     while grid.iter().product::<usize>() <= MAX_BRICKS && held(grid) > most {
-        // The axis along which bricks are longest.
+        // Cuts along the axis on which bricks are longest.
         let axis = (0..3).max_by_key(|&a| dims[a].div_ceil(grid[a])).unwrap_or(2);
         grid[axis] += 1;
     }
@@ -162,7 +163,7 @@ pub(crate) fn plan(
     Ok(Plan { fetch, format, unit, bricks, grid })
 }
 
-/// Writes the texels of whole slices (rows, if packed) of a brick from `first` on.
+/// Writes the texels of whole slices (rows, if packed) of a brick, starting at slice or row `first`.
 pub(crate) fn fill_slices(volume: &PreparedVolume, plan: &Plan, brick: &Brick, first: usize, out: &mut [u8]) {
     let texel = texel_bytes(plan.format);
     match &volume.voxels {
@@ -184,7 +185,8 @@ fn copy<T: bytemuck::NoUninit>(out: &mut [u8], row: &[T]) {
     out.copy_from_slice(bytemuck::cast_slice(row));
 }
 
-/// Passes every row of a brick's slices from `first` on to `write`, with its target bytes.
+/// Calls `write` for every row of a brick, starting at slice `first`, with the row's destination bytes and
+/// its voxels.
 fn for_rows<T: Sync>(
     voxels: &[T],
     [nx, ny, _]: [usize; 3],
@@ -266,8 +268,9 @@ pub(crate) fn fill_skip_map(fetch: VoxelFetch, bytes: &[u8], out: &mut [u8]) {
     }
 }
 
-/// The table's texels: four floats per entry; or, packed, at every 1/[`COLORS_PER_ENTRY`] entry the opacities
-/// of the entry and the next, and the color in 11, 11 and 10 bits.
+/// The table's texels. Unpacked, there is one texel of four floats per entry. Packed, there are
+/// [`COLORS_PER_ENTRY`] texels per entry: each holds the opacities of the entry and the next, and an
+/// interpolated color in 11, 11 and 10 bits.
 pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
     if fetch != VoxelFetch::Packed {
         return bytemuck::cast_slice(table.as_slice()).to_vec();

@@ -12,7 +12,7 @@ pub(crate) fn frame(rx: f32, ry: f32, dz: f32, width: u32, height: u32) -> Frame
     Frame::new(camera(rx, ry, dz), width, height).unwrap()
 }
 
-/// A frame of parallel rays: `scale` is half of the height that is seen.
+/// A frame of parallel rays: `scale` is half of the visible height, in bounding-sphere radii.
 pub(crate) fn parallel((rx, ry, dz): (f32, f32, f32), scale: f32, width: u32, height: u32) -> Frame {
     Frame::new(camera(rx, ry, dz).with_parallel_scale(scale).unwrap(), width, height).unwrap()
 }
@@ -57,7 +57,7 @@ fn points(list: &[(f32, [f32; 3], f32)]) -> TransferTable {
     TransferFunction::Points(points).to_table().unwrap()
 }
 
-/// Faint everywhere except in the background.
+/// Low opacity everywhere except in the background, which is transparent.
 pub(crate) fn transparent() -> TransferTable {
     points(&[(0.0, [0.2, 0.3, 0.9], 0.0), (0.1, [0.2, 0.4, 0.9], 0.0), (1.0, [1.0, 0.6, 0.2], 0.02)])
 }

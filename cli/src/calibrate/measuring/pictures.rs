@@ -21,7 +21,7 @@ const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0736];
 /// Time of drawing a scene twice at every step and distance, as a multiple of its time at full quality.
 const GRID: f64 = 14.0;
 
-/// Minimum number of scenes for which the time should be enough.
+/// Number of scenes that must fit in the time: scenes that would take a larger share of it are left out.
 const SCENES: f64 = 6.0;
 
 /// Maximum number of scenes of one volume.
@@ -37,12 +37,12 @@ pub enum PictureError {
     /// Root mean squared difference of colors.
     #[default]
     Rmse,
-    /// One minus the structural similarity of their luma.
+    /// One minus the structural similarity of the two pictures' luma.
     Ssim,
 }
 
 impl PictureError {
-    /// The error of a picture, 0 for an equal one.
+    /// The error of a picture; 0 if it equals the picture at full quality.
     fn of(self, picture: &Image, full: &Image) -> Option<f64> {
         match self {
             Self::Rmse => rmse(&picture.rgba, &full.rgba),
@@ -102,7 +102,8 @@ impl Measuring<'_> {
         (0..PER_VOLUME).flat_map(|rank| volumes.iter().filter_map(move |&v| of(v, rank))).collect()
     }
 
-    /// Draws one scene at every step and distance; `None` if time ran out or it was stopped first.
+    /// Draws one scene at every step and distance; `None` if the time ran out or `stop` returned true before
+    /// the end.
     fn compare(&mut self, i: usize) -> Result<Option<Vec<Picture>>> {
         let scene = &self.pool.candidates[i].scene;
         let place = || format!("{}, compared scene {i}", scene.volume);

@@ -50,7 +50,7 @@ pub(super) struct Evaluation<'a> {
     pub(super) unseen_only: bool,
     pub(super) frames: usize,
     pub(super) noise_floor: Option<NoiseFloor>,
-    /// Noise floor of frames of each kind.
+    /// Noise floor for each kind of frame.
     pub(super) noise_by_kind: &'a [(&'static str, NoiseFloor)],
     /// Errors in a session by the model's name, on the frames after the observed ones.
     pub(super) in_session: &'a BTreeMap<String, Metrics>,
@@ -79,7 +79,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
         Column::number("R² in log"),
         Column::number("within upper bound, %"),
         Column::number("µs per prediction"),
-        Column::number("µs of that in the network"),
+        Column::number("µs per prediction in the network"),
         Column::number("µs per transfer function"),
     ]);
     for p in predictors {

@@ -69,7 +69,7 @@ struct Predicts {
     model: SteeringModel,
     /// Hash of the model.
     identity: u32,
-    /// True if the model was calibrated to this machine, which a given model is assumed to be.
+    /// True if the model was calibrated to this machine; a model given by `--model` is assumed to be.
     calibrated: bool,
     /// The clock that the model states.
     clock: Option<Clock>,
@@ -86,8 +86,8 @@ impl Steering for Predicts {
         let mut out = format!("predicted by {}{corrected}", self.model.title());
         if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
             out += &format!(
-                "; it predicts {} seconds, the window measures {} seconds: the factor is learned from the \
-                 first frames",
+                "; it predicts {} seconds, the window measures {} seconds: the factor between them is \
+                 learned from the first frames",
                 clock.name(),
                 WINDOW.name()
             );
@@ -109,14 +109,14 @@ impl Steering for Predicts {
     fn session(&self, name: &str) -> Result<Session> {
         let kind = ControllerKind::from_name(name).with_context(|| format!("no controller {name:?}"))?;
         let predictor = self.model.predictor()?;
-        // The errors that a model states are those on the machine that it was fitted on.
+        // The errors that a model states were measured on the machine that it was fitted on.
         let prior = match predictor.log_sd() {
             Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
             _ => Prior::Unknown,
         };
         let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), prior);
         let mut session = Session::with_controller(predictor, steers);
-        // The window's renderer is the raycaster that the model's quality law is for.
+        // The window renders with the raycaster, to which the model's quality law was fitted.
         let pictures = session.quality().unwrap_or(RAYCASTER);
         session.set_timing_source("entire explore", WINDOW.name())?;
         session.set_quality(Some(pictures))?;
@@ -221,7 +221,8 @@ fn path_file(recording: &Recording) -> PathFile {
     }
 }
 
-/// True if the two can be interpolated: both lobes or both points, of equal number.
+/// True if the two transfer functions can be interpolated: both have lobes or both have points, of equal
+/// number.
 fn alike(a: &Transfer, b: &Transfer) -> bool {
     match (a, b) {
         (Transfer::Lobes(a), Transfer::Lobes(b)) => a.len() == b.len(),

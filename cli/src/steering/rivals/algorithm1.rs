@@ -1,4 +1,4 @@
-//! The paper's Algorithm 1 and its baselines there: OLP and PID.
+//! Algorithm 1 of the paper, and the paper's baselines OLP and PID.
 
 use super::StepResponse;
 use entire_steer::control::Verdict;
@@ -51,9 +51,9 @@ enum Recent {
     LargerOfTwo,
 }
 
-/// Reactive rules on recent times: each time is converted to the reference step by G, and G gives the step
-/// that meets the target, for the mean of three frames (the paper's OLP), the last one, or the larger of the
-/// last two. The first frame is drawn at the reference step.
+/// Reactive rules on recent frame times. Each time is converted to the reference step by G. The predicted
+/// time is the mean of the last three (the paper's OLP), the last one, or the larger of the last two; G gives
+/// the step at which it meets the target. The first frame is drawn at the reference step.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Olp {
     recent: Recent,
@@ -68,12 +68,12 @@ impl Olp {
         Self { recent: Recent::MeanOfThree, response, window: [0.0; 3], seen: 0 }
     }
 
-    /// From the last frame alone.
+    /// The rule that uses the last frame only.
     pub(crate) fn last(response: StepResponse) -> Self {
         Self { recent: Recent::Last, ..Self::new(response) }
     }
 
-    /// From the larger of the last two frames.
+    /// The rule that uses the larger of the last two frames.
     pub(crate) fn larger_of_two(response: StepResponse) -> Self {
         Self { recent: Recent::LargerOfTwo, ..Self::new(response) }
     }
@@ -109,7 +109,8 @@ impl Controller for Olp {
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
         self.window[self.seen % 3] = observed.seconds / self.response.time_ratio(observed.step);
-        // From 5 back to 3: `seen % 3` goes on in turn, the window counts as full, and nothing overflows.
+        // The count goes from 5 back to 3: `seen % 3` stays cyclic, `seen` stays at least 3 (a full window),
+        // and it cannot overflow.
         self.seen = if self.seen >= 5 { 3 } else { self.seen + 1 };
         Verdict::Learned
     }
@@ -155,7 +156,7 @@ impl Controller for Pid {
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
-        // Clamped, so that a single stall does not dominate the integral for a hundred frames.
+        // The error is clamped, so that a single stall does not dominate the integral for a hundred frames.
         let error = ((observed.seconds - observed.target) / observed.target).clamp(-1.0, 10.0);
         self.integral = (self.integral + error).clamp(-20.0, 20.0);
         let difference = error - self.last.unwrap_or(error);

@@ -15,9 +15,9 @@ fn reactive(step: f32) -> Decision {
     Decision { step, seconds: f32::NAN, upper: f32::NAN, out_of_range: f32::NAN, reason: Reason::Reactive }
 }
 
-/// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and allocated time over
-/// full-quality time, quantized to 1, 0.5, 0.2 or 0.1; the ray step is its inverse, as there. The first frame
-/// is drawn at full quality.
+/// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and the ratio of allocated to
+/// full-quality time, rounded down to 1, 0.5, 0.2 or 0.1. The ray step is the inverse of the factor, as in
+/// VTK. The first frame is drawn at full quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VtkGpu {
     factor: f32,
@@ -26,7 +26,7 @@ pub(crate) struct VtkGpu {
 }
 
 impl VtkGpu {
-    /// At full quality.
+    /// The rule before the first frame, at full quality.
     pub(crate) fn new() -> Self {
         Self { factor: 1.0, last: 0.0 }
     }
@@ -74,7 +74,7 @@ pub(crate) struct VtkFixedPoint {
 }
 
 impl VtkFixedPoint {
-    /// Before the first frame.
+    /// The rule before the first frame, at half the largest distance.
     pub(crate) fn new() -> Self {
         Self { distance: 5.0, last: 0.0 }
     }
@@ -105,9 +105,9 @@ impl Controller for VtkFixedPoint {
     }
 }
 
-/// The rule of vtk.js: over windows of at least one second, the scale is multiplied by desired over measured
-/// frame rate when they differ by more than 15 %; 1…400. s is the scale: the image's sides are divided by its
-/// square root.
+/// The rule of vtk.js: after each window of at least one second, the scale is multiplied by the ratio of
+/// desired to measured frame rate if the two differ by more than 15 %. The scale is s, from 1 to 400: the
+/// image's sides are divided by its square root.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VtkJs {
     scale: f32,
@@ -155,10 +155,10 @@ impl Controller for VtkJs {
 /// Number of past frames that [`Unreal`] and [`Filament`] use.
 const WINDOW: usize = 16;
 
-/// The dynamic-resolution heuristic of Unreal Engine: frame times weighted by 0.9 per frame of age,
-/// resolution fraction f · √(0.95 target / time), changes of at least 2 %, at least 8 frames apart, moves up
-/// blended by 0.9; two frames over the budget in a row drop the history and react at once. s is 1 / f²; the
-/// caller's limits keep f in 0.5…1.
+/// The dynamic-resolution heuristic of Unreal Engine. Frame times have weights of 0.9 per frame of age; the
+/// new resolution fraction is f · √(0.95 target / time). It changes by at least 2 % and at most every 8
+/// frames; increases of the work are multiplied by 0.9. After two frames in a row over the target, the rule
+/// reacts to the last frame at once and drops the history. s is 1 / f²; the caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unreal {
     work: f32,
@@ -233,10 +233,10 @@ impl Controller for Unreal {
     }
 }
 
-/// The frame-rate controller of Filament: the median of up to 15 frame times, a PI controller in velocity
-/// form on measured over target time (Kp = 1 − e^(−1/8), Ki = 0.002), an output dead band of −1 %…+5 %, no
-/// integral while clamped. The controlled quantity is the share of work, s its inverse; the caller's limits
-/// keep the scale of each side in 0.5…1.
+/// The frame-rate controller of Filament: the median of up to 15 frame times is the input of a PI controller
+/// in velocity form on the ratio of measured to target time (Kp = 1 − e^(−1/8), Ki = 0.002). Output changes
+/// of −1 %…+5 % are ignored, and the integral stops while the output is clamped. The controlled quantity is
+/// the share of work, and s is its inverse; the caller's limits keep the scale of each side in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Filament {
     work: f32,

@@ -73,9 +73,9 @@ impl StepResponse {
         Ok(Self { points })
     }
 
-    /// A renderer whose time has a fixed share and a share that falls as 1 / step, sampled from a quarter of
-    /// the reference step to 32 of them: a substitute until G is measured. The fixed share is clamped to
-    /// 0…0.99.
+    /// The curve of a renderer whose time has a fixed share and a share that falls as 1 / step, sampled at
+    /// steps from 1/4 to 32 times the reference step: a substitute until G is measured. The fixed share is
+    /// clamped to 0…0.99.
     pub fn inverse_step(fixed_share: f32) -> Self {
         let fixed = if fixed_share.is_finite() { f64::from(fixed_share).clamp(0.0, 0.99) } else { 0.0 };
         let points = (-4..=10)
@@ -101,8 +101,8 @@ impl StepResponse {
         libm::exp(y0 + (y1 - y0) * (x - x0) / (x1 - x0)) as f32
     }
 
-    /// G⁻¹: the finest step ratio whose time ratio is at most the given one; the finest sampled step where
-    /// all are faster, the coarsest where none is.
+    /// G⁻¹: the finest step ratio whose time ratio is at most the given one; the finest sampled step if all
+    /// sampled steps are faster, the coarsest if none is.
     pub fn step_ratio(&self, time_ratio: f32) -> f32 {
         let y = libm::log(f64::from(time_ratio).max(1.0e-30));
         let upper = self.points.partition_point(|p| p.1 > y);

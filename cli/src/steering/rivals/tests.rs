@@ -95,13 +95,13 @@ impl Plant {
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Outcome {
-    /// Share of frames over 1.1 targets.
+    /// Share of frames longer than 1.1 times the target.
     miss: f64,
-    /// Share of switch frames over their upper bound.
+    /// Share of switch frames longer than their upper bound.
     above_bound: f64,
     /// Mean |t − target| / target where the target can be met exactly.
     deviation: f64,
-    /// Mean of oracle step / step, at most 1.
+    /// Mean of (oracle's step / chosen step), at most 1.
     quality: f64,
     /// Share of calm frames whose step differs by over 20 % from the one before.
     jumps: f64,

@@ -17,8 +17,8 @@
 //! # Order
 //!
 //! Every output starts at its bias and adds its taps in one accumulator, either in the order (kernel z, y, x,
-//! input channel), or in the order (kernel z, y, input channel, x) at all positions of a channel. So the
-//! result is bit-identical for every tiling and every number of threads.
+//! input channel) or in the order (kernel z, y, input channel, x). All positions of an output channel use the
+//! same order, so the result is bit-identical for every tiling and every number of threads.
 
 mod channels_last;
 mod head;
@@ -44,7 +44,7 @@ pub(crate) struct Encoder {
     level: Level,
     first: Planar,
     rest: Vec<ChannelsLast>,
-    /// Weights of the dense layer: for each feature, one per float of the last layer's output.
+    /// Weights of the dense layer: for each feature, one weight per float of the last layer's output.
     dense: Buffer,
     dense_len: usize,
     dense_bias: Vec<f32>,
@@ -135,7 +135,8 @@ impl Encoder {
     /// Reallocates the scratch unless it fits this encoder and number of threads.
     fn fit(&self, scratch: &mut Scratch, threads: usize) -> Result<()> {
         if !self.sizes().eq(scratch.sizes.iter().copied()) {
-            // Empty until every allocation has succeeded: after a failed one, the next call starts anew.
+            // The scratch stays empty until every allocation has succeeded. After a failed allocation, the
+            // next call allocates again.
             *scratch = Scratch::default();
             let sizes: Vec<usize> = self.sizes().collect();
             scratch.outputs.push(Buffer::zeroed(sizes[2])?);
@@ -215,7 +216,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// Computes the first two layers, output planes split over the workers.
+    /// Computes the first two layers, with the output planes split over the workers.
     fn front(
         &self,
         prepare: &Prepare<'_>,
@@ -243,7 +244,7 @@ impl Encoder {
         );
     }
 
-    /// Planes of a network with one convolution.
+    /// Computes a range of output planes of a network with one convolution.
     fn first_planes(&self, prepare: &Prepare<'_>, worker: &mut Worker, target: Output, planes: Range<usize>) {
         let mut next = 0;
         for z in planes {

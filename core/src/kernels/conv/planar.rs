@@ -28,10 +28,10 @@ pub(super) struct Planar {
     pub(super) lead: usize,
 }
 
-/// Writes the prepared plane `z` of the input.
+/// Function that writes the prepared input plane `z`.
 pub(crate) type Prepare<'a> = dyn Fn(usize, &mut PreparedPlane<'_>) + Sync + 'a;
 
-/// Target of one prepared plane (layout: see `conv`).
+/// Destination of one prepared plane (layout: see `conv`).
 #[derive(Debug)]
 pub(crate) struct PreparedPlane<'a> {
     data: &'a mut [f32],
@@ -136,7 +136,8 @@ impl Planar {
         self.lead + z * self.out_plane + ((y + self.border) * self.padded + channel) * self.out_row
     }
 
-    /// Computes output plane `z` into `out`; prepares the missing input planes, from `next` on.
+    /// Computes output plane `z` into `out`. First prepares the missing input planes, starting at plane
+    /// `next`.
     #[allow(clippy::too_many_arguments, reason = "one call site per caller; a struct would only rename them")]
     pub(super) fn plane(
         &self,

@@ -279,8 +279,8 @@ pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vect
             (_, true) => one_by_eight(s, tile),
             (_, false) => one_by_six(s, tile),
         }
-        // A separate loop: inlined once per sum, SELU would be most of the code. Repeated positions get it
-        // once.
+        // SELU runs in a separate loop: inlined once per sum, it would be most of the code. A repeated
+        // position is processed once.
         for output in &tile.output[..tile.distinct] {
             for v in 0..vectors {
                 let p = output.add(v * S::LANES);

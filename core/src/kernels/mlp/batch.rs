@@ -28,8 +28,8 @@ impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
         let wide: *mut f32 = scratch.panel.as_mut_ptr().cast();
         // SAFETY: `fits` has checked that the buffers hold `scratch.rows` rows of `stride` floats each
-        // (`quantized` the same in bytes, padded to 32) and the largest panel; there are at most that many
-        // rows.
+        // (`quantized` the same in bytes, padded to 32) and the largest panel; the batch has at most
+        // `scratch.rows` rows.
         unsafe {
             for (r, row) in inputs.chunks_exact(net.inputs).enumerate() {
                 net.load_inputs(simd, row, x.add(r * stride));
@@ -143,8 +143,8 @@ impl Mlp {
     }
 }
 
-/// Applies SELU to `count` rows of `n` floats, `stride` apart. A separate loop: inlined once per sum of every
-/// tile, SELU would be most of the library's code.
+/// Applies SELU to `count` rows of `n` floats, `stride` apart. The loop is separate because SELU, inlined
+/// once per sum of every tile, would be most of the library's code.
 ///
 /// # Safety
 /// `y` must hold the rows; `n` is a multiple of LANES.

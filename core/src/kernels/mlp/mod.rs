@@ -46,10 +46,12 @@ pub(crate) use packing::{Dense, Line};
 use packing::{LINE_BYTES, Layer, pack};
 use row::{Forward, LastRow, LayerPart, LoadInputs};
 
-/// Largest number of rows per batch: two buffers of them and a layer's weights fit in a second-level cache.
+/// Largest number of rows per batch: two buffers of this many rows and a layer's weights fit in a
+/// second-level cache.
 pub(crate) const BLOCK_ROWS: usize = 384;
 
-/// Fewest cache lines of weights (64 KiB) for which splitting a layer over two threads pays.
+/// Smallest number of cache lines of weights (64 KiB in total) at which a layer is split over two threads.
+/// Smaller layers run faster on one thread.
 const SPLIT_LINES: usize = 1024;
 
 /// A network of dense layers with SELU after every layer but the last, which has one output.
@@ -202,7 +204,8 @@ impl Mlp {
         }
     }
 
-    /// As [`forward`](Self::forward), the outputs of each large layer split over two threads: same bits.
+    /// As [`forward`](Self::forward), with the outputs of each large layer split over two threads. The result
+    /// has the same bits.
     pub(crate) fn forward_split<J: Join>(
         &self,
         threads: &J,

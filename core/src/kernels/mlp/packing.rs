@@ -59,11 +59,11 @@ pub(super) struct Layer {
     pub(super) storage: Storage,
     /// Inputs padded with zero weights, to a multiple of 8, or of 32 with [`Storage::Int8`].
     pub(super) inputs: usize,
-    /// Inputs padded to a multiple of 16: the length that the layer before writes.
+    /// Number of inputs padded to a multiple of 16: the number of values that the previous layer writes.
     pub(super) filled: usize,
     /// Outputs padded to a multiple of 16.
     pub(super) width: usize,
-    /// First line of the first panel.
+    /// Index of the first panel's first cache line.
     pub(super) start: usize,
 }
 

@@ -254,7 +254,7 @@ impl Mlp {
     pub(super) unsafe fn last_row<S: Simd>(&self, simd: S, x: *const f32) -> f32 {
         let (inputs, start) = self.last;
         let padded = inputs.next_multiple_of(16);
-        // SAFETY: the packed row is padded to 16 as well; 16 is a multiple of LANES.
+        // SAFETY: both rows are padded to 16, a multiple of LANES.
         unsafe {
             let row = self.data.as_ptr().add(start).cast::<f32>();
             let mut sum = simd.splat(0.0);

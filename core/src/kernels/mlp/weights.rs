@@ -4,7 +4,8 @@ use crate::kernels::simd::Simd;
 
 /// Storage format whose weights are loaded for two successive inputs at a time.
 pub(super) trait Format {
-    /// Vectors of the weights of inputs `k` and `k + 1` (`k` even), from output `o` of a panel of `n` on.
+    /// Loads two vectors of a panel with `n` outputs: the weights of inputs `k` and `k + 1` (`k` even),
+    /// starting at output `o`.
     ///
     /// # Safety
     ///

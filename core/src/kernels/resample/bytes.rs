@@ -16,8 +16,8 @@ pub(crate) fn integer_ratio(dims: &[usize; 3], n: usize) -> bool {
         && dims.iter().map(|&d| d / n).fold(1usize, usize::saturating_mul) <= (1 << 24) / 255
 }
 
-/// Fills reduced planes from `z0` on with averages of bytes at integer ratios. The result is `sum·scale /
-/// voxels + offset`, clamped to [0, 1].
+/// Fills reduced planes, starting at plane `z0`, with averages of bytes at integer ratios. The result is
+/// `sum·scale / voxels + offset`, clamped to [0, 1].
 pub(crate) fn bytes(
     g: &Geometry<'_>,
     src: &[u8],

@@ -42,7 +42,8 @@ pub(crate) fn fetch<T: Scalar, M: Map<T>>(
     level.run(Body(&src[at..], map, stride, out));
 }
 
-/// Fills reduced planes from `z0` on of any volume: fetches rows, sums them with their weights, then along x.
+/// Fills reduced planes of any volume, starting at plane `z0`: fetches rows, adds them with their weights,
+/// then averages along x.
 ///
 /// One body for all voxel types and maps; only `fetch` depends on them.
 pub(crate) fn planes(
@@ -112,8 +113,8 @@ fn planes_body(
     }
 }
 
-/// Adds the rows of one plane to `sum`, weighted by the plane's weight times the row's. `rows` has room for
-/// [`ROWS`].
+/// Adds the rows of one plane to `sum`. A row's weight is multiplied by the plane's weight. `rows` has room
+/// for [`ROWS`] rows.
 #[inline(always)]
 fn sum_rows(
     g: &Geometry<'_>,

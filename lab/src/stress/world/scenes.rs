@@ -93,7 +93,7 @@ pub(super) struct World {
     pub(super) blocks: Vec<Block>,
     pub(super) shot: Box<dyn Fn(usize) -> Shot>,
     pub(super) frames: usize,
-    /// Target over the median frame time at the finest step.
+    /// Target divided by the median frame time at the finest step.
     pub(super) share: f64,
     pub(super) limits: Limits,
 }

@@ -34,7 +34,8 @@ struct pqEntireSteeringPanel::pqInternals
   QPointer<pqRenderView> View;
   // One steering per view, kept while the view lives.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Proxies;
-  // ParaView reads the values of the proxies above in the client, and those of these on the server, if a server draws.
+  // Read-outs: ParaView reads the values of Proxies in the client, and the values of Remotes on the server if a server
+  // draws.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Remotes;
   // Number of frames of each proxy at the last update of the labels, and the proxy of the process that drew last.
   QMap<vtkSMProxy*, double> Seen;
@@ -120,7 +121,7 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
   column->addLayout(form);
 
   auto* buttons = new QHBoxLayout;
-  auto* save = new QPushButton("Save what was learned...");
+  auto* save = new QPushButton("Save learned state...");
   auto* reset = new QPushButton("Forget");
   buttons->addWidget(save);
   buttons->addWidget(reset);
@@ -137,7 +138,7 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
   in.Predicted = label("Predicted", "Predicted");
   in.Measured = label("Measured", "Measured");
   in.Frame = label("Whole frame", "Frame");
-  in.Distances = label("Sample distance, of the image", "Distances");
+  in.Distances = label("Sample distances (ray, image)", "Distances");
   in.Reason = label("Why", "Reason");
   in.Reason->setWordWrap(true);
   in.Frames = label("Frames steered", "Frames");
@@ -281,7 +282,7 @@ void pqEntireSteeringPanel::browse()
 void pqEntireSteeringPanel::save()
 {
   vtkSMProxy* proxy = this->Internals->Proxy();
-  const QString name = proxy ? QFileDialog::getSaveFileName(this, "Save what was learned") : QString();
+  const QString name = proxy ? QFileDialog::getSaveFileName(this, "Save learned state") : QString();
   if (!name.isEmpty())
   {
     vtkSMPropertyHelper(proxy, "Save").Set(name.toUtf8().data());

@@ -52,7 +52,7 @@ public:
     this->Renderer = renderer;
     if (renderer)
     {
-      // With a priority before the observers of each vtkEntireSteering.
+      // The priority makes this observer run before those of each vtkEntireSteering.
       this->Tag = renderer->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::Start, 2.0f);
     }
   }
@@ -91,7 +91,7 @@ public:
         continue;
       }
       auto steering = vtkSmartPointer<vtkEntireSteering>::New();
-      // Before Attach() reads the volume, since a later change of clock or model would read it again.
+      // Set before Attach(), which reads the volume: a later change of clock or model would read it again.
       this->Configure(steering);
       if (steering->Attach(renderer, volume))
       {
@@ -125,7 +125,7 @@ public:
     steering->SetModelFileName(model && *model ? model : nullptr);
   }
 
-  // The internals whose values are returned: those of the source, if one is set.
+  // The internals whose values the getters return: those of the source if it is set, else these.
   vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
 
   // The steering of the volume that took longest in its last frame.

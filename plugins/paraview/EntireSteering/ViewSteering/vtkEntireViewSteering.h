@@ -30,8 +30,8 @@ public:
   void SetView(vtkPVRenderView* view);
 
   /**
-   * Sets another steering in this process whose values the getters below return instead of this one's own; nullptr
-   * for none. It is not kept alive.
+   * Sets a source: another steering in this process, whose values the getters below then return. nullptr, the default,
+   * means that they return the values of this steering. The source is not kept alive.
    */
   void SetSource(vtkEntireViewSteering* source);
 

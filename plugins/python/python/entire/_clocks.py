@@ -17,7 +17,7 @@ def difference(session: Session) -> str:
     if own is None or model is None or own == model:
         return ""
     return (
-        f"the model predicts seconds of the {model} clock, frames are timed by the {own} clock: the model's scale "
+        f"the model predicts seconds of the {model} clock, but frames are timed by the {own} clock: the model's scale "
         f'is learned from the first frames; "entire train --clock {own}" makes a model of the {own} clock'
     )
 

@@ -57,7 +57,7 @@ class Model(_native.Model):
     Raises
     ------
     ModelError
-        For bytes that are not a model file, or a damaged one.
+        For bytes that are not a model file, or for a damaged model file.
     FileNotFoundError
         For a text that is neither a shipped model's name nor a file.
 
@@ -161,7 +161,7 @@ class Session(_native.Session):
     tolerance : float, optional
         Excess over the target above which a frame counts as missed, as a share of the target. Default 0.1.
     miss_rate : float, optional
-        Share of frames that may be missed, over 0 and at most 0.5. Default 0.05.
+        Share of frames that may be missed, above 0 and at most 0.5. Default 0.05.
     trust_limit : float, optional
         Out-of-range score above which recent frames are used instead of the prediction. Default 2.
     damping : bool, optional
@@ -234,7 +234,7 @@ class Session(_native.Session):
         self.record_from(frames, _model(model))
 
     def calibrate(self) -> Calibrated:
-        """Fits a model to the recorded frames (:meth:`record`): a model of their renderer and machine. Takes a second
+        """Fits a model of the renderer and machine to the recorded frames (:meth:`record`). Takes a second
         or less for 500 frames. :meth:`set_model` puts it into the session, ``Model.save`` stores it.
 
         Returns

@@ -79,7 +79,7 @@ class EntireComponent:
             Volumes to hold. Default: all volumes of the renderer, including those that are added later.
         **options
             Options of :func:`entire.vtk.hold`. Loops without interaction (off screen) need
-            ``always=True``: without it all their frames are still frames.
+            ``always=True``; otherwise all their frames are still frames.
 
         Returns
         -------

@@ -65,7 +65,7 @@ def _manager(view: Any) -> Any:
     """The displayable manager of volume rendering for an argument of :func:`hold`; None if it has none."""
     if hasattr(view, "threeDView"):
         view = view.threeDView()
-    # Of a view of Slicer, of a view of trame-slicer, of a group of managers.
+    # Methods of a view of Slicer, of a view of trame-slicer, and of a group of managers.
     for name in "displayableManagerByClassName", "get_displayable_manager_by_class", "GetDisplayableManagerByClassName":
         if hasattr(view, name):
             return getattr(view, name)(_MANAGER)

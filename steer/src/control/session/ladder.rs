@@ -29,7 +29,7 @@ pub(super) struct Cast {
     termination: f32,
     eye: Vec3,
     axis: Vec3,
-    /// Visible height at distances 0 and 1.
+    /// Height of the visible region at distances 0 and 1 from the eye, in scene units.
     heights: [f32; 2],
 }
 
@@ -76,10 +76,10 @@ impl Session {
     ///
     /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last
     /// `side`² rays. It stops as soon as the probe's estimated error is at most the tolerance (a share of the
-    /// frame's time, which changes the step by as much) or cannot change the plan: the finest step meets the
-    /// target, or the coarsest one does not, for every time within the error. While the view has hardly
-    /// turned since rays were cast, plans reuse the rays' results and recompute only the volume's place in
-    /// the image. So `side` bounds the time of a plan, and most plans take less.
+    /// frame's time; the step changes by about the same share) or cannot change the plan: the finest step
+    /// meets the target, or the coarsest one does not, for every time within the error. While the view has
+    /// hardly turned since rays were cast, plans reuse the rays' results and recompute only the volume's
+    /// place in the image. So `side` bounds the time of a plan, and most plans take less.
     /// [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the last probe.
     /// [`Session::predict`] and [`Session::choose`] use the finest probe.
     ///

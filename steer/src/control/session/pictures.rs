@@ -28,9 +28,9 @@ impl Session {
     }
 
     /// Sets the picture quality law of this renderer, so that plans coarsen where the error is smaller. With
-    /// `None`, the initial value, the model's law is used, if it was calibrated with pictures of the renderer
-    /// named by [`Session::set_timing_source`] (or none is named). A law replaces `step_alone` of
-    /// [`Session::set_max_image_sample_distance`].
+    /// `None`, the initial value, the model's law is used, if the model was calibrated with pictures of the
+    /// renderer that [`Session::set_timing_source`] named, or if no renderer was named. A law replaces
+    /// `step_alone` of [`Session::set_max_image_sample_distance`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8

@@ -80,15 +80,15 @@ impl Recording {
 }
 
 impl Session {
-    /// Starts to record planned and observed frames for [`Session::calibrate`], up to `frames` of them
-    /// (8 to 65 536; later ones replace earlier ones at random, so that the kept ones
-    /// are a fair sample). Frames recorded before are dropped.
+    /// Starts to record planned and observed frames for [`Session::calibrate`], up to `frames` of them (8 to
+    /// 65 536; later ones replace earlier ones at random, so that the kept frames are a uniform random
+    /// sample). Frames recorded before are dropped.
     ///
     /// `prior` is the model to start from, fitted on another machine or renderer: an analytic model, or an
     /// analytic model times a learned factor that was fitted with the session's probe. Without one, the fit
     /// starts from unit costs of a software renderer. Not recorded are frames whose observation is unusual or
-    /// cancelled, the first frame of the session and of a volume, and frames that lack an input of the prior.
-    /// Planning and observing still do not allocate.
+    /// cancelled, the first frame of the session and of each volume, and frames that lack an input of the
+    /// prior. Planning and observing still do not allocate.
     ///
     /// Frames timed earlier can be recorded in the same way: with steering off ([`Session::set_enabled`]),
     /// plan each frame as it was drawn, and observe its time.

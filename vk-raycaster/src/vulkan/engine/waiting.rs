@@ -6,7 +6,7 @@ use crate::vulkan::gpu::NamedCall;
 use ash::vk;
 
 impl Engine {
-    /// Waits until nothing is running; finished casts can still be collected.
+    /// Waits until no submission is running; finished casts can still be collected.
     pub(crate) fn drain(&mut self) -> Result<()> {
         self.gpu.check()?;
         for slot in 0..self.slots.len() {

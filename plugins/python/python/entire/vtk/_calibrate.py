@@ -46,9 +46,9 @@ def calibrate(
     """Draws random frames of a volume in its window and fits the cost model to its mapper's times.
 
     Directions, distances, steps and the opacity of the volume are varied. Then some scenes are drawn with coarser
-    steps, as smaller images and with both, and compared with full quality, so that steering with the model coarsens
-    whichever of step and image adds less error. Camera, mapper and property are restored afterwards, and the window is
-    drawn once more.
+    steps, as smaller images, and with both, and each picture is compared with full quality. Steering with the model
+    then coarsens step or image, whichever adds less error. Camera, mapper and property are restored afterwards, and the
+    window is drawn once more.
 
     Parameters
     ----------
@@ -84,9 +84,9 @@ def calibrate(
         For too few frames, another clock, or a scene that cannot be read.
     """
     if pictures and pictures < 3:
-        raise ValueError(f"pictures is {pictures}; at least 3 scenes are needed for a quality law, 0 compares none")
+        raise ValueError(f"pictures is {pictures}; at least 3 scenes are needed for a quality law, or 0 for none")
     if frames < 10:
-        raise ValueError(f"frames is {frames}; at least 10 are needed to fit the unit costs, 60 are plenty")
+        raise ValueError(f"frames is {frames}; at least 10 are needed to fit the unit costs; 60 are enough")
     _check_renderer(renderer)
     if renderer.GetRenderWindow() is None:
         raise ValueError("the renderer has no window; add it to one with AddRenderer()")

@@ -48,8 +48,8 @@ class Leaf:
     measured : float
         Seconds that the mapper took; NaN before the first frame.
     share_time : float
-        Seconds of the target that the last pass got: all volumes that are held in a window share its frame time, also
-        those of two eyes and of several renderers.
+        The last pass's share of the target, in seconds. All held volumes of a window share its frame time, also if the
+        window has two eyes or several renderers.
     sample_distance : float
         Sample distance along rays, in the unit of the spacing; NaN if it is unknown.
     image_sample_distance : float
@@ -295,7 +295,7 @@ class Leaf:
         self._started = steering._now()
 
     def _end(self, _mapper: Any, _event: str) -> None:
-        # Only takes the time; _finish() does the rest at the renderer's end.
+        # Only measures the time; _finish() restores the settings and reports the time at the renderer's end.
         if self._drawing:
             if self._gpu:
                 # Waits for the device to finish the mapper's work.
@@ -367,7 +367,7 @@ class Leaf:
                 call()
 
     def _several(self, together: Any) -> int:
-        """A number that grows with every change of a vtkMultiVolume or its first volume; -1 if that is deleted."""
+        """A number that grows with every change of a vtkMultiVolume or its first volume; -1 if the latter is gone."""
         shown = None if self._shown is None else self._shown()
         return -1 if shown is None else int(together.GetMTime() + shown.GetMTime())
 

@@ -173,7 +173,8 @@ def _unit(value: float) -> float:
 
 
 def transfer_key(prop: Any) -> tuple[Any, ...]:
-    """Values that change whenever :func:`transfer_nodes` may have changed, but not with lighting and the like."""
+    """Values that change whenever :func:`transfer_nodes` may have changed, but not when other settings, such as
+    lighting, change."""
     channels = prop.GetColorChannels(0)
     functions = [prop.GetScalarOpacity(0)]
     if channels == 3:

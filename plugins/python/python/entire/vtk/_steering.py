@@ -29,12 +29,12 @@ from ._window import frame_of, is_picking
 
 log = logging.getLogger("entire.vtk")
 
-# Rays along each side of the probe for linear cost models. Few, since each ray takes about a microsecond after a large
-# frame has evicted the probe's data from the caches.
+# Rays along each side of the probe for linear cost models. The number is low, since each ray takes about a microsecond
+# after a large frame has evicted the probe's data from the caches.
 _PROBE_SIDE = 6
 # Smallest share of the target for the window's frame, however long the work outside of its drawing takes.
 _LEAST_SHARE = 0.2
-# Number of last frames whose median is the time outside of the window's drawing.
+# Number of recent times spent outside of the window's drawing; their median is the expected time.
 _OUTSIDE_TIMES = 5
 # Number of still frames off screen, without any steered one, after which a warning names `always`.
 _STILL_FRAMES = 10
@@ -596,8 +596,8 @@ def hold(
         Maximum number of pixels between rays along each side of the image, 1 to 100; 1 keeps the full image size.
         Default 4.
     tolerance, miss_rate : float, optional
-        At most the share `miss_rate` of frames may exceed the target by more than the share `tolerance` of it.
-        Default 0.25 and 0.02.
+        A frame is missed if its time exceeds the target by more than `tolerance` times the target. `miss_rate` is the
+        share of frames that may be missed. Default 0.25 and 0.02.
     always : bool, optional
         True to steer every frame. False to steer only frames for which the window's ``DesiredUpdateRate`` is at
         least `still_rate`; the others are still frames. Default: True if the window has no interactor.
