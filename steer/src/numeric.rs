@@ -51,7 +51,8 @@ pub fn solve(a: &mut [f64], b: Vec<f64>) -> Option<Vec<f64>> {
     cholesky(a, b.len()).then(|| back(a, forward(a, b)))
 }
 
-/// Median of the values, the mean of the middle two for an even number; reorders them. `None` when empty.
+/// Median of the values; for an even number of values, the mean of the middle two. Reorders the slice. `None`
+/// when empty.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
@@ -66,8 +67,8 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
-/// RMSE of (predicted, measured) pairs over the standard deviation of the measured values; `None` without
-/// pairs.
+/// RMSE of (predicted, measured) pairs, divided by the standard deviation of the measured values; `None`
+/// without pairs.
 pub(crate) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.is_empty() {
         return None;

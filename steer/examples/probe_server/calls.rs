@@ -146,7 +146,7 @@ fn table(center: f32, height: f32) -> TransferTable {
     TransferFunction::Gaussian(vec![lobe]).to_table().expect("a table")
 }
 
-/// Transfer functions: sparse, thin everywhere, opaque.
+/// Transfer functions: one that leaves most cells empty, a transparent one, and an opaque one.
 fn tables() -> [TransferTable; 3] {
     [table(0.9, 0.02), table(0.5, 0.02), table(0.7, 0.9)]
 }
@@ -188,8 +188,9 @@ fn plans(volumes: &mut Volumes, side: usize, cold: bool, shading: Shading) -> Ve
     out
 }
 
-/// Answers `transfer/EDGE/first`, the first function of a volume; `…/edit`, another one; `…/plan`, another
-/// one and the first plan after it.
+/// Answers `transfer/EDGE/first`: seconds to set the first transfer function of a volume; `…/edit`: seconds
+/// to set another transfer function; `…/plan`: seconds to set another transfer function and make the first
+/// plan after it.
 fn transfers(volumes: &mut Volumes, edge: usize, what: &str) -> Vec<f64> {
     let summary = volumes.summary(edge);
     let frame = frames(Shading::None)[0];

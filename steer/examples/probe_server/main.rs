@@ -1,5 +1,5 @@
-//! Server for the probe's benchmark, so that two builds of the crate can be timed alternately: a line `NAME`
-//! in, a line `@@{"seconds": […]}` out, one number per scene or call.
+//! Server for the probe's benchmark, so that two builds of the crate can be timed alternately: reads lines
+//! `NAME`, and answers each with a line `@@{"seconds": […]}`, one number per scene or call.
 //!
 //! [`calls`] uses only functions common to several versions of the crate; [`scene`] and the functions below
 //! depend on this version.
@@ -13,8 +13,8 @@ use entire_core::kernels::Executor;
 use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::hint::black_box;
 
-/// Times a time step of a series: `same`, without changes, which the scan must find out; `box`, with a given
-/// box of 64³ changed voxels.
+/// Seconds of a time step of a series: `same` for an unchanged volume, of which all voxels are compared;
+/// `box` for a given box of 64³ changed voxels.
 fn time_step(view: &VolumeView<'_>, what: &str) -> Option<f64> {
     let planes = view.shape().dims[2];
     let mut series = SummarySeries::new(view).expect("a series");

@@ -29,7 +29,7 @@ macro_rules! constants {
 pub(crate) use constants;
 
 constants! {
-    /// Constants of the online correction: its priors about an unmeasured machine and its scenes, and its
+    /// Constants of the online correction: its priors for an unmeasured machine and for scenes, and its
     /// learning rates. The defaults follow from a search over recorded paths (`entire-lab tune`); nothing
     /// needs to be set.
     CorrectionConstants {
@@ -42,7 +42,7 @@ constants! {
         spread_start = 0.07,
         /// Share of a calm frame's error that is added to the scene's own factor.
         gain = 0.4,
-        /// Clip of the errors of frames faster than expected, in standard deviations.
+        /// Clipping limit of the errors of frames faster than expected, in standard deviations.
         clip_below = 1.42,
     }
 }

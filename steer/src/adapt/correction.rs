@@ -62,13 +62,13 @@ fn standard_deviation(variance: f64) -> f64 {
 ///
 /// Times have a heavy tail on the slow side: other programs slow frames down, mostly several in a row, and
 /// such times carry no information about the scene. A single frame that is too slow by more than three
-/// standard deviations is a stall, and its error is clipped to three; errors of frames that are too fast are
-/// clipped at `clip_below`. Two frames in a row beyond three on the same side are a change of the machine's
-/// pace: its *load*, a common factor on every scene. The load ends with the first frame that is better
-/// explained without it. While it lasts, only the first of the present scene's frames updates θ and b. A load
-/// that persists becomes the machine's own pace and is added to θ. A scene of at most [`ESTABLISHED`] frames
-/// may have begun under an undetected load: if its frames become faster, b takes the change. All state is
-/// bounded.
+/// standard deviations is a stall, and its error is clipped to three standard deviations; errors of frames
+/// that are too fast are clipped at `clip_below`. Two frames in a row with errors of more than three standard
+/// deviations on the same side are a change of the machine's pace: its *load*, a common factor on every
+/// scene. The load ends with the first frame that is better explained without it. While it lasts, only the
+/// first of the present scene's frames updates θ and b. A load that persists becomes the machine's own pace
+/// and is added to θ. A scene of at most [`ESTABLISHED`] frames may have begun under an undetected load: if
+/// its frames become faster, b absorbs the change. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// θ, then b.
@@ -105,8 +105,8 @@ const STATE_LIMIT: f64 = 10.0;
 /// Guard: range of the variance of calm frames' errors, for standard deviations of 0.3 % (below any clock's
 /// noise) to 50 %.
 const SPREAD: (f64, f64) = (1.0e-5, 0.25);
-/// Guard: range of `gain`. At 0 the scene's factor would never change; at 1 it would take the whole of every
-/// error, noise included.
+/// Guard: range of `gain`. At 0 the scene's factor would never change; at 1 it would absorb every error
+/// completely, noise included.
 const GAIN: (f64, f64) = (0.1, 0.8);
 /// Smallest learning rate of the variance of calm frames' errors: an average over about ten frames. At half
 /// the rate, the loss on the training paths is the same.
@@ -120,9 +120,10 @@ const FITTED_SHARE: f64 = 0.1;
 /// Guard: range of the variance of b among scenes, for standard deviations of 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
 /// Prior variance of ln of an unknown common factor, by definition: a standard deviation of 3, a factor of
-/// 20, so that the first observed time determines it, whatever its order of magnitude.
+/// 20, so that the first observed time determines the factor, whatever its order of magnitude.
 const OPEN: f64 = 9.0;
-/// Guard: no variance exceeds that of an unknown machine ([`OPEN`] and a unit cost's own) by much.
+/// Guard: upper bound of every variance, slightly above the prior variance of an unknown machine ([`OPEN`]
+/// plus that of a unit cost).
 const MAX_VARIANCE: f64 = 12.0;
 /// Guard: standard deviation of ln(time) of a fitted model that states none.
 const FITTED_SD: f64 = 0.3;
@@ -132,7 +133,8 @@ const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// error is left.
 const SETTLED: u64 = 3;
 /// Number of consecutive frames beyond [`CLIP`] on one side that count as a change of pace. Normal errors
-/// exceed it twice in a row only once in a quarter of a million frames; a single slow frame is a stall.
+/// exceed [`CLIP`] twice in a row on one side only once in a quarter of a million frames; a single slow frame
+/// is a stall.
 const SURE: i64 = 2;
 /// Variance that each frame adds to ln of the unit costs' common factor, for a machine whose speed drifts: a
 /// standard deviation of 10 % after 1000 frames. At 0, the loss on the training paths is the same.
@@ -149,15 +151,15 @@ const ESTABLISHED: u64 = 32;
 const LEARNED_SHARE: f64 = 0.25;
 /// Guard: largest ratio of a squared error to its expectation; 1.4 % of normal errors exceed it.
 const SQUARE_LIMIT: f64 = 6.0;
-/// Guard: largest learning rate of the first errors, so that none of them dominates.
+/// Guard: largest learning rate of the variance during the first frames, so that no single error dominates.
 const FASTEST_PACE: f64 = 0.25;
 /// Guard: smallest trust in an observation, on a scale up to 1.
 const LEAST_TRUST: f64 = 1.0e-3;
 /// Smallest novelty of a scene's first frame, on a scale from 0 (same scene) to 1 (unrelated); by definition,
 /// one half.
 pub(crate) const NOVEL: f64 = 0.5;
-/// Clip of errors, in standard deviations: only 0.3 % of normal errors are larger, so a larger one is an
-/// outlier (a stall, a load, or another machine).
+/// Clipping limit of errors, in standard deviations: only 0.3 % of normal errors are larger, so a larger
+/// error is an outlier (a stall, a load, or another machine).
 pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {
@@ -224,7 +226,7 @@ impl Correction {
         core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// True where the present scene has been seen for some frames.
+    /// True where the present scene has lasted longer than [`SETTLED`] frames, not counting its first.
     pub(crate) fn settled(&self) -> bool {
         self.age > SETTLED + 1
     }
@@ -326,8 +328,8 @@ impl Correction {
         // The distribution of errors is skewed: frames faster than expected are clipped earlier than slower
         // ones.
         let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
-        // The part of the squared error beyond the model's variance is variance among scenes in first frames,
-        // noise in calm ones.
+        // The part of the squared error beyond the model's variance is attributed to the variance among
+        // scenes in a scene's first frame, and to noise in calm frames.
         let squared = (error * error).min(CLIP * CLIP * sd * sd);
         if standing == Standing::First {
             if self.observations > 0 {
@@ -404,7 +406,7 @@ impl Correction {
         false
     }
 
-    /// Sets the load, of which the last observed frame is the first; 0 ends it.
+    /// Begins a load whose first frame is the last observed one; a `load` of 0 ends it.
     fn pace(&mut self, load: f64) {
         self.load = load;
         self.loaded = u64::from(load != 0.0);
@@ -625,7 +627,7 @@ mod tests {
                 other.load(&mut Reader(&bytes)).unwrap();
                 assert_eq!(other.observations, correction.observations, "frame {frame}");
             }
-            // Every variance stays as it is; two states get a correlation above 1.
+            // All variances are unchanged, but two states get a correlation above 1.
             for sign in [-1.0, 1.0] {
                 let mut broken = correction.clone();
                 let bound = libm::sqrt(broken.covariance[0][0] * broken.covariance[4][4]);

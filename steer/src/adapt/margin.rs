@@ -19,8 +19,8 @@ const LOW: f64 = 0.5;
 const HIGH: f64 = 8.0;
 
 impl Margin {
-    /// A margin for a miss rate in (0, 0.5], starting at `multiple`, which is clamped to 0.5…8; rates outside
-    /// their range are clamped too.
+    /// A margin for a miss rate in (0, 0.5], starting at `multiple`, which is clamped to 0.5…8. `rate` and
+    /// the learning rate `pace` are clamped too.
     pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };

@@ -1,8 +1,8 @@
 //! Fits a model to frames timed on the present machine.
 //!
-//! A [`Calibration`] keeps timed frames and fits a model of another machine to them. A session fills one from
-//! its observations ([`crate::Session::record`]), so that a host never leaves its render loop.
-//! [`PriorModel::choose`] is the fit.
+//! A [`Calibration`] keeps timed frames and fits a model of another machine to them. A session fills a
+//! calibration from its observations ([`crate::Session::record`]), so that a host never leaves its render
+//! loop. [`PriorModel::choose`] is the fit.
 
 mod pictures;
 mod posterior;
@@ -58,7 +58,7 @@ impl Shown {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum HeldOut {
-    /// None: there were too few frames. The error is that of the frames that the model was fitted to.
+    /// None: there were too few frames. The error is measured on the frames that the model was fitted to.
     Nothing = 0,
     /// Volumes: the error is that expected for other volumes.
     Volumes = 1,
@@ -80,13 +80,13 @@ names! { HeldOut:
 pub struct Calibrated {
     /// The model file.
     pub file: ModelFile,
-    /// Number of frames that it was fitted to.
+    /// Number of frames that the model was fitted to.
     pub frames: usize,
     /// Groups held out for the errors below.
     pub held_out: HeldOut,
     /// Median of |predicted / measured − 1| over held-out frames.
     pub median_error: f64,
-    /// RMSE of held-out frames over the standard deviation of their times.
+    /// RMSE of held-out frames, divided by the standard deviation of their times.
     pub rmse_over_sd: f64,
     /// Upper bound from the held-out frames.
     pub upper: UpperBound,
@@ -95,7 +95,7 @@ pub struct Calibrated {
 }
 
 /// Timed frames of one renderer, up to a capacity: once it is full, new frames replace others at random, so
-/// that the kept ones are a fair sample of all.
+/// that the kept frames are a uniform random sample of all frames.
 #[derive(Clone, Debug)]
 pub struct Calibration {
     prior: PriorModel,
@@ -120,8 +120,8 @@ struct Kept {
 
 impl Calibration {
     /// A calibration with room for `frames`, from 8 to 65 536. `prior` is a model of another machine or
-    /// renderer, analytic, or analytic times a learned factor; without one, the fit starts from the unit
-    /// costs of a software renderer.
+    /// renderer: an analytic model, or an analytic model times a learned factor. Without a prior, the fit
+    /// starts from the unit costs of a software renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
@@ -292,7 +292,7 @@ impl Calibration {
             .enumerate()
             .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
             .collect();
-        // The renderer is unknown, so that its costs may include a conversion of stored values.
+        // The renderer is unknown, and its costs may include a conversion of stored values.
         let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, executor)?;
         let pairs: Vec<(f64, f64)> =
             chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();

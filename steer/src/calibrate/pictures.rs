@@ -1,9 +1,9 @@
 //! Fits the picture quality law to compared pictures.
 //!
-//! The law of [`Quality`] is fitted in two parts. Times, relative to full quality, give the share of rays.
-//! Errors, up to a power, give the weight and the exponents: by least squares on the logarithms of the means
-//! over scenes, followed by a search for the parameters whose choices have the smallest errors among the
-//! drawn settings.
+//! The law of [`Quality`] is fitted in two parts. The times, relative to full quality, give the share of
+//! rays. The errors, up to a power, give the weight and the exponents: least squares on the logarithms of the
+//! means over scenes, then a search for the parameters that choose the settings with the smallest measured
+//! errors.
 
 use crate::numeric::{median, solve};
 use crate::predict::{DISTANCE_RATIO, Quality};
@@ -40,7 +40,7 @@ const MISFIT: f64 = 0.1;
 /// One picture, compared with the same view at full quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Picture {
-    /// Number of the view: scene and camera.
+    /// Identifier of the view, that is of scene and camera.
     pub scene: u64,
     /// Ray step in finest steps; 1 for full quality.
     pub step: f32,
@@ -99,7 +99,7 @@ type Point = (f64, f64, f64);
 /// An image sample distance and its steps, ascending.
 type Line = (f64, Vec<Point>);
 
-/// Seconds of every drawing, and the error, keyed by the bits of distance and step.
+/// Seconds of every drawing of a setting, and its error, keyed by the bits of distance and step.
 type Settings = BTreeMap<(u32, u32), (Vec<f64>, f64)>;
 
 /// Table for the fit: by setting, ln of the relative time and ln of the error, means over scenes.
@@ -181,7 +181,7 @@ fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
 }
 
 /// Fits the law to pictures. Every scene must be drawn at the same settings: full quality, coarser steps, and
-/// smaller images. Scenes that lack a setting which most have are ignored.
+/// smaller images. Scenes that lack a setting which most scenes have are ignored.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for invalid values, and for fewer than three scenes,
@@ -208,8 +208,8 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
             counted.len()
         );
     }
-    // Mean squared difference of ln(error) from a fitted slope times the law's logarithm: measured errors may
-    // be proportional to any power of the law's.
+    // Mean squared difference of ln(measured error) from a fitted slope times ln(error by the law): measured
+    // errors may be proportional to any power of the law's error.
     let off = |v: &[f64; 3]| {
         let law = law(v);
         let model: Vec<f64> = counted.iter().map(|&(s, d, _)| libm::log(law.error(s, d))).collect();
@@ -231,7 +231,7 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
         .map(|(s, d)| grid.at(s, d))
         .collect();
     let best = at_shares(&all, &shares, false);
-    // Mean ln of the ratio of a path's error to the smallest one.
+    // Mean ln of the ratio of a path's error to the smallest error at the same share of the time.
     let over_best = |path: &[(f64, f64)]| {
         let own = at_shares(path, &shares, true);
         let both = own.iter().zip(&best).filter(|(own, best)| own.is_finite() && best.is_finite());
@@ -328,7 +328,7 @@ fn least_on_line(low: f64, high: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     best.1
 }
 
-/// Argument of a local minimum: coordinate search with steps that shrink where none improves.
+/// Argument of a local minimum: coordinate search whose steps shrink when none of them improves the value.
 fn descend(mut at: [f64; 3], rounds: usize, of: &dyn Fn(&[f64; 3]) -> f64) -> [f64; 3] {
     let mut reach = [0.5, 0.2, 0.2];
     let mut least = of(&at);

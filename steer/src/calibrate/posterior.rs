@@ -22,15 +22,15 @@ use entire_core::nn::{Normalization, PredNet, PredNetParts, Target};
 const NOT_A_PRIOR: &str = "a calibration starts from analytic models, or from one analytic model times a learned factor \
      (entire train --model-kind analytic and residual make them); give another, or none";
 
-/// Prior standard deviation of the logarithm of a unit cost that the prior model lacks.
+/// Standard deviation assumed for the logarithm of a unit cost that the prior model lacks.
 const UNKNOWN_SD: f64 = 1.5;
 
 /// Prior standard deviation of a weight of the factor's last layer, relative to their root mean square.
 const FACTOR_SD: f64 = 0.2;
 
 /// Assumed value of a cost that is 0 in a machine's model, as a share of an equally fast software renderer's:
-/// a cost of 0 there means that its frames could not separate two kinds of work, which need not hold for the
-/// next machine.
+/// the cost is 0 because that machine's frames could not separate two kinds of work; frames of the next
+/// machine may separate them.
 const ZERO_SHARE: f64 = 0.1;
 
 /// Largest number of folds in cross-validation.
@@ -46,7 +46,7 @@ pub struct PriorModel {
     factor: Option<Factor>,
 }
 
-/// A learned factor, split into its last layer and the rest.
+/// A learned factor, split into its last layer and the layers before it.
 #[derive(Clone, Debug)]
 struct Factor {
     file: ModelFile,
@@ -56,9 +56,9 @@ struct Factor {
     inputs: Vec<(f64, f64)>,
     /// Standard deviation of the output.
     deviation: f64,
-    /// Weights of the last layer, without that of the estimate.
+    /// Weights of the last layer, without the weight of the estimated seconds.
     weights: Vec<f64>,
-    /// Constant term of ln t, beside the estimate and the weighted activations.
+    /// Constant term of ln t, added to ln of the estimated seconds and the weighted activations.
     constant: f64,
     root_mean_square: f64,
     /// Range to which the factor's inputs are clamped.
@@ -83,8 +83,8 @@ pub struct Observed {
 pub struct Chosen {
     /// The model file.
     pub file: ModelFile,
-    /// Cross-validated prediction of each frame in seconds, from the fit without its fold; the fitted one
-    /// where there are fewer than three groups.
+    /// Cross-validated prediction of each frame in seconds, from the fit without its fold; with fewer than
+    /// three groups, from the fit to all frames.
     pub crossed: Vec<f64>,
     /// Number of folds; 0 without cross-validation.
     pub folds: usize,
@@ -173,8 +173,9 @@ impl Default for PriorModel {
 }
 
 impl PriorModel {
-    /// The prior from analytic models of different machines, the geometric mean of their unit costs; or from
-    /// one analytic model times a learned factor. Without models, the unit costs of a software renderer.
+    /// The prior of `files`: the geometric mean of the unit costs of analytic models of different machines;
+    /// or one analytic model times a learned factor; or, without files, the unit costs of a software
+    /// renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Unsupported`] for other models.
@@ -201,7 +202,7 @@ impl PriorModel {
         &self.costs
     }
 
-    /// Inputs of the prior's factor; `None` where it has none and only a frame's work counts.
+    /// Inputs of the prior's factor; `None` without a factor, where only a frame's work is used.
     pub fn layout(&self) -> Option<&InputLayout> {
         self.factor.as_ref().map(|f| &f.layout)
     }
@@ -239,8 +240,8 @@ impl PriorModel {
         CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
     }
 
-    /// Fits a model to frames of this machine. `renderer` holds typical costs of this kind of renderer, the
-    /// prior for work whose cost the prior model lacks; costs that are 0 in both stay 0.
+    /// Fits a model to frames of this machine. `renderer` holds typical costs of this kind of renderer; they
+    /// are the prior for work whose cost the prior model lacks. Costs that are 0 in both stay 0.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or where rows

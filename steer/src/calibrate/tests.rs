@@ -202,7 +202,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     assert!(fitted.upper.factor() >= 0.95 && fitted.upper.factor() < 1.1, "{:?}", fitted.upper);
     assert_eq!(fitted.file.metadata["entire.clock"], "wall");
     assert_eq!(fitted.file.metadata[Key::Renderer.name()], "my renderer");
-    // The file can be written, read, and predicts the measured times.
+    // The file can be written and read, and its model predicts the measured times.
     let model = entire_core::Model::from_bytes(&fitted.file.to_bytes().unwrap()).unwrap();
     let mut predictor = crate::predict::load(&model).unwrap();
     for size in [45, 90, 200] {
@@ -211,7 +211,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
         assert!((f64::from(p.seconds) / t - 1.0).abs() < 0.05, "{size}: {} {t}", p.seconds);
         assert!(p.upper >= p.seconds);
     }
-    // It can be a prior itself.
+    // The fitted file can serve as a prior.
     assert!(Calibration::new(Some(&fitted.file), 8).is_ok());
 }
 

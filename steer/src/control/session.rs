@@ -176,13 +176,13 @@ impl Session {
             bail!(
                 SizeMismatch,
                 "a time step of {x} x {y} x {z} voxels follows on a volume of {a} x {b} x {c} voxels; its \
-                 sizes, spacing and summary options must be the same, set another volume as such"
+                 sizes, spacing and summary options must be the same; for another volume, call set_volume"
             );
         }
         if volume.scalar_type() != before.scalar_type() {
             bail!(
                 InvalidArgument,
-                "a time step of {} follows on a volume of {}; set another volume as such",
+                "a time step of {} follows on a volume of {}; for another volume, call set_volume",
                 volume.scalar_type().name(),
                 before.scalar_type().name()
             );

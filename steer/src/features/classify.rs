@@ -5,8 +5,8 @@ use entire_core::kernels::{Kernel, Level, Simd};
 use entire_core::memory::chunks;
 use entire_core::scene::TABLE_LEN;
 
-/// Largest number of runs of visible table entries for which bounds are compared with every run; with more
-/// runs, each pair of bounds is looked up in a table of prefix sums.
+/// Largest number of runs of visible table entries up to which each pair of bounds is compared with every
+/// run. With more runs, each pair is looked up in a table of prefix sums.
 const MAX_RUNS: usize = 8;
 
 /// Visible entries of a transfer table.
@@ -49,7 +49,7 @@ impl<'a> Visible<'a> {
         self.runs[..count].iter().fold(0, |bits, &(first, last)| bits | simd.overlaps(low, high, first, last))
     }
 
-    /// As `bits`, for the pairs after the last group of 64; bits beyond them are zero.
+    /// As `bits`, for the pairs after the last whole group of 64; bits beyond these pairs are zero.
     #[inline(always)]
     fn rest<S: Simd>(&self, simd: S, low: &[u8], high: &[u8]) -> u64 {
         let (low, high) = (chunks::<64, _>(low).1, chunks::<64, _>(high).1);
@@ -61,8 +61,8 @@ impl<'a> Visible<'a> {
 }
 
 /// Writes one bit per pair of bounds, 64 per word, set where an entry within the bounds is visible; returns
-/// the number of bits set. `bits` must have a word for every group of 64 pairs, the last partial one
-/// included.
+/// the number of bits set. `bits` must have a word for every group of 64 pairs, including a last partial
+/// group.
 pub(super) fn classify(visible: &Visible<'_>, low: &[u8], high: &[u8], bits: &mut [u64]) -> u64 {
     Level::detect().run(Classify { visible, low, high, bits })
 }
@@ -114,7 +114,7 @@ impl Blocks<'_> {
         self.uniform && (self.most == 8 || self.most % 64 == 0)
     }
 
-    /// Share of a cell's blocks whose bit is set. `bits` must have a word beyond that of the last block.
+    /// Share of a cell's blocks whose bit is set. `bits` must have one word more than the blocks need.
     #[inline(always)]
     pub(super) fn share(&self, bits: &[u64], cell: usize) -> f32 {
         let [begin, end] = if self.uniform {
@@ -129,7 +129,7 @@ impl Blocks<'_> {
 /// Writes one bit per block, set where an entry within its bounds is visible, and one bit per cell, set where
 /// a block of the cell has its bit set; block bits of the other cells are unspecified. Returns the sum, over
 /// cells, of the share of their blocks whose bit is set. `low` and `high` are the bounds of the cells. `bits`
-/// must have a word beyond that of the last block.
+/// must have one word more than the blocks need.
 pub(super) fn classify_blocks(
     visible: &Visible<'_>,
     low: &[u8],
@@ -146,8 +146,8 @@ pub(super) fn classify_blocks(
     }
 }
 
-/// The case of [`Blocks::fill_words`]: only words of cells whose own bounds contain a visible entry are
-/// classified.
+/// Kernel of [`classify_blocks`] where [`Blocks::fill_words`] is true: classifies only words of cells whose
+/// own bounds contain a visible entry.
 struct ClassifyWords<'a> {
     visible: &'a Visible<'a>,
     low: &'a [u8],
@@ -203,7 +203,7 @@ impl Kernel for ClassifyWords<'_> {
                 sum += ones;
             }
         }
-        // The sum is an integer, and `each` a power of two: exact.
+        // The division is exact: the sum is an integer and `each` is a power of two.
         sum as f64 / each as f64
     }
 }
@@ -259,8 +259,8 @@ impl Kernel for Gather<'_> {
     }
 }
 
-/// Number of bits set from `first` up to, but not including, `end`. `bits` must have a word beyond that of
-/// `end`.
+/// Number of bits set from `first` up to, but not including, `end`. `bits` must have a word after the word of
+/// bit `end`.
 #[inline(always)]
 fn count(bits: &[u64], first: usize, end: usize) -> u32 {
     let (mut at, mut sum) = (first, 0);
@@ -316,7 +316,8 @@ mod tests {
         (0..words).map(|i| i.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5555_0f0f_3333_00ff).collect()
     }
 
-    /// Cells of equal numbers of blocks, in whole words and not, and cells with fewer blocks among them.
+    /// Cases: cells that all have the same number of blocks, with and without whole words per cell; and a
+    /// mixture with cells of fewer blocks.
     #[test]
     fn shares_are_those_of_one_block_after_another() {
         let mut below = [0u16; TABLE_LEN + 1];

@@ -30,8 +30,8 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::RemappedSamples,
 ];
 
-/// Number of unit costs that any renderer may have. The cost after them, of converting each stored value, is
-/// nonzero only for renderers like [`UnitCosts::CONVERTING`].
+/// Number of unit costs that any renderer may have. The last unit cost, for the conversion of stored values,
+/// is nonzero only for renderers like [`UnitCosts::CONVERTING`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
 /// Unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
@@ -46,8 +46,8 @@ impl UnitCosts {
         2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0,
     ]);
 
-    /// [`UnitCosts::SOFTWARE`] for a renderer that looks stored values up in tables, such as VTK's
-    /// fixed-point mapper and yt.
+    /// Costs of [`UnitCosts::SOFTWARE`] and of the conversion of stored values, for a renderer that looks
+    /// them up in tables, such as VTK's fixed-point mapper and yt.
     pub const CONVERTING: Self = {
         let mut costs = Self::SOFTWARE.0;
         costs[COMMON_COSTS] = 2.0e-9;

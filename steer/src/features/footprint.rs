@@ -107,7 +107,7 @@ impl Polygon {
         }
     }
 
-    /// Keeps the part with w + plane·(x, y) ≥ 0.
+    /// The part of the polygon with w + plane·(x, y) ≥ 0.
     fn clip(&self, plane: [f32; 2]) -> Self {
         let side = |c: &[f32; 3]| c[2] + plane[0] * c[0] + plane[1] * c[1];
         let mut out = Self::default();
@@ -188,8 +188,8 @@ mod tests {
                 (10.0, 20.0, 8.0),
             ] {
                 let lens = camera(rx, ry, dz);
-                // The whole box, and the box cut by the image's border; from near, the image plane cuts the
-                // box.
+                // The box is wholly visible, or cut by the image's border, or, from near, cut by the image
+                // plane.
                 let parallel = [0.4, 1.3].map(|scale| lens.with_parallel_scale(scale).unwrap());
                 let sizes = [(200, 200), (300, 120), (90, 240)];
                 for ((w, height), camera) in
@@ -225,7 +225,7 @@ mod tests {
         let h = Vec3::splat(0.577);
         let inside = Footprint::new(h, &camera(0.0, 0.0, 0.1), 64, 32);
         assert!(inside.inside && (inside.share - 1.0).abs() < 1e-4, "{inside:?}");
-        // Turned around: the eye looks away from the volume.
+        // The eye is turned around and looks away from the volume.
         let back = Camera::from_world_view(
             glam::Mat4::from_rotation_y(core::f32::consts::PI) * camera(0.0, 0.0, 3.0).view(),
             Vec3::ZERO,

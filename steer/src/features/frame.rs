@@ -12,8 +12,9 @@ use glam::Vec3;
 /// Number of rays along each side of the footprint's rectangle over which [`along`] averages.
 const ALONG_SIDE: usize = 3;
 
-/// Of the voxel borders that rays cross, the shares normal to x, y and z: the mean of ALONG_SIDE² rays
-/// through the footprint's rectangle, or the central ray's where the box is not visible.
+/// Shares of the voxel borders crossed by rays that are normal to x, to y and to z. They are means over
+/// ALONG_SIDE² rays through the footprint's rectangle, or the shares of the central ray where the box is not
+/// visible.
 fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
     // A ray of direction d crosses |d| / spacing borders per unit of length along each axis; the ratios do
@@ -62,8 +63,8 @@ impl From<&Frame> for Setting {
     }
 }
 
-/// Changes since the frame before, as far as the caller knows. The default is a smoothly moving camera and
-/// nothing else.
+/// Changes since the frame before, as far as the caller knows. By default nothing has changed but the camera,
+/// which moves smoothly.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Changes {
     /// There is no frame before, or the pipeline was rebuilt.
@@ -98,7 +99,7 @@ pub(crate) struct Work {
     pub(crate) samples: f64,
     /// Jumps over empty blocks, including those of shadow rays.
     pub(crate) skips: f64,
-    /// Samples of a machine that runs a tile of pixels in lockstep until its longest ray ends.
+    /// Samples of a renderer that runs a tile of pixels in lockstep until the tile's longest ray ends.
     pub(crate) lane_samples: f64,
     /// Samples with opacity where shading is on, otherwise 0.
     pub(crate) shaded: f64,
@@ -107,7 +108,7 @@ pub(crate) struct Work {
     /// [`Self::shadow_samples`] of a renderer that marches eight adjacent rays in lockstep, so that all of
     /// them wait while any of them shades.
     pub(crate) lane_shadow_samples: f64,
-    /// [`Self::lane_shadow_samples`] for adjacent rays far apart, whose samples are independent.
+    /// [`Self::lane_shadow_samples`] if adjacent rays are so far apart that their samples are independent.
     pub(crate) parted_shadow_samples: f64,
     /// Runs of consecutive samples between jumps; 0 without skipping.
     pub(crate) runs: f64,
@@ -126,11 +127,12 @@ impl Work {
     }
 }
 
-/// Number of voxels of a volume of which a cache holds half.
+/// Size of a volume of which the cache holds half, in voxels.
 ///
-/// The far share, the part of the reads that wait for memory, is the unshared share of the reads times the
-/// share of the volume outside the cache. This constant and [`UNSHARED_SPACING`] minimize the cross-validated
-/// error over the tables of four machines; see "Memory" on the book's page of measurements.
+/// The far share is the share of the reads that wait for memory: the share of reads that no neighboring ray
+/// shares, times the share of the volume outside the cache. This constant and [`UNSHARED_SPACING`] minimize
+/// the cross-validated error over the tables of four machines; see "Memory" on the book's page of
+/// measurements.
 pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
 
 /// Ray spacing at which half of a sample's reads are shared with no other ray, in reference steps.
@@ -167,8 +169,8 @@ impl Default for FrameFeatures {
 
 impl FrameFeatures {
     /// Empty features: no ray meets anything. Frames will be measured with `side`² rays, `side` at most
-    /// [`MAX_PROBE_SIDE`]; the time of a measurement grows with the number of rays, the variance of its
-    /// estimates falls with it. With `side` 0 no ray is cast, and quantities that [need the
+    /// [`MAX_PROBE_SIDE`]; with more rays, a measurement takes longer and its estimates have a smaller
+    /// variance. With `side` 0 no ray is cast, and quantities that [need the
     /// probe](SceneQuantity::needs_probe) stay empty.
     pub fn with_probe_side(side: usize) -> Self {
         Self {
@@ -209,8 +211,8 @@ impl FrameFeatures {
     }
 
     /// Adapts the features to another view without casting rays: recomputes the volume's place in the image
-    /// and keeps the results of the rays. For a view close to the measured one, with everything else
-    /// unchanged. Returns false where this is impossible.
+    /// and keeps the results of the rays. The view must be close to the measured one, and everything else
+    /// unchanged. Returns false where no ray met the volume or the new footprint is empty.
     pub(crate) fn turn(&mut self, volume: &VolumeSummary, frame: &Frame) -> Result<bool> {
         frame.checked()?;
         if !self.probe.turn(volume.shape(), frame) {
@@ -262,20 +264,21 @@ impl FrameFeatures {
         let skipping = setting.skipping != Skipping::None;
         let (length, longest) =
             if skipping { (p.occupied, p.occupied_max) } else { (p.occupied + p.empty, p.all_max) };
-        // A ray that ends early takes the sample that crosses the threshold: half a step more on average.
+        // A ray that ends early still takes the sample that crosses the threshold, on average half a step
+        // farther.
         let crossing = 0.5 * p.terminated;
         let per_ray = length * inv + crossing;
         let skips =
             if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
-        // Excess of a tile's longest ray over the mean: that of a probe ray and its neighbors, scaled from
-        // the probe's spacing to the tile's size.
+        // Excess of the length of a tile's longest ray over the mean length. It is measured on a probe ray
+        // and its neighbors, and scaled from the probe's spacing to the tile's size.
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
         let (mut shadow, mut shadow_skips, mut shadow_segments) = (0.0, 0.0, 0.0);
         if setting.shading == Shading::Scatter {
             let length = if skipping { p.shadow } else { p.shadow_all };
-            // A shadow ray begins one of its steps away from the sample and takes the sample that crosses the
+            // A shadow ray begins one shadow step away from the sample, and takes the sample that crosses the
             // threshold.
             shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };

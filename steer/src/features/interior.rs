@@ -14,7 +14,8 @@ const BUFFERS: usize = FROM.len() + 2;
 
 /// Bit vectors of the cells of each class and above, by rows along x; every row begins at a word boundary.
 ///
-/// Cells outside the grid count as not empty, as in a skip map that ends at the grid.
+/// Cells outside the grid count as not empty, as in a renderer's skip map, which ends at the border of the
+/// grid.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Interior {
     bits: [Vec<u64>; BUFFERS],
@@ -27,7 +28,7 @@ fn row_words(grid: [usize; 3]) -> usize {
 }
 
 impl Interior {
-    /// New vectors where the present ones are too small for a grid.
+    /// Longer vectors for a grid, each `None` if the present vector is long enough.
     ///
     /// # Errors
     /// [`crate::ErrorKind::OutOfMemory`].

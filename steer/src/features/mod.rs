@@ -5,8 +5,8 @@
 //!   from one time step to the next by a [`SummarySeries`].
 //! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, recomputed in
 //!   place at each edit.
-//! * [`FrameFeatures`]: a camera's view: footprint, ray lengths and the coarse ray probe, measured once per
-//!   frame and then evaluated for any ray step and image size.
+//! * [`FrameFeatures`]: footprint, ray lengths and the coarse ray probe for a camera, measured once per frame
+//!   and then evaluated for any ray step and image size.
 //! * [`SceneFeature`]: names under which a model file requests these features.
 
 mod classify;

@@ -53,8 +53,8 @@ macro_rules! quantities {
                 match self { $(Self::$variant => flag!($step),)* }
             }
 
-            /// True where the quantity needs probe rays. The others follow from camera, image size, transfer
-            /// function and volume alone.
+            /// True where the quantity needs probe rays. All other quantities follow from camera, image size,
+            /// transfer function and volume alone.
             pub const fn needs_probe(self) -> bool {
                 match self { $(Self::$variant => flag!($probe),)* }
             }
@@ -72,16 +72,17 @@ quantities! {
         "number of samples if every ray of a tile of 8 x 8 pixels were as long as the longest";
     Runs, "runs", "runs", 1.0, no, yes, "expected runs of samples between jumps over empty blocks";
     Segments, "segments", "segments", 1.0, yes, yes,
-        "expected reads of the skip map for samples: a run is cut where the distance to the nearest empty \
-         block, which the map holds, is used up";
+        "expected reads of the skip map for samples: a read gives the distance to the nearest empty block, and \
+         the next read of the run follows after this distance";
     LocalSamples, "local_samples", "samples", 1.0, yes, yes, "visible samples, with local shading; else 0";
     ScatterSamples, "scatter_samples", "samples", 1.0, yes, yes,
         "visible samples, with single scattering; else 0";
     ShadowSamples, "shadow_samples", "samples", 1.0, yes, yes,
         "samples along shadow rays, with single scattering; else 0";
     LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays where eight rays beside each other wait while any of them shades";
-    FarSkips, "far_skips", "jumps", 1.0, yes, yes, "jumps that wait for memory: skips times the far share";
+        "samples along shadow rays if eight adjacent rays wait while any of them shades";
+    FarSkips, "far_skips", "jumps", 1.0, yes, yes,
+        "jumps that wait for memory: skips times the far share, the share of reads outside the caches";
     FarSamples, "far_samples", "samples", 1.0, yes, yes,
         "samples that wait for memory: lane samples times the far share";
     FarRuns, "far_runs", "runs", 1.0, no, yes, "runs that wait for memory: runs times the far share";
@@ -90,29 +91,29 @@ quantities! {
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
         "local samples that wait for memory: local samples times the far share of shading";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
-        "shadow samples where all eight rays wait while any of them shades, times the far share of shading";
+        "samples along shadow rays if eight rays wait while any of them shades, times the far share of shading";
     FarX, "far_x", "samples", 1.0, yes, yes,
         "samples that wait for memory, times the share of crossed voxel borders that are normal to x: where \
          voxels are far apart in memory along an axis, rays along it read slowly";
-    FarY, "far_y", "samples", 1.0, yes, yes, "the same for borders normal to y";
-    FarZ, "far_z", "samples", 1.0, yes, yes, "the same for borders normal to z";
+    FarY, "far_y", "samples", 1.0, yes, yes, "as far_x, for borders normal to y";
+    FarZ, "far_z", "samples", 1.0, yes, yes, "as far_x, for borders normal to z";
     RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,
         "samples, if a renderer with lookup tables must shift or scale the volume's values; 0 for integers \
          whose minimum is 0 and whose maximum is at most 32767";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
-        "work times the unit costs that the model file holds, or those of a software renderer";
+        "work times the unit costs of the model file, or of a software renderer if the file has none";
     SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples divided by the image's pixels";
     ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, yes, yes,
         "samples along shadow rays, divided by the image's pixels";
     SegmentsPerRay, "segments_per_ray", "segments/ray", 0.1, yes, yes,
-        "segments over rays that meet the volume's box";
+        "segments divided by the number of rays that meet the volume's box";
     RaySpacing, "ray_spacing", "reference steps", 0.01, no, yes,
         "distance of neighboring rays at the mean depth of the samples";
     FootprintShare, "footprint_share", "1", 1.0e-6, no, no, "share of the image that the volume's box covers";
     MeanChord, "mean_chord", "reference steps", 1.0, no, yes,
         "mean length of the box along the rays that meet it";
     TerminatedShare, "terminated_share", "1", 0.01, no, yes, "share of rays that end early";
-    Divergence, "divergence", "1", 0.01, yes, yes, "lane samples over samples, less one";
+    Divergence, "divergence", "1", 0.01, yes, yes, "lane samples divided by samples, minus 1";
     OccupiedShare, "occupied_share", "1", 0.0001, no, no,
         "share of blocks that are not empty under the transfer function";
     VisibleShare, "visible_share", "1", 0.001, no, no, "share of voxels with any opacity";

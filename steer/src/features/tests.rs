@@ -468,7 +468,7 @@ fn what_needs_no_probe_is_known_without_one() {
 
 #[test]
 fn quantities_depend_on_the_step_where_the_table_says_so() {
-    // Dense and sparse volumes, integers that are remapped and not, seen from outside and inside.
+    // Dense and sparse volumes, with and without remapped integers, seen from outside and inside.
     let dims = [40, 40, 40];
     let n = dims.iter().product::<usize>();
     let blob = |i: usize| {

@@ -8,9 +8,9 @@ use entire_core::Result;
 use entire_core::memory::{fit, longer};
 use entire_core::scene::{TABLE_LEN, TransferTable};
 
-/// Length over which values along a ray are fully correlated, in reference steps. A cell's extinction is that
-/// of its mean transmittance over this length; at length 0 it would be the mean extinction, an overestimate
-/// for cells that hold a few opaque voxels among transparent ones.
+/// Length over which values along a ray are fully correlated, in reference steps. A cell's extinction is
+/// computed from its mean transmittance over this length; at length 0 it would be the mean extinction, an
+/// overestimate for cells that hold a few opaque voxels among transparent ones.
 pub(crate) const CORRELATION_LENGTH: f32 = 2.0;
 
 /// Cap on opacities before the conversion to extinction, −ln(1 − α).
@@ -25,15 +25,15 @@ pub(super) struct Optics {
     pub(super) visible: f32,
     /// Share of the cell's blocks that are not empty.
     pub(super) occupied: f32,
-    /// Lookups in the skip map per cell that a renderer samples here.
+    /// Number of lookups in the skip map per crossed cell border: 2^−class.
     pub(super) looks: f32,
 }
 
 /// Layout of a cell's packed word, which packets of rays gather. From the lowest bit on: the square root of
 /// the visible share in units of 1/1023; the depth class ([`Interior`]); the extinction as an unsigned
 /// floating-point number (10 bits of mantissa, 5 of exponent, 2⁻²⁷ at least). The other bits hold the number
-/// of the edit in which the word was computed. Apart from them, the word is zero for an empty cell and
-/// nonzero for any other.
+/// of the edit in which the word was computed. Without the edit's bits, the word is zero exactly for an empty
+/// cell.
 pub(super) mod packed {
     /// Bits of the visible share's root.
     pub(crate) const SHOWS: u32 = 0x0000_03ff;
@@ -45,8 +45,8 @@ pub(super) mod packed {
     pub(crate) const UNIT: f32 = 1.0 / 1023.0;
     /// Bits of the depth class.
     pub(crate) const DEPTH: u32 = 0x0000_0c00;
-    /// Factor that shifts the class's bits to the exponent of an f32: subtracted from the bits of 1.0, they
-    /// give 2^−class.
+    /// Factor that shifts the class's bits to the exponent of an f32. The shifted bits, subtracted from the
+    /// bits of 1.0, give 2^−class.
     pub(crate) const HALVING: u32 = 1 << 13;
     /// Bits of the edit's number.
     pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION | DEPTH);
@@ -79,16 +79,16 @@ pub(super) mod packed {
 /// Emptiness and extinction of each cell of a volume under a transfer function.
 ///
 /// An edit classifies all cells as empty or not at once. The optics of a cell that is not empty are computed
-/// when a ray first meets the cell, and are kept until the next edit, so the time of an edit depends on the
-/// cells that its frame meets, not on the size of the volume.
+/// when a ray first meets the cell, and are kept until the next edit, so the optics are never computed for
+/// cells that no ray meets.
 #[derive(Clone, Debug)]
 pub struct TransferSummary {
     /// One bit per cell, set where the cell is not empty.
     full: Vec<u64>,
     /// Depth classes of the cells that are not empty.
     interior: Interior,
-    /// Share of each cell's blocks that are not empty, where cells hold several blocks, otherwise empty.
-    /// Valid only for cells that are not empty and whose word is computed.
+    /// Share of each cell's blocks that are not empty; no elements unless cells hold several blocks. Valid
+    /// only for cells that are not empty and whose word is computed.
     occupied: Vec<f32>,
     /// Packed word of each cell, see [`packed`].
     cells: Vec<u32>,
@@ -109,8 +109,8 @@ pub struct TransferSummary {
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
     distance: Vec<u8>,
     distance_ready: bool,
-    /// One bit per block of the cells that are not empty, set where the block is not empty, where cells hold
-    /// several blocks.
+    /// One bit per block, set where the block is not empty; used only if cells hold several blocks, and valid
+    /// only for cells that are not empty.
     bits: Vec<u64>,
     /// Working memory: two lines of cells.
     line: Vec<u8>,
@@ -149,8 +149,8 @@ impl TransferSummary {
         Ok(summary)
     }
 
-    /// Applies another table, or the table to another volume. Allocates only where the volume needs larger
-    /// buffers than every volume before.
+    /// Applies another table, or applies a table to another volume. Allocates only if the volume needs larger
+    /// buffers than all volumes before.
     ///
     /// # Errors
     /// As [`TransferSummary::new`]; on an error nothing has changed.
@@ -244,7 +244,7 @@ impl TransferSummary {
         self.occupied_share = (sum / n as f64) as f32;
     }
 
-    /// Invalidates the words of cells computed under the table before.
+    /// Invalidates the cells' words, which were computed under the preceding table.
     fn begin_edit(&mut self) {
         let edits = self.edits % (packed::EDITS - 1) + 1;
         if edits < self.edits {
@@ -293,7 +293,7 @@ impl TransferSummary {
         word
     }
 
-    /// Words of all cells, for packets of rays, and the bits of the present edit's number in them.
+    /// Words of all cells, for packets of rays, and the bits of the present edit's number in these words.
     #[inline(always)]
     pub(super) fn words(&self) -> (&[u32], u32) {
         (&self.cells, self.edit)

@@ -117,7 +117,7 @@ pub struct FitReport {
 pub struct AnalyticModel {
     costs: [f64; COSTS],
     fitted: bool,
-    /// Rays along each side of the probe whose counts the costs were fitted to.
+    /// Number of rays along each side of the probe to whose counts the costs were fitted.
     probe_side: usize,
     /// Calibration of [`Prediction::upper`].
     pub(super) calibration: UpperBound,
@@ -173,8 +173,8 @@ impl AnalyticModel {
     }
 
     /// Fits the unit costs to measured frames, with `default`, scaled to this machine's speed, as the prior;
-    /// calibrates the upper bound on the same frames. Costs of work that no measurement has keep their ratio
-    /// to the others in `default`; costs that are 0 there stay 0.
+    /// calibrates the upper bound on the same frames. Costs of work that no measurement has keep the ratio to
+    /// the other costs that they have in `default`; costs that are 0 in `default` stay 0.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable.
@@ -228,8 +228,8 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without the last where its cost is 0) as
-    /// scene features, target seconds; calibration and range are stored under [`Key::Calibration`].
+    /// The model as a file: one dense layer that predicts seconds, with [`COST_QUANTITIES`] as scene features
+    /// (without the last one if its cost is 0); calibration and range are stored under [`Key::Calibration`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] where a cost does not fit single precision.
@@ -386,8 +386,8 @@ impl Predictor for AnalyticModel {
     }
 }
 
-/// Point of a frame in the range of the model: logarithms of its pixels and of its rays, skips, samples and
-/// lane samples per pixel.
+/// Point of a frame in the range of the model: logarithm of its pixels; logarithms of its rays, skips,
+/// samples and lane samples, each per pixel.
 fn range_point(work: &[f64; COSTS]) -> RangePoint {
     let log = |v: f64| libm::log(v + 1.0) as f32;
     let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;
@@ -407,7 +407,7 @@ mod tests {
         0.0, 0.0, 0.0, 0.0,
     ];
 
-    /// Simulated measurements: counts over several decades, scattering never used.
+    /// Simulated measurements: counts span several decades, and no frame scatters.
     fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
         let mut state = 9u64;
         let mut uniform = || {
@@ -450,7 +450,7 @@ mod tests {
         for (i, (&c, &t)) in model.costs().0.iter().zip(&TRUTH).enumerate().take(9) {
             assert!((c / t - 1.0).abs() < 0.25, "{i}: {c} {t}");
         }
-        // Costs never observed keep their default ratio to the rest and are not zero.
+        // Costs that were never observed keep their default ratio to the other costs and are not zero.
         assert!(model.costs().0[9] > 0.0 && model.costs().0[10] > 0.0);
     }
 

@@ -25,9 +25,9 @@ impl Default for UpperBound {
 }
 
 impl UpperBound {
-    /// The bound from held-out residuals ln(measured / predicted), or from fitted ones that are so many that
-    /// holding out does not matter: the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few.
-    /// Sorts the slice; NaN residuals count as misses.
+    /// The bound from held-out residuals ln(measured / predicted), or from residuals of fitted frames, if
+    /// these are so many that holding out makes no difference. It is the ⌈(n + 1)·[`UPPER_LEVEL`]⌉-th
+    /// smallest residual, or the largest if there are fewer. Sorts the slice; NaN residuals count as misses.
     pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
         if log_residuals.is_empty() {
             return Self::default();
@@ -43,8 +43,9 @@ impl UpperBound {
         Self { log_factor: log_residuals[rank.clamp(1, n) - 1] as f32 }
     }
 
-    /// As [`UpperBound::from_residuals`] for frames in groups (volumes), where new frames are of new groups:
-    /// every group has the same weight, whatever its number of frames. Pairs of residual and group.
+    /// As [`UpperBound::from_residuals`] for frames in groups (volumes), where new frames belong to new
+    /// groups: every group has the same weight, regardless of its number of frames. `residuals` are pairs of
+    /// residual and group.
     pub fn from_groups<G: Ord>(residuals: impl IntoIterator<Item = (f64, G)>) -> Self {
         let mut sorted: Vec<(f64, G)> =
             residuals.into_iter().map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, g)).collect();
@@ -82,8 +83,8 @@ impl UpperBound {
         if self.log_factor.is_finite() { libm::expf(self.log_factor) } else { f32::NAN }
     }
 
-    /// Standard deviation of ln(measured / predicted), from the bound of a normal distribution, at least
-    /// 0.02; `None` where uncalibrated.
+    /// Standard deviation of ln(measured / predicted), derived from the bound for normally distributed
+    /// errors, at least 0.02; `None` where uncalibrated.
     pub(crate) fn log_sd(&self) -> Option<f32> {
         self.log_factor.is_finite().then_some((self.log_factor / 1.645).max(0.02))
     }
@@ -118,7 +119,7 @@ pub(super) fn store_in_calibration<const N: usize>(
 /// Number of quantities in the range of the analytic model.
 const RANGE_TERMS: usize = 5;
 
-/// Point of a frame in the space of these quantities.
+/// Values of the range's quantities for one frame.
 pub(crate) type RangePoint = [f32; RANGE_TERMS];
 
 /// Bounding box of the training data.
@@ -135,7 +136,7 @@ impl FeatureRange {
         Self { low: [0.0; RANGE_TERMS], high: [0.0; RANGE_TERMS], known: false }
     }
 
-    /// A range with the given ends; unknown where one is not finite.
+    /// A range with the given ends; unknown where an end is not finite.
     pub(crate) fn from_ends(low: RangePoint, high: RangePoint) -> Self {
         let known = low.iter().chain(&high).all(|v| v.is_finite());
         if known { Self { low, high, known } } else { Self::unknown() }

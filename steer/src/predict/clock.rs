@@ -1,5 +1,5 @@
-//! Clocks of frame times. Times of a model and of a renderer by different clocks differ by a factor that is
-//! neither the model's error nor the machine's speed.
+//! Clocks of frame times. If a model predicts the times of one clock and a renderer reports those of another,
+//! the times differ by a factor that is neither the model's error nor the machine's speed.
 
 use entire_core::model::{Key, Model};
 use entire_core::names;

@@ -2,10 +2,10 @@
 //!
 //! ln t = ln Σ c_i e^θ_i w_i + ψ·v + b, where w is the estimated work, c the prior unit costs, ψ the
 //! activations before the factor's last layer and v that layer's weights. Priors: θ_i ~ N(0, s_i²), v ~ N(v₀,
-//! s²), b free. Errors of ln t are Gaussian with [`NOISE`], and linear (Huber) beyond twice their robust
-//! deviation. With this regularization, three frames determine the speed, ten the kinds of work that differ
-//! most, and hundreds every cost. Costs stay positive, so that no prediction is negative and none falls with
-//! a finer step or more pixels.
+//! s²), b free. Errors of ln t are assumed Gaussian with the standard deviation [`NOISE`]; beyond twice their
+//! robust standard deviation, the loss is linear (Huber). With this regularization, three frames determine
+//! the speed, ten the kinds of work that differ most, and hundreds every cost. Costs stay positive, so that
+//! no prediction is negative and none falls with a finer step or more pixels.
 
 use super::COSTS;
 use crate::numeric::{dot, median, solve};
@@ -24,7 +24,7 @@ const IMPORTANCE: f64 = 0.25;
 /// Largest number of Gauss-Newton iterations.
 const ROUNDS: usize = 20;
 
-/// Share of a Gauss-Newton step below which it is not halved again.
+/// Smallest share of a Gauss-Newton step: a step at or below this share is not halved again.
 const LEAST_SHARE: f64 = 0.02;
 
 /// A timed frame.

@@ -45,7 +45,7 @@ pub struct CostTerms {
 }
 
 impl CostTerms {
-    /// A prediction without terms of its own: 2 % count as the frame's fixed cost, the rest as one term.
+    /// A prediction without terms of its own: 2 % count as the frame's fixed cost, and 98 % as one term.
     pub fn whole(seconds: f32, out_of_range: f32, source: Source) -> Self {
         let mut parts = [0.0; TERMS];
         parts[0] = 0.02 * seconds;
@@ -124,8 +124,8 @@ pub trait Predictor {
         PROBE_SIDE
     }
 
-    /// True where probes of any number of rays serve as well: for models that are linear in counts, which
-    /// every probe estimates without bias.
+    /// True where a probe with any number of rays may be used. This holds for models that are linear in
+    /// counts, since every probe estimates counts without bias.
     fn any_probe_side(&self) -> bool {
         false
     }

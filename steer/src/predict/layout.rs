@@ -81,7 +81,7 @@ pub struct InputLayout {
     /// True where Gaussian lobes are sorted by center; false where they keep the caller's order.
     pub sorted_lobes: bool,
     /// Number of rays along each side of the probe that measures the scene features, 1 to [`MAX_PROBE_SIDE`];
-    /// 0 where none of them needs a probe.
+    /// 0 where no scene feature needs a probe.
     pub probe_side: usize,
 }
 
@@ -91,7 +91,7 @@ impl InputLayout {
     /// them.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a repeated group, no group, or an empty one.
+    /// [`crate::ErrorKind::InvalidArgument`] for an empty list, a repeated group, or a group without values.
     pub fn new(
         groups: &[GroupKind],
         scene_features: Vec<SceneFeature>,
@@ -252,8 +252,8 @@ impl InputLayout {
                         lobes.len()
                     );
                 }
-                // Missing lobes are filled by splitting the tallest one: equal parts of it add up to the same
-                // function.
+                // Missing lobes are filled by splitting the tallest lobe into equal parts, which add up to
+                // the same function.
                 let mut tallest = 0;
                 for (i, lobe) in lobes.iter().enumerate() {
                     if lobe.height > lobes[tallest].height {

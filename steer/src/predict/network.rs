@@ -233,7 +233,7 @@ impl Predictor for ModelPredictor {
         }
         let seconds = self.net.predict(&self.row, &mut self.scratch);
         let (seconds, clamped) = checked_seconds(seconds)?;
-        // `max` replaces a score that is NaN, where no range is known, as well.
+        // If no range is known, the score is NaN; `max` replaces NaN too.
         let out_of_range = if clamped { out_of_range.max(CLAMPED_SCORE) } else { out_of_range };
         Ok(Prediction {
             seconds,
@@ -248,7 +248,8 @@ impl Predictor for ModelPredictor {
     }
 
     fn log_sd(&self) -> Option<f32> {
-        // A network without calibration was still trained on times of some machine.
+        // A network without calibration was nevertheless trained on times of a machine; its errors are
+        // assumed to have a standard deviation of 0.5 in ln(time).
         Some(self.calibration.log_sd().unwrap_or(0.5))
     }
 

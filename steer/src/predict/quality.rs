@@ -1,4 +1,4 @@
-//! Law of the picture error of coarser steps and smaller images, as stored in a model file.
+//! Picture quality law: the error caused by coarser steps and by smaller images, as stored in a model file.
 
 use alloc::borrow::ToOwned;
 use alloc::string::{String, ToString};
@@ -7,8 +7,8 @@ use entire_core::bail;
 use entire_core::model::{Key, Model, ModelFile};
 use serde::{Deserialize, Serialize};
 
-/// Picture error and time of a renderer as functions of ray step and image size. Where a coarser step and a
-/// smaller image take the same time, the plan uses the one with the smaller error.
+/// Picture error and time of a renderer as functions of ray step and image size. Among combinations of step
+/// and image size that take the same time, a plan uses the one with the smallest error.
 ///
 /// For a step of s finest steps and rays d pixels apart along each side, the picture's error against full
 /// quality is proportional to (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, its time
@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 /// [`crate::calibrate::fit_quality`] fits the law to compared pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
-    /// Error of an image of half the size along each side (d = 2), over the error of a step twice as coarse
-    /// (s = 2).
+    /// Ratio of the error of an image of half the size along each side (d = 2) to the error of a step twice
+    /// as coarse (s = 2).
     pub image_weight: f32,
     /// Exponent of the step's error.
     pub step_exponent: f32,
@@ -27,9 +27,9 @@ pub struct Quality {
     pub ray_share: f32,
 }
 
-/// Ratio of successive image sample distances: a compromise between many sizes, each of which needs other
-/// buffers, and large jumps of the step where the size changes (by the square, 1.44). Not tuned on recorded
-/// paths.
+/// Ratio of successive image sample distances: a compromise between many image sizes, each of which needs new
+/// buffers, and large jumps of the step where the size changes (by a factor of 1.2² = 1.44). Not tuned on
+/// recorded paths.
 pub(crate) const DISTANCE_RATIO: f64 = 1.2;
 
 /// Name, smallest and largest value of each parameter.
@@ -89,20 +89,20 @@ impl Quality {
     }
 
     /// Computes the thresholds between image sample distances. `distances` ascends from 1; `from` receives
-    /// the value of step · distance² from which each distance has a smaller error at equal time than the
-    /// smaller distances; infinite for distances that never have.
+    /// for each distance the smallest value of step · distance² at which it has a smaller error than the
+    /// smaller distances at equal time; infinity if there is no such value.
     pub(crate) fn lay(&self, distances: &[f64], from: &mut [f64]) {
-        /// Ratio of successive times that are tried.
+        /// Ratio of successive frame times that are tried.
         const FINER: f64 = 0.97;
-        /// Number of times that are tried.
+        /// Number of frame times that are tried.
         const TIMES: usize = 400;
         from[1..].fill(f64::INFINITY);
         let (mut taken, mut share) = (0, 1.0);
         for _ in 0..TIMES {
             let mut best = (taken, f64::INFINITY, 0.0);
             for (level, &distance) in distances.iter().enumerate().skip(taken) {
-                // At the finest step an image may take less than the available time, and still have the
-                // smallest error.
+                // At the finest step, an image may take less than the available time and nevertheless have
+                // the smallest error.
                 let finest = (self.time_share(1.0, distance) <= share).then_some(1.0);
                 if let Some(step) = self.step_for(share, distance).or(finest) {
                     let error = self.error(step, distance);

@@ -8,15 +8,15 @@ use entire_core::bail;
 /// cheap frames, and the exponential of a network trained on log-seconds can underflow.
 pub const PREDICTED_SECONDS: RangeInclusive<f32> = 1.0e-6..=1.0e9;
 
-/// Longest accepted frame time, in seconds: of an observation, and of a frame that a model is fitted to.
+/// Longest accepted time of an observed frame, and of a frame that a model is fitted to, in seconds.
 pub const LONGEST_FRAME: f32 = 10_000.0;
 
 /// Smallest out-of-range score of a prediction that was clamped to [`PREDICTED_SECONDS`]; far beyond every
 /// limit of trust.
 pub(crate) const CLAMPED_SCORE: f32 = 1000.0;
 
-/// Converts a network's output to seconds, clamped to [`PREDICTED_SECONDS`]; returns true as well where it
-/// was clamped, in which case the out-of-range score is at least [`CLAMPED_SCORE`].
+/// Converts a network's output to seconds, clamped to [`PREDICTED_SECONDS`]; also returns true if the value
+/// was clamped; the caller then raises the out-of-range score to at least [`CLAMPED_SCORE`].
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidModel`] for NaN or infinity: the weights are so large that sums overflow `f32`.

@@ -1,7 +1,7 @@
 //! Longest-processing-time-first for render farms (paper, section "Load Balancing").
 //!
 //! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half as long. An assignment
-//! is made from *predicted* times and evaluated with *measured* ones: [`Assignment::makespan`] takes any
+//! is made from *predicted* times and evaluated with *measured* ones: [`Assignment::makespan`] accepts any
 //! times whose sum is finite on the slowest node.
 
 use alloc::vec::Vec;
@@ -68,8 +68,8 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 /// it first. Equal times give a round-robin assignment on equal nodes.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
-/// finite and positive, a time that is negative or not finite, or times whose sum is not;
+/// [`crate::ErrorKind::InvalidArgument`] for no node or more than [`MAX_NODES`], for a speed that is not
+/// finite and positive, for a time that is negative or not finite, and for times whose sum is not finite;
 /// [`crate::ErrorKind::OutOfMemory`] where there is no room for the assignment.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;

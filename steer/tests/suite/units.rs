@@ -1,5 +1,5 @@
-//! A scene's predicted time is independent of the unit of length: over 60 orders of magnitude, from voxels
-//! and from bricks, with arcball and view cameras.
+//! A scene's predicted time is independent of the unit of length, for units over 60 orders of magnitude,
+//! summaries from voxels and from bricks, and cameras given as arcball and as view matrix.
 
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, Shading, Skipping, TransferFunction,

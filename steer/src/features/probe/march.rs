@@ -25,12 +25,12 @@ pub(super) const RUNS: usize = 7;
 pub(super) const DEPTH: usize = 8;
 /// 1 where the ray ended early, otherwise 0.
 pub(super) const TERMINATED: usize = 9;
-/// The shadow ray: length in occupied blocks, number of empty blocks, and whole length, each times the
-/// visible length.
+/// Length of the shadow ray in occupied blocks, its number of empty blocks, and its whole length, each times
+/// the visible length of the primary ray.
 pub(super) const SHADOW: usize = 10;
 pub(super) const SHADOW_SKIPS: usize = 11;
 pub(super) const SHADOW_ALL: usize = 12;
-/// Lookups in the skip map by the ray, and by its shadow ray times the visible length.
+/// Number of lookups in the skip map: by the ray, and by its shadow ray times the ray's visible length.
 pub(super) const SEGMENTS: usize = 13;
 pub(super) const SHADOW_SEGMENTS: usize = 14;
 /// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; only with shadow
@@ -39,10 +39,10 @@ pub(super) const BUSY: usize = 15;
 /// Number of fields.
 pub(super) const FIELDS: usize = 16;
 
-/// Rays that a renderer on the CPU marches in lockstep: log2 of their number.
+/// log2 of the number of rays that a renderer on the CPU marches in lockstep.
 pub(super) const LANES_LOG2: usize = 3;
 
-/// Smallest magnitude of a direction component; smaller ones are replaced by it.
+/// Smallest magnitude of a direction component; components closer to 0 are set to this magnitude.
 pub(super) const TINY: f32 = 1.0e-9;
 
 /// Number of chords that are binned at a time.
@@ -153,13 +153,13 @@ pub(super) struct March<'a> {
     pub(super) depth_end: f32,
     /// Optical depth at which a shadow ray ends.
     pub(super) shadow_end: f32,
-    /// Edges of a block in scene units where cells hold several blocks.
+    /// Edges of a block in scene units; `None` unless cells hold several blocks.
     pub(super) block: Option<Vec3>,
     pub(super) block_skips: ChordCounts,
     pub(super) distance_skips: ChordCounts,
 }
 
-/// Results of one ray; names as those of the fields.
+/// Results of one ray, with the names of the fields above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ray {
     pub(super) chord: f32,

@@ -55,8 +55,8 @@ pub(crate) struct Probe {
     /// Runs of samples between jumps: number of times a ray enters an occupied block from an empty one or
     /// from outside.
     pub(super) runs: f32,
-    /// Lookups in a skip map during those runs. The map holds the distance to the nearest empty block, so
-    /// that deep among occupied blocks one lookup serves several blocks.
+    /// Lookups in a skip map during the runs. The map holds the distance to the nearest empty block, so that
+    /// deep among occupied blocks one lookup serves several blocks.
     pub(super) segments: f32,
     /// Distance between rays that are one image height apart, at the mean depth of the samples, in reference
     /// steps.
@@ -150,7 +150,7 @@ impl Probe {
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
             return Self { footprint, ..Self::NOTHING };
         }
-        // Buffers sized to the number of rays, so that small probes do not clear large buffers.
+        // The buffers' size follows the number of rays, so that small probes do not clear large buffers.
         match side {
             ..=4 => Self::cast::<16>(level, volume, transfer, frame, footprint, side),
             5..=8 => Self::cast::<64>(level, volume, transfer, frame, footprint, side),
@@ -212,7 +212,7 @@ impl Probe {
         for ((all, &occupied), &empty) in all.iter_mut().zip(&*rays[OCCUPIED]).zip(&*rays[EMPTY]) {
             *all = occupied + empty;
         }
-        // A pixel that misses the box waits for its neighbors too, so misses count.
+        // A pixel whose ray misses the box waits for its neighbors too, so these rays are included.
         let most = if side <= 14 { most_nearby::<16> } else { most_nearby::<32> };
         let (occupied_max, all_max) = (most(&rays[OCCUPIED][..count], side), most(&all[..count], side));
         let sampled = if frame.skipping == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
@@ -300,7 +300,7 @@ impl Chords {
     }
 }
 
-/// Sum in an order that suits vectors of any width and is the same for all of them.
+/// Sum of the values. The order of additions is the same for vectors of any width, so the result is too.
 fn sum(values: &[f32]) -> f32 {
     let mut lanes = [0.0f32; 16];
     let (chunks, rest) = chunks::<16, _>(values);
@@ -318,8 +318,8 @@ fn sum(values: &[f32]) -> f32 {
     lanes[0]
 }
 
-/// Sum, over rays, of the maximum of a ray and its four neighbors; values are not negative. `W` must exceed
-/// `side` by at least 2.
+/// Sum, over rays, of the maximum value among a ray and its four neighbors; values are not negative. `W` must
+/// exceed `side` by at least 2.
 fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
     let larger = |a: f32, b: f32| if b > a { b } else { a };
     let mut padded = [[0.0f32; W]; MAX_PROBE_SIDE + 2];
@@ -337,8 +337,8 @@ fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
     sums[1..=side].iter().sum()
 }
 
-/// Relative standard error of the mean over the rays that hit, estimated from the differences of neighboring
-/// rays. An overestimate, since the rays are stratified.
+/// Relative standard error of the mean over the rays that hit the box, estimated from the differences of
+/// neighboring rays. It is an overestimate, since the rays are stratified.
 fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f32 {
     let (mut squares, mut pairs) = (0.0f32, 0.0f32);
     for (values, chords) in values.chunks_exact(side).zip(chords.chunks_exact(side)) {

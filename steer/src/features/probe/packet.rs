@@ -1,6 +1,6 @@
 //! Marches packets of rays through the grid of cells, one ray per vector lane, each bit-identical to
 //! [`March::ray`]. A lane whose ray has ended idles until its packet is done, so rays that cross similar
-//! numbers of cells are packed together.
+//! numbers of cells are put into the same packet.
 
 use super::march::{
     BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, LANES_LOG2, March, OCCUPIED, RUNS, SEGMENTS,
@@ -174,7 +174,8 @@ impl<S: Simd> Packet<'_, '_, S> {
     /// Steps to the next cell. For a ray that has left the box, and so is not alive, the result is
     /// unspecified.
     ///
-    /// Nothing here depends on the optics of the present cell, so the next cells can be fetched meanwhile.
+    /// Nothing here depends on the optics of the present cell, so the next cells can be fetched while these
+    /// optics are loaded.
     #[inline(always)]
     fn advance(&self, walk: &mut Walk<S>) {
         let simd = self.simd;
@@ -190,7 +191,7 @@ impl<S: Simd> Packet<'_, '_, S> {
     }
 
     /// Packed words of the cells, without the edit's number, and the lanes whose cell is not empty. Computes
-    /// the optics that the present edit still lacks.
+    /// the optics of cells that were not met before in the present edit.
     #[inline(always)]
     fn look(&mut self, index: S::I, lanes: S::M) -> (S::I, S::M) {
         let simd = self.simd;

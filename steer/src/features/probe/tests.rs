@@ -47,7 +47,7 @@ fn cells_are_classified_alike_by_ranges_and_by_lookup() {
     let data = noise(40 * 24 * 24, 3);
     for cells in [48, 2] {
         let s = summary(&data, [40, 24, 24], cells);
-        // One run of visible entries, some, and more than are compared run by run.
+        // One run of visible entries, several runs, and more runs than are compared one by one.
         for period in [256usize, 64, 16, 2] {
             let table = table(|i| if i % period == period / 2 { 0.3 } else { 0.0 });
             let t = TransferSummary::new(&s, &table).unwrap();
@@ -142,13 +142,14 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
 /// Bound on the relative difference between parallel rays and a perspective camera 1000 radii away.
 const LIMIT_TOLERANCE: f64 = 0.01;
 
-/// As above, for quantities that count samples along shadow rays. A ray's shadow ray starts at a point
-/// selected by comparing a random number with shares of lengths: where a share is close to that number,
-/// another point may be selected, with a far longer or shorter shadow ray. This happens to some of the 121
-/// rays and makes up nearly all of the difference, 3.2 % at most.
+/// As [`LIMIT_TOLERANCE`], for quantities that count samples along shadow rays. A ray's shadow ray starts at
+/// a point selected by comparing a random number with shares of lengths: where a share is close to that
+/// number, another point may be selected, with a far longer or shorter shadow ray. This happens to some of
+/// the 121 rays and causes nearly all of the difference, which is at most 3.2 %.
 const SHADOW_LIMIT_TOLERANCE: f64 = 0.04;
 
-/// As above, for lookups in the skip map, which differ between shadow rays even more than samples do.
+/// As [`LIMIT_TOLERANCE`], for lookups in the skip map, which differ between shadow rays even more than
+/// samples do.
 const SEGMENTS_LIMIT_TOLERANCE: f64 = 0.05;
 
 #[test]
@@ -198,7 +199,8 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     }
 }
 
-/// Rays far apart wait wherever one of eight shades, adjacent rays do not; where all shade, no ray waits.
+/// Of eight rays far apart, all wait while any of them shades; adjacent rays shade together and do not wait.
+/// Where all eight shade, none waits.
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];

@@ -56,7 +56,7 @@ pub(super) fn set_remapped<'a, T: Voxel>(
 
 /// Maps cells to their blocks.
 pub(super) struct Places {
-    /// Numbers along x, y, z of blocks of the volume, blocks of a cell, and cells of the volume.
+    /// Along x, y, z: number of blocks in the volume, of blocks in a cell, and of cells in the volume.
     blocks: [usize; 3],
     per_cell: [usize; 3],
     cells: [usize; 3],
@@ -101,7 +101,8 @@ pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
     Ok(())
 }
 
-/// Computes a cell's bounds from its blocks', and stores the blocks' where a cell holds several.
+/// Computes a cell's bounds from the bounds of its blocks; stores the latter too if a cell holds several
+/// blocks.
 #[inline(always)]
 pub(super) fn gather<T: Voxel>(
     summary: &mut VolumeSummary,

@@ -9,7 +9,7 @@ use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
 use entire_core::memory::{chunks, copied, filled, mixed, reserve, room};
 
-/// One bit per cell of a row along x, of which there are at most 128.
+/// One bit per cell of a row along x; a row has at most 128 cells.
 pub(super) type Mask = u128;
 
 /// Checksum of a cell's voxels, two sums of 64 bits each; different voxels have the same checksum with a
@@ -400,8 +400,8 @@ const LARGE: u8 = u8::MAX;
 
 /// Appends a cell's tally: its length in bytes, the bounds of its entries, the number of voxels that are not
 /// finite, and the number of voxels with each entry from the lower bound to the upper. A number takes one
-/// byte, or nine from 255 on. A cell of 8³ voxels takes 14 bytes where all have one entry, otherwise mostly
-/// 5 bytes and one per entry.
+/// byte, or nine from 255 on. A cell of 8³ voxels takes 14 bytes if all voxels have the same entry, otherwise
+/// usually 5 bytes plus one byte per entry from the lower bound to the upper.
 fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_finite: u64) -> Result<()> {
     let counts = &counts[usize::from(low)..=usize::from(high)];
     let at = to.len();
@@ -430,8 +430,8 @@ fn split_tally<'a>(tallies: &mut &'a [u8]) -> &'a [u8] {
     first
 }
 
-/// Reads a tally: calls `each` with the number of voxels of each entry; returns the number that are not
-/// finite.
+/// Reads a tally: calls `each` with the number of voxels of each entry; returns the number of voxels that are
+/// not finite.
 fn read_tally(tally: &[u8], mut each: impl FnMut(u8, u64)) -> u64 {
     let Some((&[_, _, low, high], mut rest)) = tally.split_first_chunk::<{ LENGTH + 2 }>() else { return 0 };
     let mut next = || {

@@ -6,7 +6,7 @@ use entire_core::scene::{Scalars, VolumeView};
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Map {
     range: (f32, f32),
-    /// Entries per stored unit; `None` where this is not a normal number.
+    /// Table entries per unit of the stored values; `None` where this ratio is not a normal number.
     scale: Option<f32>,
     /// Table entry of each counted byte: for bytes the entry nearest to the stored value, for other types the
     /// byte itself.
@@ -66,7 +66,7 @@ fn scaled(value: f32, low: f32, scale: f32) -> f32 {
 /// The entry nearest to a position in 0…255, in arithmetic that compilers vectorize.
 #[inline(always)]
 fn near(position: f32) -> u8 {
-    /// 2²³: adding it rounds to an integer, held in the low bits.
+    /// 2²³: adding this number rounds a value to an integer, which the low bits then hold.
     const SHIFT: f32 = 8_388_608.0;
     let v = position + 0.5;
     let rounded = (v + SHIFT) - SHIFT;

@@ -26,7 +26,8 @@ pub(crate) const BLOCK_EDGE: usize = 8;
 /// until this limit holds.
 const CELLS_PER_AXIS: usize = 48;
 
-/// Number of quantile intervals per cell; the `QUANTILES + 1` bounds split its voxels into equal shares.
+/// Number of quantile intervals per cell; their `QUANTILES + 1` bounds split the cell's voxels into equal
+/// shares.
 pub(crate) const QUANTILES: usize = 8;
 
 /// Largest stored integer that can index a table of 2¹⁵ entries directly.
@@ -38,9 +39,10 @@ const BLOCKS_PER_CELL_AXIS: usize = 8;
 /// Summary of a volume: about 12 bytes per cell of 8³ voxels, without the voxels.
 ///
 /// Cell (i, j, k) with edge e covers the samples between the centers of voxels e·i and e·(i + 1) along each
-/// axis; so its bounds include one voxel beyond its far side. The edge is 8 voxels along each axis, or larger
-/// by powers of two where an axis would have more than 48 cells; then the value bounds of the blocks inside
-/// each cell are kept too, so that emptiness is still decided by the blocks that a renderer skips.
+/// axis; so the bounds of a cell include one voxel beyond its far side. The edge is 8 voxels along each axis,
+/// or larger by powers of two where an axis would have more than 48 cells; then the value bounds of the
+/// blocks inside each cell are kept too, so that emptiness is still decided by the blocks that a renderer
+/// skips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
     scalar_type: ScalarType,
@@ -227,8 +229,8 @@ impl VolumeSummary {
     }
 
     /// True where a renderer that looks stored values up in a table must shift or scale them: unless they are
-    /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. For a volume made of
-    /// bricks the bounds decide: 0 among the bounds of integers is taken as a stored 0.
+    /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. For a summary made from
+    /// bricks, the bricks' bounds decide: a bound of 0 of an integer type is taken as a stored 0.
     pub(crate) fn remapped(&self) -> bool {
         self.remapped
     }

@@ -28,8 +28,8 @@ impl Grid {
         core::array::from_fn(|a| self.dims[a].div_ceil(self.block[a]))
     }
 
-    /// Distance in bytes between the entries of neighboring cells. Not a power of two, with which cells would
-    /// map to few cache sets.
+    /// Distance in bytes between the entries of neighboring cells. It is not a power of two, since cells
+    /// would then map to few cache sets.
     pub(super) fn room(&self) -> usize {
         self.edge.iter().product::<usize>() + 64
     }
@@ -208,8 +208,8 @@ impl<T: Voxel> Kernel for &mut Layers<'_, T> {
 
 /// Working memory of one thread.
 pub(super) struct Scratch<T> {
-    /// Rows of one row of blocks: its own, and those that also belong to the preceding blocks along y, along
-    /// z, and along both.
+    /// Combined rows of voxels of one row of blocks: all its rows, and the rows that also belong to the
+    /// preceding blocks along y, along z, and along both.
     pub(super) joined: [Joined<T>; 4],
     /// Copy of a row whose voxels are not contiguous.
     pub(super) row: Vec<T>,
@@ -403,7 +403,7 @@ impl<S: Simd> Tally<'_, S> {
     }
 }
 
-/// Bounds of a cell from those of its blocks; `bounds` begins at block layer `first`.
+/// Bounds of a cell, from the bounds of its blocks; `bounds` begins at block layer `first`.
 #[inline(always)]
 pub(super) fn bounds_of<T: Voxel, B>(
     grid: &Grid,
@@ -460,14 +460,14 @@ impl<T: Voxel> Joined<T> {
         }
     }
 
-    /// Widens the bounds of a row of blocks, once for all rows: a block's values include the first one of the
-    /// next block. `block` is a power of two.
+    /// Widens the bounds of a row of blocks, once for all rows: a block's values include the first value of
+    /// the next block. `block` is a power of two.
     #[inline(always)]
     pub(super) fn reduce<'a>(&mut self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
     where
         T: 'a,
     {
-        // After the loop, every element holds the bounds of the block's length of values from there on.
+        // After the loop, every element holds the bounds of the `block` values that begin with it.
         let mut reach = 1;
         while reach < block.min(self.low.len()) {
             slide(&mut self.low, &mut self.other, reach, T::lesser);
@@ -483,7 +483,7 @@ impl<T: Voxel> Joined<T> {
     }
 }
 
-/// Combines each value with the one `reach` further on, where it exists.
+/// Combines each value with the value `reach` elements after it, if there is one.
 #[inline(always)]
 fn slide<T: Voxel>(values: &mut [T], other: &mut [T], reach: usize, join: impl Fn(T, T) -> T) {
     let len = values.len();

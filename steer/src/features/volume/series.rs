@@ -16,15 +16,15 @@ use entire_core::scene::{Scalars, VolumeView};
 /// Keeps the [`VolumeSummary`] of a volume that changes: at each time step only the changed cells are
 /// summarized again.
 ///
-/// Where the caller gives the box of voxels that changed, only the cells that it touches are read. Otherwise
-/// all voxels are read to find the cells that changed, which is much faster than making a summary. Either way
-/// the summary is bit-identical to that of [`VolumeSummary::new`].
+/// Where the caller gives the box of voxels that changed, only the cells that the box touches are read.
+/// Otherwise all voxels are read to find the cells that changed, which is much faster than making a summary.
+/// Either way the summary is bit-identical to that of [`VolumeSummary::new`].
 ///
 /// In addition to the summary, each cell has a checksum of 16 bytes, which misses a change with a probability
 /// of about 2⁻¹²⁸ (unless voxels are chosen to collide); the number of voxels with each entry of a 256-entry
-/// table, 5 bytes and mostly one for each entry from the cell's lowest to its highest; and four stored values
-/// per block. For bytes in cells of one block, these are about 25 bytes per cell and one per entry, in
-/// addition to the 11 of the summary.
+/// table, which takes 5 bytes plus usually one byte for each entry from the cell's lowest to its highest; and
+/// four stored values per block. For volumes of bytes whose cells are one block each, this state takes about
+/// 25 bytes per cell plus one byte per entry, in addition to the summary's 11 bytes per cell.
 ///
 /// ```
 /// use entire_steer::features::{SummarySeries, VolumeSummary};
@@ -61,7 +61,7 @@ enum Kind {
 }
 
 impl SummarySeries {
-    /// A series of volumes with the sizes, spacing, range and type of `like`, of which no voxel is read. All
+    /// A series of volumes with the sizes, spacing, range and type of `like`; reads no voxel of `like`. All
     /// time steps share the range.
     ///
     /// # Errors
@@ -92,9 +92,9 @@ impl SummarySeries {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume, and for a volume of
-    /// another type or range, [`crate::ErrorKind::SizeMismatch`] for one of other sizes; nothing has changed
-    /// in these cases. [`crate::ErrorKind::OutOfMemory`], after which there is no summary until another
-    /// update succeeds.
+    /// another type or range, [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; nothing has
+    /// changed in these cases. [`crate::ErrorKind::OutOfMemory`], after which there is no summary until
+    /// another update succeeds.
     pub fn update(
         &mut self,
         volume: &VolumeView<'_>,

@@ -1,4 +1,5 @@
-//! Compares summaries made on several threads, and those of time steps, with new ones.
+//! Compares summaries made on several threads, and summaries updated from one time step to the next, with new
+//! summaries made on one thread.
 
 use super::*;
 use entire_core::ErrorKind;
@@ -30,7 +31,7 @@ impl Random {
 impl Volume {
     fn new() -> Self {
         let mut random = Random(5);
-        // Constant cells among others.
+        // Some cells are constant, others are not.
         let voxel = |i: usize| if (i / 7000) % 2 == 0 { 9 } else { random.below(256) as u8 };
         Self::of((0..DIMS.iter().product()).map(voxel).collect())
     }
@@ -175,7 +176,7 @@ fn a_series_reads_only_what_was_announced() {
     let mut series = SummarySeries::new(&whole).unwrap();
     let first = series.update(&whole, Some([0..1, 0..1, 0..1]), Executor::Serial).unwrap().clone();
     assert_eq!(first, VolumeSummary::new(&whole).unwrap());
-    // Changes outside the box are missed until they are searched.
+    // Changes outside the box are missed until an update without a box.
     volume.bytes[0] ^= 255;
     let [whole, words, ..] = volume.whole();
     assert_eq!(*series.update(&whole, Some([30..37, 0..21, 9..10]), Executor::Serial).unwrap(), first);
