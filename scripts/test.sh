@@ -92,10 +92,12 @@ workspace_tests() {
 
 # Tests the crates of the C library with the oldest compiler that they support (their `rust-version`).
 oldest_rust() {
-    local version
+    local version toolchain
     version=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' core/Cargo.toml)
-    if "$cargo" "+$version" --version >/dev/null 2>&1; then
-        CARGO_TARGET_DIR=$target/oldest-rust "$cargo" "+$version" test --quiet --package entire-core \
+    # With the number of its last part, where it was installed so.
+    toolchain=$(rustup toolchain list 2>/dev/null | grep -om 1 "^$version[.0-9]*") || toolchain=$version
+    if "$cargo" "+$toolchain" --version >/dev/null 2>&1; then
+        CARGO_TARGET_DIR=$target/oldest-rust "$cargo" "+$toolchain" test --quiet --package entire-core \
             --package entire-steer --package entire-ffi
     else
         skip "oldest Rust" "Rust $version is not installed (rustup toolchain install $version --profile minimal)"
