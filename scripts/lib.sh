@@ -45,3 +45,43 @@ folder_lacking() {
     unshare --mount true 2>/dev/null || { echo "this machine gives no mount namespace (unshare --mount fails)"; return; }
     [[ $1 ]] || echo "apt knows no mirror of Debian (set MATRIX_MIRROR)"
 }
+
+# install_debian RELEASE FOLDER MIRROR LOG OPTION...: installs Debian into a folder by mmdebstrap with these options. If that
+# fails, prints the last lines of its log and removes the folder.
+install_debian() {
+    local release=$1 folder=$2 mirror=$3 log=$4
+    shift 4
+    # The mounts of mmdebstrap end with it. Files are not synced one by one, since an incomplete folder is made anew.
+    unshare --mount mmdebstrap --mode=root --dpkgopt=force-unsafe-io "$@" \
+        "$release" "$folder" "deb $mirror $release main" >"$log" 2>&1 || {
+        echo "mmdebstrap failed:"
+        tail -n 5 "$log"
+        rm -rf "$folder"
+        return 1
+    }
+}
+
+# in_debian FOLDER [SOURCE=TARGET]... -- COMMAND...: runs a command in a Debian in a folder, with each SOURCE of this machine
+# mounted read-only at TARGET. Only the command's processes see the mounts: none stays, however they end.
+# shellcheck disable=SC2016
+in_debian() {
+    local folder=$1 mounts=()
+    shift
+    while [[ $1 != -- ]]; do
+        mounts+=("$1")
+        shift
+    done
+    shift
+    unshare --mount bash -euc '
+        folder=$1 count=$2
+        shift 2
+        for mount in "${@:1:count}"; do
+            mkdir -p "$folder${mount#*=}"
+            mount --bind "${mount%%=*}" "$folder${mount#*=}"
+            mount -o remount,bind,ro "$folder${mount#*=}"
+        done
+        mount -t proc proc "$folder/proc"
+        mount --rbind /dev "$folder/dev"
+        exec chroot "$folder" "${@:count+1}"
+    ' in_debian "$folder" "${#mounts[@]}" "${mounts[@]}" "$@"
+}

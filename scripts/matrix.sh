@@ -44,22 +44,11 @@ finish='export DEBIAN_FRONTEND=noninteractive
 
 mirror=${MATRIX_MIRROR:-$(mirror)}
 
-# inside FOLDER COMMAND...: runs a command in a folder, with this checkout read-only at /entire and the C library at /sdk.
-# Only the command's processes see the mounts, so nothing stays mounted in the folder, however they end.
-# shellcheck disable=SC2016,SC2329
+# inside FOLDER COMMAND...: runs a command in a folder, with this checkout at /entire and the C library at /sdk, read-only.
+# shellcheck disable=SC2329
 inside() {
-    local folder=$1
-    shift
-    mkdir -p "$folder"/{entire,sdk}
-    unshare --mount bash -euc '
-        folder=$1
-        mount --bind "$2" "$folder/entire"
-        mount -o remount,bind,ro "$folder/entire"
-        mount --bind "$3" "$folder/sdk"
-        mount -t proc proc "$folder/proc"
-        mount --rbind /dev "$folder/dev"
-        exec chroot "$folder" env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin PYTHONDONTWRITEBYTECODE=1 "${@:4}"
-    ' inside "$folder" "$root" "$sdk" "$@"
+    in_debian "$1" "$root=/entire" "$sdk=/sdk" -- env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin \
+        PYTHONDONTWRITEBYTECODE=1 "${@:2}"
 }
 
 # folder NAME: makes the folder if it is missing, and writes the seconds that this took into its file made-in.
@@ -73,17 +62,11 @@ folder() {
     echo "matrix: $name: installing Debian $name from $mirror into $folder, some minutes and 4 GB: ${packages[*]} python3-paraview"
     rm -rf "$folder"
     mkdir -p "$folders"
-    # The mounts of mmdebstrap end with it. Validity dates are ignored, since a mirror may lag behind. Files are not synced
-    # one by one, since an incomplete folder is made anew.
-    unshare --mount mmdebstrap --mode=root --variant=apt --include="$(IFS=,; echo "${packages[*]}")" \
-        --aptopt='APT::Install-Recommends "false"' --aptopt='Acquire::Check-Valid-Until "false"' --dpkgopt=force-unsafe-io \
-        --customize-hook="chroot \"\$1\" bash -euc '$finish'" \
-        "$name" "$folder" "deb $mirror $name main" >"$out/$name-folder.log" 2>&1 || {
-        echo "matrix: $name: mmdebstrap failed:"
-        tail -n 5 "$out/$name-folder.log"
-        rm -rf "$folder"
-        return 1
-    }
+    # Validity dates are ignored, since a mirror may lag behind.
+    install_debian "$name" "$folder" "$mirror" "$out/$name-folder.log" \
+        --variant=apt --include="$(IFS=,; echo "${packages[*]}")" \
+        --aptopt='APT::Install-Recommends "false"' --aptopt='Acquire::Check-Valid-Until "false"' \
+        --customize-hook="chroot \"\$1\" bash -euc '$finish'" || return 1
     rm -f "$folder"/var/cache/apt/archives/*.deb
     echo "$list" >"$folder/made-from"
     echo $((SECONDS - began)) >"$folder/made-in"

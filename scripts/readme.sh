@@ -13,7 +13,6 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
-root=$PWD
 folder=$(realpath -m "${README_FOLDER:-${CARGO_TARGET_DIR:-target}/readme}")
 release=${README_RELEASE:-bookworm}
 out=$(realpath -m "${README_OUT:-out/readme}")
@@ -30,19 +29,13 @@ if [[ ! -e $folder/made ]]; then
     echo "readme: installing a minimal Debian $release into $folder"
     rm -rf "$folder"
     mkdir -p "$folder"
-    unshare --mount mmdebstrap --mode=root --variant=minbase --include=ca-certificates,git,make --dpkgopt=force-unsafe-io \
-        "$release" "$folder" "deb $mirror $release main" >"$out/folder.log" 2>&1 || {
-        echo "readme: mmdebstrap failed:" >&2
-        tail -n 5 "$out/folder.log" >&2
-        rm -rf "$folder"
-        exit 1
-    }
+    install_debian "$release" "$folder" "$mirror" "$out/folder.log" --variant=minbase --include=ca-certificates,git,make
     touch "$folder/made"
 fi
 rm -rf "$folder/root/entire"
 git clone --quiet . "$folder/root/entire"
 # How this machine reaches its mirrors.
-mkdir -p "$folder"/root/{.rustup,.cargo/bin}
+mkdir -p "$folder/root/.cargo"
 for file in /etc/resolv.conf /etc/pip.conf "${PIP_CERT:-}" "${SSL_CERT_FILE:-}" "${CARGO_HOME:-$HOME/.cargo}/config.toml"; do
     [[ -f $file ]] || continue
     to=$file
@@ -57,20 +50,10 @@ mapfile -t commands < <(awk '/^```sh$/ { on = 1; next } /^```/ { on = 0 } on && 
 failed=0
 for ((i = 0; i < ${#commands[@]}; i++)); do
     began=$SECONDS ended=passed
-    # shellcheck disable=SC2016
-    unshare --mount bash -euc '
-        folder=$1
-        mount -t proc proc "$folder/proc"
-        mount --rbind /dev "$folder/dev"
-        mount --bind "$2" "$folder/root/.rustup"
-        mount -o remount,bind,ro "$folder/root/.rustup"
-        mount --bind "$3" "$folder/root/.cargo/bin"
-        mount -o remount,bind,ro "$folder/root/.cargo/bin"
-        exec chroot "$folder" env -u CARGO_HOME -u RUSTUP_HOME -u CARGO_TARGET_DIR HOME=/root LANG=C.UTF-8 \
-            PATH=/root/.cargo/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
-            bash -c "cd /root/entire && $4"
-    ' readme "$folder" "${RUSTUP_HOME:-$HOME/.rustup}" "${CARGO_HOME:-$HOME/.cargo}/bin" "${commands[i]}" \
-        >"$out/$((i + 1)).log" 2>&1 </dev/null || ended=failed
+    in_debian "$folder" "${RUSTUP_HOME:-$HOME/.rustup}=/root/.rustup" "${CARGO_HOME:-$HOME/.cargo}/bin=/root/.cargo/bin" -- \
+        env -u CARGO_HOME -u RUSTUP_HOME -u CARGO_TARGET_DIR HOME=/root LANG=C.UTF-8 \
+        PATH=/root/.cargo/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
+        bash -c "cd /root/entire && ${commands[i]}" >"$out/$((i + 1)).log" 2>&1 </dev/null || ended=failed
     echo "readme: ${commands[i]}: $ended in $((SECONDS - began)) s ($out/$((i + 1)).log)"
     if [[ $ended != passed ]]; then
         failed=$((failed + 1))
