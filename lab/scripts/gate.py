@@ -46,6 +46,8 @@ RENAMED = {
         "the_smallest_is_chosen_that_none_beats_on_every_machine",
     "bars_are_about_the_selected_predictor_where_the_study_has_one":
         "bars_are_about_the_selected_predictor_where_the_rule_selects_one",
+    "slabs_and_threads_change_no_bit": "threads_change_no_bit",
+    "a_table_has_one_writer": "a_table_has_one_writer_at_a_time",
 }
 # Names of tests: Rust's, libtest-mimic's, Python's, CMake's.
 NAMES = {
