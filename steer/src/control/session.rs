@@ -176,7 +176,7 @@ impl Session {
             bail!(
                 SizeMismatch,
                 "a time step of {x} x {y} x {z} voxels follows on a volume of {a} x {b} x {c} voxels; its \
-                 sizes, spacing and summary options must be the same; for another volume, call set_volume"
+                 sizes and spacing must be the same; for another volume, call set_volume"
             );
         }
         if volume.scalar_type() != before.scalar_type() {
