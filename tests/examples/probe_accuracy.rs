@@ -72,8 +72,7 @@ fn main() {
                 transfer.prepare_distance();
                 let mut features = FrameFeatures::default();
                 features.measure(&summary, &mut transfer, &frame).expect("a frame");
-                let setting = Setting::from(&frame);
-                let of = |q| features.quantity(q, &setting);
+                let of = features.quantities(Setting::from(&frame));
                 let terminated = of(SceneQuantity::TerminatedShare);
                 let occupied = of(SceneQuantity::OccupiedShare);
                 let samples = of(SceneQuantity::Samples) + of(SceneQuantity::ShadowSamples);

@@ -158,8 +158,8 @@ impl Pool {
                 row.resize(layout.width(), 0.0);
                 layout.write(inputs, &mut row)?;
             }
-            let count = |q| inputs.features.quantity(q, &inputs.setting) as f32;
-            Ok((row, COST_QUANTITIES.map(count)))
+            let of = inputs.features.quantities(inputs.setting);
+            Ok((row, COST_QUANTITIES.map(|q| of(q) as f32)))
         })?;
         let candidates: Vec<Candidate> = frames
             .iter()

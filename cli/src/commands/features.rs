@@ -69,20 +69,16 @@ pub fn run(options: &Options) -> Result<()> {
         let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.to_string()).collect();
         let bar = templated_bar(INPUTS_BAR);
         let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
-            Ok(SceneQuantity::ALL
-                .iter()
-                .map(|&q| inputs.features.quantity(q, &inputs.setting) as f32)
-                .collect::<Vec<f32>>())
+            let of = inputs.features.quantities(inputs.setting);
+            Ok(SceneQuantity::ALL.iter().map(|&q| of(q) as f32).collect::<Vec<f32>>())
         })?;
         for &side in &further {
             let probed: Vec<SceneQuantity> =
                 SceneQuantity::ALL.iter().copied().filter(|q| q.needs_probe()).collect();
             bar.reset();
             let more = measure(&tables, &frames, Some(side), None, &pool, &bar, |_, inputs| {
-                Ok(probed
-                    .iter()
-                    .map(|&q| inputs.features.quantity(q, &inputs.setting) as f32)
-                    .collect::<Vec<f32>>())
+                let of = inputs.features.quantities(inputs.setting);
+                Ok(probed.iter().map(|&q| of(q) as f32).collect::<Vec<f32>>())
             })?;
             columns.extend(probed.iter().map(|&q| quantity_column(q, side)));
             for (row, more) in rows.iter_mut().zip(more) {

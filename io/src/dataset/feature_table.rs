@@ -324,9 +324,9 @@ mod tests {
             let frame = Frame { shading, ..Frame::new(camera, 90, 70).unwrap() };
             let mut features = FrameFeatures::with_probe_side(PROBE_SIDE);
             features.measure(&summary, &mut transfer, &frame).unwrap();
-            let setting = Setting::from(&frame);
+            let of = features.quantities(Setting::from(&frame));
             for q in SceneQuantity::ALL {
-                let value = features.quantity(*q, &setting);
+                let value = of(*q);
                 text += &format!("{q} {value:.3e}\n");
             }
         }

@@ -24,7 +24,7 @@ const LIMIT: f64 = 0.5;
 /// ray spacing, samples per ray, share of the image that the volume covers and ray step, divergence of
 /// neighboring rays.
 fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option<[f64; TERMS]> {
-    let of = |q: SceneQuantity| features.quantity(q, setting);
+    let of = features.quantities(*setting);
     let log = |v: f64| v.max(1e-3).ln();
     let (_, [forward, ..]) = Camera::from_arcball(camera).ok()?.ray_basis(setting.width, setting.height);
     let [x, y, z] = forward.to_array().map(|v| f64::from(v.abs()));

@@ -143,7 +143,7 @@ pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
 /// View of a camera on a volume under a transfer function, measured once per frame.
 ///
-/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantity`] then evaluates any step,
+/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step,
 /// skipping mode and image size (of the same aspect ratio) without marching again. It also evaluates other
 /// shading modes, except that single scattering requires a frame measured with it. Nothing here allocates.
 #[derive(Clone, Debug, PartialEq)]
@@ -305,13 +305,14 @@ impl FrameFeatures {
         work
     }
 
-    /// Value of a quantity at a setting. Counts are monotonic: never smaller for a finer step, nor for a
-    /// larger image of the same aspect ratio.
-    pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting) -> f64 {
-        self.quantity_of(quantity, setting, &self.work(setting))
+    /// Values of quantities at a setting, whose work is evaluated once. Counts are monotonic: never smaller
+    /// for a finer step, nor for a larger image of the same aspect ratio.
+    pub fn quantities(&self, setting: Setting) -> impl Fn(SceneQuantity) -> f64 {
+        let work = self.work(&setting);
+        move |quantity| self.quantity_of(quantity, &setting, &work)
     }
 
-    /// As [`FrameFeatures::quantity`], from the work at the setting.
+    /// Value of a quantity, from the work at the setting.
     pub(crate) fn quantity_of(&self, quantity: SceneQuantity, setting: &Setting, work: &Work) -> f64 {
         use SceneQuantity as Q;
         let p = &self.probe;

@@ -92,7 +92,7 @@ fn estimated_work_is_the_counted_work() {
                 transfer.prepare_distance();
                 let mut features = FrameFeatures::default();
                 features.measure(&summary, &mut transfer, &frame).expect("a frame");
-                let of = |q| features.quantity(q, &Setting::from(&frame));
+                let of = features.quantities(Setting::from(&frame));
                 let samples = of(SceneQuantity::Samples) + of(SceneQuantity::ShadowSamples);
                 let shaded = of(SceneQuantity::LocalSamples) + of(SceneQuantity::ScatterSamples);
                 let pairs = [

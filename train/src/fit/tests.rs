@@ -140,7 +140,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
                 volume_features: None,
                 lobes: Some(&lobes),
             };
-            let quantity = |q| measured.quantity(q, &setting);
+            let quantity = measured.quantities(setting);
             let x = [
                 (quantity(SceneQuantity::Pixels) + 1.0).ln() as f32,
                 quantity(SceneQuantity::MeanChord) as f32,
