@@ -293,7 +293,7 @@ mod limits {
         // Takes the fastest of many short runs, which is the one least disturbed by other processes.
         let best = |f: &dyn Fn() -> f64| Some((0..600).map(|_| f()).fold(0.0, f64::max));
         match level.isa() {
-            // SAFETY: the level proves the instructions, here and below.
+            // SAFETY: a level exists only if the CPU has its instructions; the same holds below.
             Isa::Avx512 if int8 && level.to_string().contains("vnni") => best(&|| unsafe { dot512(100_000) }),
             _ if int8 => None,
             // SAFETY: as above.
@@ -312,7 +312,7 @@ mod limits {
         let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
         let rounds = (1 << 22) / bytes + 1;
         let read: &dyn Fn() = match level.isa() {
-            // SAFETY: the level proves the instructions, here and below.
+            // SAFETY: a level exists only if the CPU has its instructions; the same holds below.
             Isa::Avx512 => &|| unsafe { sum512(black_box(data)) },
             // SAFETY: as above.
             Isa::Avx2 => &|| unsafe { sum256(black_box(data)) },

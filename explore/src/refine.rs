@@ -164,7 +164,7 @@ mod tests {
                     Ok(cost(r))
                 })
                 .unwrap();
-            // Where the cost jumps by ten, one region may exceed the budget.
+            // Where the cost jumps tenfold, one region may exceed the budget.
             assert!(total <= 0.02 + 1e-9 || largest > 0.02, "{total}");
             slices += 1;
             let done: u64 = cursor.covered().iter().flatten().map(Region::pixels).sum();

@@ -304,8 +304,8 @@ impl Drive<'_, '_> {
             }
             // An assumed time excludes no task: the engine ends a bundle that takes longer than the limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
-                // A bundle of several tasks is expected to take at most half of the limit, so this bundle has
-                // one task.
+                // Several tasks are bundled only if together they are expected to take at most half of the
+                // limit, so this bundle has one task.
                 let why = format!(
                     "it is expected to take {:.0} s, and the engine runs nothing longer than {limit:.0} s",
                     sent.expected_s

@@ -459,8 +459,8 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
         gpu.enqueue(f)?;
         wanted.push_back(alone.render(f)?);
         if i == 5 {
-            // Changes the volume, and sets the first transfer function again, with the maximum number of
-            // frames in flight.
+            // While the maximum number of frames is in flight, changes the volume and then sets the first
+            // transfer function again.
             let other = field_bytes([24; 3]);
             let other = VolumeView::new(Scalars::U8(&other), [24; 3]).unwrap();
             for r in [&mut gpu, &mut alone] {

@@ -162,7 +162,7 @@ pub(crate) fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
     (info.width, info.height, rgb)
 }
 
-/// `render` of a volume with the CPU version, and further arguments; returns the arguments.
+/// Returns the arguments of `render` for a volume with the CPU version, followed by further arguments.
 pub(crate) fn render<'a>(
     volume: &'a str,
     camera: &'a str,

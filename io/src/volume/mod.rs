@@ -8,10 +8,10 @@
 //!
 //! # Bytes behind the voxels
 //!
-//! One rule holds for all formats, compressed or not: trailing bytes that are fewer than those of the voxels
-//! (a line end, padding) are left out, and [`Volume::notes`] says so; as many or more are an error, since
-//! then sizes or type do not fit the data, or another volume follows. An array's stated length (VTK) must be
-//! right, and voxels in text must be as many numbers as the sizes require.
+//! One rule holds for all formats, compressed or not. If fewer bytes follow the voxels than the voxels occupy
+//! (a line end, padding), they are ignored, and [`Volume::notes`] says so. If as many or more follow, it is an
+//! error: the sizes or the type do not fit the data, or another volume follows. The length that a VTK file
+//! states for an array must be exact, and text data must have as many numbers as the sizes require.
 //!
 //! # Stored types and their types in memory
 //!

@@ -19,7 +19,7 @@ pub(crate) enum State {
     Done,
     /// Ended at its time limit; its partial result is used.
     CutShort,
-    /// Ended with the run; its partial result is used, and the next run continues it.
+    /// Cut off when the run ended; its partial result is used, and the next run continues it.
     Unfinished,
     /// Failed, with a message.
     Failed,

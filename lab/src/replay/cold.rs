@@ -35,8 +35,8 @@ pub(crate) fn without_model(options: HybridOptions) -> Contender {
     hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
 }
 
-/// The bar of the cold start: among sessions without a model that start along every trial, the share whose
-/// second frame took no more than the upper bound of its plan.
+/// The bar of the cold start: sessions without a model start at several frames of every trial; its value is
+/// the share of them whose second frame took no longer than the upper bound of its plan.
 ///
 /// # Errors
 /// When a prediction fails.

@@ -100,7 +100,7 @@ pub(crate) struct Correction {
 const STATES: usize = TERMS + 1;
 /// Index of b among the states.
 const LOCAL: usize = TERMS;
-/// Guard: θ and b stay within factors of e⁻¹⁰…e¹⁰, more than the ratio of any two machines.
+/// Guard: largest magnitude of θ and b, logarithms of factors: e¹⁰ exceeds the speed ratio of any two machines.
 const STATE_LIMIT: f64 = 10.0;
 /// Guard: range of the variance of calm frames' errors, for standard deviations of 0.3 % (below any clock's
 /// noise) to 50 %.
