@@ -9,7 +9,7 @@ install: ## Build and install the C library into PREFIX (default /usr/local); DE
 	CARGO="$(CARGO)" ffi/package/install.sh --prefix "$(PREFIX)" --libdir "$(LIBDIR)" --destdir "$(DESTDIR)"
 
 .PHONY: header
-header: ## Generate include/entire/entire.h from ffi's source
+header: ## Generate include/entire/entire.h and advanced.h from ffi's source
 	UPDATE_HEADER=1 $(CARGO) test --quiet --package entire-ffi --test suite header
 
 .PHONY: test-ffi

@@ -1,6 +1,6 @@
 /* Names that the code blocks of README.md and the book use without declaring them. lab/scripts/house.py compiles each C
  * and C++ block inside a function after this. */
-#include <entire/entire.h>
+#include <entire/advanced.h>
 
 extern const uint16_t *voxels;
 extern size_t nx, ny, nz, opacity_count, color_count;

@@ -3,7 +3,7 @@
  *
  *   01_predict MODEL.safetensors
  */
-#include <entire/entire.h>
+#include <entire/advanced.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -3,7 +3,7 @@
  *
  *   02_encode_volume MODEL.safetensors
  */
-#include <entire/entire.h>
+#include <entire/advanced.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -24,10 +24,11 @@ static float draw(float step, int dense) {
     return 0.004f + (dense ? 0.05f : 0.2f) / step;
 }
 
-static void set_lobe(entire_session *session, float height) {
-    entire_gaussian_lobe lobe = {.center = 0.5f, .width = 0.05f, .height = height};
+/* Sets an opacity that has a peak of the given height in the middle of the voxels' range, 128 to 255. */
+static void set_peak(entire_session *session, double height) {
+    const entire_opacity_node opacity[] = {{185, 0, 0.5, 0}, {192, height, 0.5, 0}, {199, 0, 0.5, 0}};
     entire_transfer_function *tf = NULL;
-    check(entire_transfer_function_from_lobes(&lobe, 1, &tf));
+    check(entire_transfer_function_from_nodes(opacity, 3, NULL, 0, 128, 255, 1, &tf));
     check(entire_session_set_transfer_function(session, tf));
     entire_transfer_function_free(tf); /* the session keeps what it needs */
 }
@@ -46,14 +47,14 @@ int main(void) {
     entire_session *session = NULL;
     check(entire_session_new(NULL, NULL, &session));
     check(entire_session_set_volume(session, volume));
-    set_lobe(session, 0.9f);
+    set_peak(session, 0.9);
 
     entire_frame frame;
     check(entire_frame_init(&frame, sizeof frame));
     frame.width = frame.height = 512;
     for (int i = 0; i < FRAMES; ++i) {
         int dense = i < FRAMES / 2;
-        if (i == FRAMES / 2) set_lobe(session, 0.01f);
+        if (i == FRAMES / 2) set_peak(session, 0.01);
         frame.arcball[1] = 3.0f * (float)i;
         entire_plan plan = {.struct_size = sizeof plan};
         check(entire_session_plan(session, &frame, 0.04f, &plan));

@@ -4,7 +4,7 @@
  *
  *   04_fine_tune_log VOLUME.nrrd NX NY NZ LOG.csv
  */
-#include <entire/entire.h>
+#include <entire/advanced.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>

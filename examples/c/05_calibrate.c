@@ -3,7 +3,7 @@
  *
  *   05_calibrate OUT.safetensors
  */
-#include <entire/entire.h>
+#include <entire/advanced.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>

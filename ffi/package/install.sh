@@ -103,7 +103,7 @@ install -m 644 "$built/libentire.a" "$lib/libentire.a"
 if [[ $profile != dev ]]; then without_symbolizer "$lib/libentire.a"; fi
 # The standard library's objects carry bitcode beside their code; linkers with a plugin of another LLVM warn of it.
 objcopy --remove-section=.llvmbc --remove-section=.llvmcmd "$lib/libentire.a" >/dev/null 2>&1 || true
-install -m 644 include/entire/entire.h include/entire/entire.hpp "$root/include/entire/"
+install -m 644 include/entire/{entire.h,advanced.h,entire.hpp} "$root/include/entire/"
 install -m 644 LICENSE-APACHE LICENSE-MIT "$root/share/licenses/entire/"
 
 fill() { # fill TEMPLATE OUT

@@ -3,7 +3,8 @@
 //!
 //! Every entry point goes through [`guard`], which checks handles and pointers, turns panics into a result
 //! code and keeps the error text. The conventions that callers rely on stand at the top of
-//! `include/entire/entire.h` (`ffi/header.h`), which `ffi/tests/suite/header.rs` generates from this crate.
+//! `include/entire/entire.h` (`ffi/entire.h`). `ffi/tests/suite/header.rs` generates it and `advanced.h` from this
+//! crate.
 //!
 //! # Safety of all entry points
 //!

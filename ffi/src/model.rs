@@ -635,10 +635,8 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
     Ok(())
 }
 
-/// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
-/// `capacity` bytes with its closing NUL; empty if no call has failed. `length`, if not NULL, receives the
-/// length of the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that
-/// length. On the thread whose call failed, entire_last_error is simpler.
+/// Copies the text of the most recent failure of a call on this model, by any thread, like
+/// entire_session_last_error; empty if no call has failed.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -254,7 +254,7 @@ pub unsafe extern "C" fn entire_transfer_function_table(
     }
 }
 
-/// Copies the text of the transfer function's last failure, like entire_model_last_error.
+/// Copies the text of the transfer function's last failure, like entire_session_last_error.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_last_error(
     transfer_function: *const entire_transfer_function,

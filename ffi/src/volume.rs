@@ -613,7 +613,7 @@ unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
     unsafe { write_struct(info, &out) }
 }
 
-/// Copies the text of the volume's last failure, as entire_model_last_error does.
+/// Copies the text of the volume's last failure, like entire_session_last_error.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_last_error(
     volume: *const entire_volume,

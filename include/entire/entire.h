@@ -1,5 +1,6 @@
 /* entire.h - predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step
- * that keeps the frame inside its budget.
+ * that keeps the frame inside its budget. A render loop needs no other header; entire/advanced.h has the
+ * library's further functions.
  *
  * SPDX-License-Identifier: MIT OR Apache-2.0
  *
@@ -49,7 +50,7 @@
  * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says
  * so; it is never zero. The result for zero, negative, infinite and NaN inputs is documented.
  *
- * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything is
+ * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits (some are in advanced.h) before anything is
  * allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory whose size the caller or a file
  * determines (copies, features, batches) is requested in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
  * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB if the system refuses them; while half
@@ -99,16 +100,6 @@
 #define ENTIRE_MAX_REPEATED_VOXELS 134217728
 
 /**
- * Maximum number of bricks of a volume.
- */
-#define ENTIRE_MAX_BRICKS 134217728
-
-/**
- * Maximum number of precomputed features of a volume.
- */
-#define ENTIRE_MAX_FEATURES 1048576
-
-/**
  * Maximum number of Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
  */
 #define ENTIRE_MAX_TRANSFER_POINTS 1048576
@@ -117,38 +108,6 @@
  * Maximum number of bytes of a model file.
  */
 #define ENTIRE_MAX_MODEL_BYTES 2147483647
-
-/**
- * Maximum number of bytes of a saved state.
- */
-#define ENTIRE_MAX_STATE_BYTES 16777216
-
-/**
- * Maximum number of tasks in entire_schedule.
- */
-#define ENTIRE_MAX_TASKS 16777216
-
-/**
- * Maximum number of nodes in entire_schedule.
- */
-#define ENTIRE_MAX_NODES 1048576
-
-/**
- * Maximum product of the numbers of tasks and nodes in entire_schedule, which compares each task on every
- * node.
- */
-#define ENTIRE_MAX_TASKS_TIMES_NODES 4294967296
-
-/**
- * Maximum number of calls of entire_model_predict that run on one model at the same time without allocating;
- * each further call allocates its own working memory.
- */
-#define ENTIRE_CONCURRENT_PREDICTIONS 16
-
-/**
- * Number of entries of the table of every transfer function.
- */
-#define ENTIRE_TABLE_ENTRIES 256
 
 /**
  * Observation flag: the time includes work that is not the frame's (a compile, an upload, a stall).
@@ -174,41 +133,6 @@
  * In `absent`: the training range is unknown; out_of_range is NaN.
  */
 #define ENTIRE_ABSENT_OUT_OF_RANGE 4
-
-/**
- * Maximum number of settings of entire_session_choose.
- */
-#define ENTIRE_MAX_SETTINGS 64
-
-/**
- * Change flag: a pipeline was built, or the device changed.
- */
-#define ENTIRE_CHANGE_FIRST 1
-
-/**
- * Change flag: another transfer function.
- */
-#define ENTIRE_CHANGE_TRANSFER_FUNCTION 2
-
-/**
- * Change flag: another volume.
- */
-#define ENTIRE_CHANGE_VOLUME 4
-
-/**
- * Change flag: another image size.
- */
-#define ENTIRE_CHANGE_SIZE 8
-
-/**
- * Change flag: another shading, skipping or termination.
- */
-#define ENTIRE_CHANGE_MODE 16
-
-/**
- * Change flag: the camera jumped.
- */
-#define ENTIRE_CHANGE_CAMERA 32
 
 /**
  * Result of a call. The numbers never change; the number of a removed code stays reserved.
@@ -307,86 +231,9 @@ typedef struct entire_transfer_function entire_transfer_function;
 typedef struct entire_volume entire_volume;
 
 /**
- * Severity of a log message: one of the `ENTIRE_LOG_*` numbers.
- */
-typedef uint32_t entire_log_level;
-
-/**
- * Receives log messages. `message` is UTF-8 and valid only during the call. Runs on the thread whose call
- * logs, so it may run on several threads at the same time. Must return normally (no exception, no longjmp)
- * and must not call this library.
- */
-typedef void (*entire_log_callback)(void *user_data, entire_log_level level, const char *message);
-
-/**
  * Shading of each sample: one of the `ENTIRE_SHADING_*` numbers.
  */
 typedef uint32_t entire_shading;
-
-/**
- * Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
- */
-typedef uint32_t entire_target;
-
-/**
- * Description of a model. Set struct_size before the call.
- */
-typedef struct entire_model_info {
-    /**
-     * sizeof(entire_model_info).
-     */
-    size_t struct_size;
-    /**
-     * Number of inputs of entire_model_predict; 0 where the file has no prediction network.
-     */
-    size_t input_count;
-    /**
-     * Number of groups of these inputs (entire_model_input_group).
-     */
-    size_t group_count;
-    /**
-     * Number of scene features that the model names (entire_model_scene_feature).
-     */
-    size_t scene_feature_count;
-    /**
-     * Number of features that entire_model_encode writes; 0 if the file has no volume encoder.
-     */
-    size_t feature_count;
-    /**
-     * Voxels along each axis of the encoder's input; 0 where the file has no volume encoder.
-     */
-    size_t encoder_edge;
-    /**
-     * One of ENTIRE_TARGET_*.
-     */
-    entire_target target;
-    /**
-     * Must be ignored.
-     */
-    uint32_t reserved;
-} entire_model_info;
-
-/**
- * A named group of consecutive inputs of a model. Set struct_size before the call.
- */
-typedef struct entire_input_group {
-    /**
-     * sizeof(entire_input_group).
-     */
-    size_t struct_size;
-    /**
-     * Name of the group, such as "camera"; valid as long as the model.
-     */
-    const char *name;
-    /**
-     * Index of the group's first value among the model's inputs.
-     */
-    size_t offset;
-    /**
-     * Number of values in the group.
-     */
-    size_t size;
-} entire_input_group;
 
 /**
  * Type of a voxel: one of the `ENTIRE_SCALAR_*` numbers.
@@ -450,103 +297,6 @@ typedef struct entire_volume_desc {
 } entire_volume_desc;
 
 /**
- * A volume that is described only by the value bounds of its bricks, which renderers keep for empty-space
- * skipping. Fill with entire_brick_desc_init, then set what differs.
- */
-typedef struct entire_brick_desc {
-    /**
-     * sizeof(entire_brick_desc).
-     */
-    size_t struct_size;
-    /**
-     * Voxels of the whole volume along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default.
-     */
-    size_t dims[3];
-    /**
-     * Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
-     */
-    float spacing[3];
-    /**
-     * The voxels' scalar type, one of ENTIRE_SCALAR_*. No default.
-     */
-    entire_scalar_type scalar_type;
-    /**
-     * Voxels of a brick along x, y, z. No default.
-     */
-    size_t brick_edge[3];
-    /**
-     * Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
-     * including neighboring voxels that interpolation reads: two floats per brick. No default.
-     */
-    const float *bounds;
-    /**
-     * Number of bricks: dims / brick_edge, rounded up along each axis, multiplied. At most
-     * ENTIRE_MAX_BRICKS.
-     */
-    size_t brick_count;
-} entire_brick_desc;
-
-/**
- * The library's description of a volume. Set struct_size before the call.
- */
-typedef struct entire_volume_info {
-    /**
-     * sizeof(entire_volume_info).
-     */
-    size_t struct_size;
-    /**
-     * Voxels along x, y, z.
-     */
-    size_t dims[3];
-    /**
-     * Voxel spacing along x, y, z.
-     */
-    float spacing[3];
-    /**
-     * Radius of the bounding sphere in the unit of the spacing. entire_frame.arcball[2] is a multiple of it.
-     */
-    float bounding_radius;
-    /**
-     * Length of the reference step in the unit of the spacing.
-     */
-    float reference_step;
-    /**
-     * Scalar values that map to 0 and 1; NaN where only bricks are known.
-     */
-    float range[2];
-    /**
-     * Scalar type that the caller gave.
-     */
-    entire_scalar_type scalar_type;
-    /**
-     * Not 0 where the volume has voxels (it can be encoded), 0 where only bricks are known.
-     */
-    uint32_t has_voxels;
-    /**
-     * Number of precomputed features (entire_volume_set_features); 0 where there are none.
-     */
-    uint32_t feature_count;
-} entire_volume_info;
-
-/**
- * A Gaussian lobe of the opacity function O(s) = sum of height * exp(-(s - center)^2 / width).
- */
-typedef struct entire_gaussian_lobe {
-    /**
-     * Normalized scalar value at which the lobe peaks, in [0, 1].
-     */
-    float center;
-    /**
-     * Width of the lobe, positive: the squared distance from the center at which it has fallen to 1/e.
-     */
-    float width;
-    /**
-     * Opacity at the peak, not negative.
-     */
-    float height;
-} entire_gaussian_lobe;
-
-/**
  * A node of an opacity function, as in vtkPiecewiseFunction.
  */
 typedef struct entire_opacity_node {
@@ -589,11 +339,6 @@ typedef struct entire_color_node {
      */
     double sharpness;
 } entire_color_node;
-
-/**
- * Unit of length of a unit distance: one of the `ENTIRE_UNIT_*` numbers.
- */
-typedef uint32_t entire_unit;
 
 /**
  * Kind of a frame's camera: one of the two `ENTIRE_CAMERA_*` numbers.
@@ -742,90 +487,9 @@ typedef struct entire_session_options {
 } entire_session_options;
 
 /**
- * Unit by which a calibration held out frames to estimate its error (cross-validation): one of the
- * `ENTIRE_HELD_OUT_*` numbers.
- */
-typedef uint32_t entire_held_out;
-
-/**
- * Report on a model that entire_session_calibrate made. Set struct_size before the call.
- */
-typedef struct entire_calibration_report {
-    /**
-     * sizeof(entire_calibration_report).
-     */
-    size_t struct_size;
-    /**
-     * Frames that the model was fitted to.
-     */
-    size_t frames;
-    /**
-     * Median of |predicted / measured - 1| over held-out frames.
-     */
-    double median_error;
-    /**
-     * Root mean square error in seconds over held-out frames, divided by the standard deviation of their
-     * times.
-     */
-    double rmse_over_sd;
-    /**
-     * Upper bound divided by prediction: 19 of 20 frames take no longer than this bound.
-     */
-    double upper_factor;
-    /**
-     * Unit by which frames were held out: one of ENTIRE_HELD_OUT_*.
-     */
-    entire_held_out held_out;
-    /**
-     * Number of scenes of entire_session_record_picture that the model's quality law was fitted to. 0 if
-     * there were too few; the model then has no quality law.
-     */
-    uint32_t scenes;
-} entire_calibration_report;
-
-/**
  * Effect of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
  */
 typedef uint32_t entire_verdict;
-
-/**
- * Source of a prediction: one of the `ENTIRE_SOURCE_*` numbers.
- */
-typedef uint32_t entire_source;
-
-/**
- * A predicted frame time. Set struct_size before the call.
- */
-typedef struct entire_prediction {
-    /**
-     * sizeof(entire_prediction).
-     */
-    size_t struct_size;
-    /**
-     * Expected seconds, finite and positive.
-     */
-    float seconds;
-    /**
-     * Upper bound of the seconds.
-     */
-    float upper;
-    /**
-     * As in entire_plan.
-     */
-    float out_of_range;
-    /**
-     * ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
-     */
-    uint32_t absent;
-    /**
-     * Source of the prediction: one of ENTIRE_SOURCE_*.
-     */
-    entire_source source;
-    /**
-     * Must be ignored.
-     */
-    uint32_t reserved;
-} entire_prediction;
 
 /**
  * Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
@@ -880,98 +544,6 @@ typedef struct entire_plan {
      */
     uint32_t reserved;
 } entire_plan;
-
-/**
- * One of the settings that entire_session_choose may pick.
- */
-typedef struct entire_setting {
-    /**
-     * Ray step in multiples of the reference step.
-     */
-    float step;
-    /**
-     * Image width in pixels; the ratio of width to height should be that of the frame.
-     */
-    uint32_t width;
-    /**
-     * Image height in pixels.
-     */
-    uint32_t height;
-    /**
-     * One of ENTIRE_SHADING_*.
-     */
-    entire_shading shading;
-    /**
-     * One of ENTIRE_SKIPPING_*.
-     */
-    entire_skipping skipping;
-} entire_setting;
-
-/**
- * Clock of a time: one of the `ENTIRE_CLOCK_*` numbers.
- */
-typedef uint32_t entire_clock;
-
-/**
- * Divides the time of a window's frame among the passes that draw volumes in it. Set all words to zero
- * before the first call; only the library reads and changes them.
- *
- * For each frame, in this order: entire_budget_begin, then entire_budget_share before and entire_budget_drew
- * after each pass that draws a volume (several volumes, two eyes, several renderers), then
- * entire_budget_end. One thread at a time.
- */
-typedef struct entire_budget {
-    /**
-     * The state.
-     */
-    uint32_t words[14];
-} entire_budget;
-
-/**
- * State of one volume in a window's frames, which may draw it several times. Set all words to zero before
- * the first call; only the library reads and changes them.
- */
-typedef struct entire_pass {
-    /**
-     * The state.
-     */
-    uint32_t words[4];
-} entire_pass;
-
-/**
- * Nothing is logged.
- */
-#define ENTIRE_LOG_OFF 0
-
-/**
- * A call failed; the text is that of its error.
- */
-#define ENTIRE_LOG_ERROR 1
-
-/**
- * A call succeeded, but its results may be inaccurate.
- */
-#define ENTIRE_LOG_WARNING 2
-
-/**
- * Rare events: a model was loaded, a volume was read.
- */
-#define ENTIRE_LOG_INFO 3
-
-/**
- * The model has no prediction network.
- */
-#define ENTIRE_TARGET_NONE 0
-
-/**
- * Seconds.
- */
-#define ENTIRE_TARGET_SECONDS 1
-
-/**
- * The natural logarithm of seconds. Predictions are nevertheless returned in seconds.
- */
-#define ENTIRE_TARGET_LOG_SECONDS 2
 
 /**
  * Unsigned 8-bit integers.
@@ -1036,16 +608,6 @@ typedef struct entire_pass {
 #define ENTIRE_VOXELS_BORROW 2
 
 /**
- * Multiples of the reference step, which is the volume's smallest voxel spacing.
- */
-#define ENTIRE_UNIT_REFERENCE_STEP 1
-
-/**
- * The unit of the volume's spacing (VTK's ScalarOpacityUnitDistance, ANARI's unitDistance).
- */
-#define ENTIRE_UNIT_WORLD 2
-
-/**
  * Camera given by entire_frame.arcball.
  */
 #define ENTIRE_CAMERA_ARCBALL 1
@@ -1095,26 +657,6 @@ typedef struct entire_pass {
  * As ENTIRE_SKIPPING_BLOCKS, with a distance map, so that a run of empty blocks costs one skip.
  */
 #define ENTIRE_SKIPPING_DISTANCE 3
-
-/**
- * Nothing, since there were too few frames: the error is that of the training frames.
- */
-#define ENTIRE_HELD_OUT_NOTHING 0
-
-/**
- * Volumes: the error is that on other volumes.
- */
-#define ENTIRE_HELD_OUT_VOLUMES 1
-
-/**
- * Transfer functions: the error is that on the same volumes under other transfer functions.
- */
-#define ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS 2
-
-/**
- * Stretches of time: the error is that on other views of the same data.
- */
-#define ENTIRE_HELD_OUT_STRETCHES 3
 
 /**
  * Used to correct predictions.
@@ -1177,41 +719,6 @@ typedef struct entire_pass {
  */
 #define ENTIRE_REASON_REACTIVE 9
 
-/**
- * The linear cost model on estimated work.
- */
-#define ENTIRE_SOURCE_ANALYTIC 1
-
-/**
- * The model's network.
- */
-#define ENTIRE_SOURCE_NETWORK 2
-
-/**
- * Recent frames.
- */
-#define ENTIRE_SOURCE_HISTORY 3
-
-/**
- * No clock was named, or none of those below.
- */
-#define ENTIRE_CLOCK_UNSTATED 0
-
-/**
- * "cpu": processor time of the rendering process, over all of its threads.
- */
-#define ENTIRE_CLOCK_CPU 1
-
-/**
- * "wall": wall time from the start of a frame to its end.
- */
-#define ENTIRE_CLOCK_WALL 2
-
-/**
- * "device": time on the rendering device, by its own timestamps.
- */
-#define ENTIRE_CLOCK_DEVICE 3
-
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -1220,19 +727,6 @@ extern "C" {
  * The library's version, such as "0.1.0". Static.
  */
 const char *entire_version(void);
-
-/**
- * The library's version as one number: MAJOR * 1000000 + MINOR * 1000 + PATCH. Compare with
- * `ENTIRE_VERSION_NUMBER` of the header that you compiled with.
- */
-uint32_t entire_version_number(void);
-
-/**
- * The version of the binary interface, MAJOR * 1000, or MINOR before 1.0: programs must be recompiled when
- * it changes, and only then. A library loaded at run time is compatible if this equals `ENTIRE_ABI_VERSION`
- * of the header.
- */
-uint32_t entire_abi_version(void);
 
 /**
  * The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. Static,
@@ -1246,20 +740,6 @@ const char *entire_result_name(uint32_t result);
  * bytes; entire_<noun>_last_error gives the whole text of a handle's failure.
  */
 const char *entire_last_error(void);
-
-/**
- * Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`.
- * When the call returns, the earlier callback is no longer running and its `user_data` may be freed. Must
- * not be called from within a callback.
- */
-entire_result entire_set_log(entire_log_callback callback, void *user_data, entire_log_level level);
-
-/**
- * The instruction set that evaluates models on this CPU: "scalar", "avx2" or "avx512", followed by its
- * extensions, such as "avx512+vnni". The environment variable ENTIRE_LEVEL lowers it; the variable is read
- * once, at the first call that needs it. The text is static.
- */
-const char *entire_simd_level(void);
 
 /**
  * Reads a model file.
@@ -1282,107 +762,6 @@ entire_result entire_model_open(const char *path, struct entire_model **model);
 entire_result entire_model_open_machine(entire_shading shading, struct entire_model **model);
 
 /**
- * Reads a model from the bytes of a model file; the bytes may be freed when the call returns.
- *
- * Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
- * ENTIRE_MAX_MODEL_BYTES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, struct entire_model **model);
-
-/**
- * Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
- * written under a temporary name and renamed, so that it never exists in part.
- *
- * Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
- * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_model_save(const struct entire_model *model, const char *path);
-
-/**
- * Reads the properties of a model; set info->struct_size first.
- *
- * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
- */
-entire_result entire_model_describe(const struct entire_model *model, struct entire_model_info *info);
-
-/**
- * Reads the name, size and place of the model's input group `index`; set group->struct_size first.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (no such group), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
- */
-entire_result entire_model_input_group(const struct entire_model *model,
-                                       size_t index,
-                                       struct entire_input_group *group);
-
-/**
- * The name of the model's scene feature `index`, NULL if there is no such feature. Valid as long as the
- * model.
- */
-const char *entire_model_scene_feature(const struct entire_model *model, size_t index);
-
-/**
- * A metadata value of the model file, such as "entire.renderer", "entire.device", "entire.step_reference" or
- * "entire.provenance"; NULL if the file lacks the key. Valid as long as the model.
- */
-const char *entire_model_metadata(const struct entire_model *model, const char *key);
-
-/**
- * Encodes a volume's voxels into the features that the model's predictions take. `capacity` counts floats;
- * `feature_count` receives how many were written (entire_model_info.feature_count). Takes milliseconds to
- * seconds; may run on several threads at once.
- *
- * Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without
- * an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_OUT_OF_MEMORY,
- * ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_model_encode(const struct entire_model *model,
-                                  const struct entire_volume *volume,
-                                  float *features,
-                                  size_t capacity,
-                                  size_t *feature_count);
-
-/**
- * Predicts one frame's time from the model's inputs in the file's order. Only the network is evaluated,
- * without the correction that a session learns. May run on several threads at once; does not allocate as
- * long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. Results below
- * 1e-6 s, which networks give for cheap frames, are returned as 1e-6 s.
- *
- * Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
- * (an input that is not finite), ENTIRE_INVALID_MODEL (the model's result is not a frame time),
- * ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_model_predict(const struct entire_model *model,
-                                   const float *inputs,
-                                   size_t input_count,
-                                   float *seconds);
-
-/**
- * Predicts many frames at once: `inputs` holds `rows` rows of `input_count` numbers, `seconds` receives
- * `rows` numbers. Equal to entire_model_predict on each row, up to rounding. Takes memory for `rows` numbers
- * while it runs.
- *
- * Fails as entire_model_predict does, for the first row that fails, and with ENTIRE_OUT_OF_MEMORY.
- */
-entire_result entire_model_predict_batch(const struct entire_model *model,
-                                         const float *inputs,
-                                         size_t rows,
-                                         size_t input_count,
-                                         float *seconds);
-
-/**
- * Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
- * `capacity` bytes with its closing NUL; empty if no call has failed. `length`, if not NULL, receives the
- * length of the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that
- * length. On the thread whose call failed, entire_last_error is simpler.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_model_last_error(const struct entire_model *model,
-                                      char *buffer,
-                                      size_t capacity,
-                                      size_t *length);
-
-/**
  * Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a
  * model may be freed before the sessions that use it.
  */
@@ -1392,11 +771,6 @@ void entire_model_free(struct entire_model *model);
  * Fills a volume description with its defaults; `struct_size` is sizeof(entire_volume_desc).
  */
 entire_result entire_volume_desc_init(struct entire_volume_desc *desc, size_t struct_size);
-
-/**
- * Fills a brick description with its defaults; `struct_size` is sizeof(entire_brick_desc).
- */
-entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t struct_size);
 
 /**
  * Makes a volume of voxels. NaN and negative infinity count as the low end of the range, positive infinity
@@ -1411,89 +785,9 @@ entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t stru
 entire_result entire_volume_new(const struct entire_volume_desc *desc, struct entire_volume **volume);
 
 /**
- * Makes a volume of brick bounds. It has no voxels to encode: for a model with volume features, call
- * entire_volume_set_features too.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that does not match sizes and
- * edge, or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
- * ENTIRE_STRUCT_SIZE.
- */
-entire_result entire_volume_from_bricks(const struct entire_brick_desc *desc, struct entire_volume **volume);
-
-/**
- * Sets precomputed volume features, from entire_model_encode with the same model in this or an earlier run;
- * they are used instead of encoding the voxels. A count of 0 removes them.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_SIZE_MISMATCH (over
- * ENTIRE_MAX_FEATURES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_volume_set_features(struct entire_volume *volume,
-                                         const float *features,
-                                         size_t feature_count);
-
-/**
- * Reads the properties of a volume; set info->struct_size first.
- *
- * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
- */
-entire_result entire_volume_describe(const struct entire_volume *volume, struct entire_volume_info *info);
-
-/**
- * Copies the text of the volume's last failure, as entire_model_last_error does.
- */
-entire_result entire_volume_last_error(const struct entire_volume *volume,
-                                       char *buffer,
-                                       size_t capacity,
-                                       size_t *length);
-
-/**
  * Frees a volume; NULL does nothing. Sessions that were given the volume keep the data that they need.
  */
 void entire_volume_free(struct entire_volume *volume);
-
-/**
- * Sets the next time step of a volume. It must have the volume's sizes, spacing and scalar type. `desc`
- * describes its voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps
- * the volume's; any other range must equal the volume's. Precomputed features are removed, since they belong
- * to the previous time step. After this call, call entire_session_set_time_step for each session. No other
- * call may use the volume during this one.
- *
- * One pass over the voxels finds the changes; it is much faster than the scan of a new volume. Only changed
- * cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
- * bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
- * ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
- * bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
- * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step. After
- * ENTIRE_OUT_OF_MEMORY the next use of the volume may scan it again: where the caller has overwritten
- * borrowed voxels, it then finds the new ones.
- */
-entire_result entire_volume_update(struct entire_volume *volume, const struct entire_volume_desc *desc);
-
-/**
- * Like entire_volume_update, for changes inside a known box of voxels, which starts at voxel `first` (three
- * numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that the box touches are read.
- *
- * Fails like entire_volume_update, and with ENTIRE_INVALID_ARGUMENT for a box that reaches beyond the
- * volume.
- */
-entire_result entire_volume_update_box(struct entire_volume *volume,
-                                       const struct entire_volume_desc *desc,
-                                       const size_t *first,
-                                       const size_t *size);
-
-/**
- * Makes a transfer function of Gaussian opacity lobes; with no lobes it is transparent everywhere. Colors
- * come from a built-in ramp, since they do not change the time of a frame. The unit distance is one
- * reference step.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
- * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_lobe *lobes,
-                                                  size_t lobe_count,
-                                                  struct entire_transfer_function **transfer_function);
 
 /**
  * Makes a transfer function of opacity and color nodes like those of VTK and ParaView, whose values equal
@@ -1527,33 +821,6 @@ entire_result entire_transfer_function_from_nodes(const struct entire_opacity_no
 entire_result entire_transfer_function_from_table(const float *rgba,
                                                   size_t entries,
                                                   struct entire_transfer_function **transfer_function);
-
-/**
- * Sets the distance along the ray over which the opacities hold, positive, in the given unit.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_transfer_function_set_unit_distance(struct entire_transfer_function *transfer_function,
-                                                         float distance,
-                                                         entire_unit unit);
-
-/**
- * Copies the table that predictions use: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over one unit
- * distance. `capacity` counts floats.
- *
- * Fails with ENTIRE_SIZE_MISMATCH (fewer than 4 * ENTIRE_TABLE_ENTRIES floats), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_transfer_function_table(const struct entire_transfer_function *transfer_function,
-                                             float *rgba,
-                                             size_t capacity);
-
-/**
- * Copies the text of the transfer function's last failure, like entire_model_last_error.
- */
-entire_result entire_transfer_function_last_error(const struct entire_transfer_function *transfer_function,
-                                                  char *buffer,
-                                                  size_t capacity,
-                                                  size_t *length);
 
 /**
  * Frees a transfer function; NULL does nothing.
@@ -1594,80 +861,6 @@ entire_result entire_session_last_error(const struct entire_session *session,
 void entire_session_free(struct entire_session *session);
 
 /**
- * Starts to record frames that are planned and observed, for entire_session_calibrate. The session keeps a
- * uniform random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
- * observing still do not allocate.
- *
- * `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
- * a learned factor with the session's probe, such as those in models/. NULL starts from the unit costs of a
- * software renderer. Unusual and cancelled observations, the first frame of the session, and the first frame
- * of a volume are not recorded.
- *
- * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
- * plan every frame as it was drawn, and observe its time.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (another number of frames, a prior with another probe than the
- * session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
- * handle that is unusable), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_record(struct entire_session *session,
-                                    const struct entire_model *prior,
-                                    size_t frame_count);
-
-/**
- * Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
- * It takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
- * report->struct_size first. The session itself does not change and continues to record: use the model with
- * entire_session_set_model, and save it for later runs with entire_model_save. The names of
- * entire_session_set_timing_source are written to the model's metadata.
- *
- * Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
- * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
- */
-entire_result entire_session_calibrate(const struct entire_session *session,
-                                       struct entire_model **model,
-                                       struct entire_calibration_report *report);
-
-/**
- * Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
- * model then contains this renderer's quality law (picture error as a function of ray step and image size),
- * and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw at least
- * 3 scenes, all at the same settings. `scene` is a number that identifies the view, `step` is the ray step
- * in multiples of the finest, and `image_sample_distance` is the distance of neighboring rays in pixels.
- * Include full quality (1 and 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is
- * any measure that is 0 for equal pictures and grows with the difference, such as the root mean squared
- * difference of colors, or 1 - SSIM. Enlarge smaller pictures to full size before the comparison. The first
- * 65536 pictures are kept.
- *
- * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
- * below 1, seconds that are not positive, a negative error, numbers that are not finite),
- * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_record_picture(struct entire_session *session,
-                                            uint64_t scene,
-                                            float step,
-                                            float image_sample_distance,
-                                            double seconds,
-                                            double error);
-
-/**
- * Number of frames kept since entire_session_record; 0 before it.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_recorded_count(const struct entire_session *session, size_t *frame_count);
-
-/**
- * Replaces the session's model, keeping the options that the session was made with. Observations are
- * forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
- * set the volume again. The session holds a reference to the model.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), else
- * as entire_session_new for a model.
- */
-entire_result entire_session_set_model(struct entire_session *session, const struct entire_model *model);
-
-/**
  * Reports the measured time of a planned frame. The report may come late, as long as the plan is among the
  * last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
  *
@@ -1682,28 +875,9 @@ entire_result entire_session_observe(struct entire_session *session,
                                      entire_verdict *verdict);
 
 /**
- * Forgets every observation and every pending plan; volume, transfer function and limits stay.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_reset(struct entire_session *session);
-
-/**
  * Fills session options with their defaults; `struct_size` is sizeof(entire_session_options).
  */
 entire_result entire_session_options_init(struct entire_session_options *options, size_t struct_size);
-
-/**
- * Predicts a frame's time at the frame's own step, with the correction learned from observed frames. Does
- * not influence later plans. Set prediction->struct_size first.
- *
- * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
- * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
- * ENTIRE_INVALID_MODEL (the model's result is not a frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
- */
-entire_result entire_session_predict(struct entire_session *session,
-                                     const struct entire_frame *frame,
-                                     struct entire_prediction *prediction);
 
 /**
  * Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
@@ -1719,24 +893,6 @@ entire_result entire_session_plan(struct entire_session *session,
                                   struct entire_plan *plan);
 
 /**
- * Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
- * that are expected to meet the target, with an upper bound of at most the target plus the session's
- * tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
- * receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The step,
- * size and modes in the frame itself are ignored. Does not allocate.
- *
- * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
- * range, and with ENTIRE_SIZE_MISMATCH for too many.
- */
-entire_result entire_session_choose(struct entire_session *session,
-                                    const struct entire_frame *frame,
-                                    const struct entire_setting *settings,
-                                    size_t setting_count,
-                                    float target_seconds,
-                                    size_t *index,
-                                    struct entire_plan *plan);
-
-/**
  * Sets the volume. The first session that uses a volume scans its voxels once. If the model takes volume
  * features, the precomputed ones are used (entire_volume_set_features), else the model's encoder encodes the
  * voxels, which takes milliseconds to seconds. The transfer function must be set again.
@@ -1746,19 +902,6 @@ entire_result entire_session_choose(struct entire_session *session,
  * model needs features and has no encoder), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_volume(struct entire_session *session, const struct entire_volume *volume);
-
-/**
- * Sets the next time step of the session's volume, after entire_volume_update. The transfer function and the
- * correction learned from observed frames stay. The time step does not count as a change of the scene; if
- * the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
- * the previous time step stay unless the volume has precomputed ones.
- *
- * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
- * a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of another
- * scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_set_time_step(struct entire_session *session,
-                                           const struct entire_volume *volume);
 
 /**
  * Sets the transfer function. The volume must be set before it.
@@ -1777,180 +920,6 @@ entire_result entire_session_set_transfer_function(struct entire_session *sessio
 entire_result entire_session_set_limits(struct entire_session *session,
                                         float finest_step,
                                         float coarsest_step);
-
-/**
- * Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
- * along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Plans then coarsen ray step and image
- * together (`step` and `image_sample_distance` in entire_plan), which changes the picture less than
- * coarsening one of them alone. Up to a step of `step_alone` times the finest, 1 to 64, only the step is
- * coarsened: use 1, or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1,
- * the default, keeps the full image size. The model must be a linear cost model, or a network that has the
- * image size among its inputs. One plan covers all sizes, which is cheaper and corrects predictions better
- * than one plan per size.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (a number outside 1 to 64), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_set_max_image_sample_distance(struct entire_session *session,
-                                                           float max_image_sample_distance,
-                                                           float step_alone);
-
-/**
- * Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
- * plans coarsen step or image, whichever adds less error. With a step of s times the finest, and rays d
- * pixels apart along each side, the picture error is proportional to (s - 1)^step_exponent + image_weight *
- * (d - 1)^image_exponent, and the time to (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to
- * pictures of this renderer. The law replaces `step_alone` of entire_session_set_max_image_sample_distance.
- * An `image_weight` of 0 removes the law: the session then uses the law of its model, if the model was
- * calibrated with pictures of this renderer.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
- * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_set_quality(struct entire_session *session,
-                                         float image_weight,
-                                         float step_exponent,
-                                         float image_exponent,
-                                         float ray_share);
-
-/**
- * The quality law that plans use: the numbers of entire_session_set_quality, else those of the model
- * (entire_session_record_picture, `entire calibrate`) if it was calibrated with the renderer that
- * entire_session_set_timing_source names, or if no renderer is named. All are 0 if there is no law.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_quality(const struct entire_session *session,
-                                     float *image_weight,
-                                     float *step_exponent,
-                                     float *image_exponent,
-                                     float *ray_share);
-
-/**
- * Switches steering off (0: every plan returns the frame's own step; for screenshots and still renders) or
- * on again. Observations correct predictions in both cases.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_set_enabled(struct entire_session *session, uint32_t enabled);
-
-/**
- * Announces that the next frame differs abruptly from the previous one in a way that the session cannot
- * detect: flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are detected
- * without this call.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_mark(struct entire_session *session, uint32_t changes);
-
-/**
- * Names the renderer whose frames are observed and the clock that times them, such as
- * "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
- * another: it is forgotten if a name that was not empty changes, saved states contain both names, and
- * entire_session_load_state refuses states with other names. Both names are empty in a new session; a state
- * saved with empty names loads only into a session with empty names. Call this function before states are
- * loaded or saved. A clock named "cpu", "wall" or "device" is compared with the model's
- * (entire_session_clocks); if the result of the comparison changes, the learned correction is forgotten,
- * too.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
- * ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_set_timing_source(struct entire_session *session,
-                                               const char *renderer,
-                                               const char *clock);
-
-/**
- * Reads the clock of the model's predictions (`model`: entire.clock in its file) and the clock that times
- * the session's frames (`own`: from entire_session_set_timing_source). If both are given and differ, the
- * session uses the model only for ratios between scenes and learns the factor between the clocks from the
- * first frames; the first frame is drawn coarsely.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_clocks(const struct entire_session *session,
-                                    entire_clock *model,
-                                    entire_clock *own);
-
-/**
- * Saves the learned correction, for entire_session_load_state in a later run: `byte_count` receives its
- * size, and `buffer` the bytes if `capacity` suffices. `buffer` may be NULL with capacity 0 to query the
- * size.
- *
- * Fails with ENTIRE_SIZE_MISMATCH (a capacity that is too small and not 0; the size is in the error text),
- * ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_save_state(const struct entire_session *session,
-                                        uint8_t *buffer,
-                                        size_t capacity,
-                                        size_t *byte_count);
-
-/**
- * Loads the state that an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED
- * (a valid state of another model, renderer or clock: entire_session_set_timing_source),
- * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_load_state(struct entire_session *session,
-                                        const uint8_t *bytes,
-                                        size_t byte_count);
-
-/**
- * Begins a frame of the window, which will draw about `volumes` volumes. Pass 0 if the number is not known.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_budget_begin(struct entire_budget *budget, uint32_t volumes);
-
-/**
- * Computes the seconds that the next pass may take if the whole frame may take `target` seconds; pass the
- * result to entire_session_plan as its target. The shares of a frame's passes are in proportion to their
- * times at full quality, so that all are coarsened alike. Their sum is `target` minus the median time
- * outside of the passes over the last five frames, but at least a fifth of `target`.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_budget_share(const struct entire_budget *budget,
-                                  const struct entire_pass *pass,
-                                  float target,
-                                  float *seconds);
-
-/**
- * Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` times
- * entire_plan.step, divided by the finest step, times the square of entire_plan.image_sample_distance.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_budget_drew(struct entire_budget *budget,
-                                 struct entire_pass *pass,
-                                 float seconds,
-                                 float full_seconds);
-
-/**
- * Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included work that
- * most frames do not: reading a volume, compiling a shader. Such work counts only if the previous frame
- * included it too.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_budget_end(struct entire_budget *budget, float seconds, uint32_t usual);
-
-/**
- * Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
- * `seconds` holds each task's time on a node of speed 1 and `speeds` each node's speed (2: takes half the
- * time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives the node of each task, counted
- * from 0. `makespan`, which may be NULL, receives the seconds until the last node is done.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times whose sum
- * overflows a double), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
- * ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_schedule(const double *seconds,
-                              size_t task_count,
-                              const double *speeds,
-                              size_t node_count,
-                              size_t *node_of_task,
-                              double *makespan);
 
 #ifdef __cplusplus
 }  // extern "C"

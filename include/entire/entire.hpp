@@ -1,4 +1,4 @@
-// entire.hpp - C++17 over entire.h: ownership, views, and results that cannot be overlooked. Header only.
+// entire.hpp - C++17 over entire.h and advanced.h: ownership, views, and results that cannot be overlooked. Header only.
 //
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //
@@ -11,7 +11,7 @@
 #ifndef ENTIRE_ENTIRE_HPP
 #define ENTIRE_ENTIRE_HPP
 
-#include <entire/entire.h>
+#include <entire/advanced.h>
 
 #include <cstdint>
 #include <cstdio>

@@ -147,8 +147,8 @@ def missing_paths(pages):
 
 
 def missing_names(pages):
-    """Names of the C library in code that its header does not have."""
-    header = (ROOT / "include/entire/entire.h").read_text(encoding="utf-8")
+    """Names of the C library in code that its headers do not have."""
+    header = "".join((ROOT / "include/entire" / name).read_text(encoding="utf-8") for name in ("entire.h", "advanced.h"))
     known = set(re.findall(r"\w+", header))
     # Modules and packages of other languages.
     known |= {"entire_vtk", "entire_paraview", "entire_core", "entire_steer", "entire_static"}
@@ -156,7 +156,7 @@ def missing_names(pages):
         code = page.spans() + [line for _, _, lines in page.blocks for line in lines]
         for name in set(re.findall(r"\b(?:entire_[a-z0-9_]*[a-z0-9]|ENTIRE_(?:OBSERVE|CHANGE|UNIT|CAMERA|VOXELS)_\w+)\b", "\n".join(code))):
             if name not in known and f"{name}_" not in header:
-                yield f"{page.path}: entire.h has no {name}"
+                yield f"{page.path}: the C headers have no {name}"
 
 
 def figures_apart_from_results(readme):

@@ -2,7 +2,7 @@
 #ifndef ENTIRE_TESTS_CHECK_H
 #define ENTIRE_TESTS_CHECK_H
 
-#include <entire/entire.h>
+#include <entire/advanced.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,3 +1,4 @@
+#include <entire/advanced.h>
 #include <entire/entire.h>
 
 unsigned version_in_b(void) {

@@ -54,7 +54,7 @@ lib=$stage/lib/libentire.so
 say "symbols, SONAME, pkg-config"
 nm -D --defined-only "$lib" | awk '{print $3}' | sort >"$work/exported"
 # A declaration starts in the first column; mentions in comments do not count.
-sed -e 's|/\*.*\*/||' -e '/^ *\*/d' -e '/^ *\/\*/d' include/entire/entire.h | tr '\n' ' ' \
+sed -e 's|/\*.*\*/||' -e '/^ *\*/d' -e '/^ *\/\*/d' include/entire/{entire,advanced}.h | tr '\n' ' ' \
     | grep -o '\bentire_[a-z0-9_]* *(' | tr -d ' (' | sort -u >"$work/declared"
 diff "$work/declared" "$work/exported" || fail "declared (<) and exported (>) functions differ"
 if grep -v '^entire_' "$work/exported"; then fail "symbols without the prefix"; fi

@@ -9,7 +9,7 @@ static entire_plan plan_of(entire_session *session, const entire_frame *frame, f
     CHECK(((plan.absent & ENTIRE_ABSENT_SECONDS) != 0) == (isnan(plan.seconds) != 0));
     CHECK(((plan.absent & ENTIRE_ABSENT_UPPER) != 0) == (isnan(plan.upper) != 0));
     CHECK(((plan.absent & ENTIRE_ABSENT_OUT_OF_RANGE) != 0) == (isnan(plan.out_of_range) != 0));
-    CHECK(plan.reason >= ENTIRE_REASON_FITS && plan.reason <= ENTIRE_REASON_REACTIVE);
+    CHECK(plan.reason >= ENTIRE_REASON_FITS && plan.reason <= ENTIRE_REASON_OFF);
     return plan;
 }
 

@@ -29,8 +29,6 @@ pub const ENTIRE_REASON_HISTORY: entire_reason = 6;
 pub const ENTIRE_REASON_NO_INFORMATION: entire_reason = 7;
 /// Steering is off: the frame's own step.
 pub const ENTIRE_REASON_OFF: entire_reason = 8;
-/// A rule that reacts to past frames only.
-pub const ENTIRE_REASON_REACTIVE: entire_reason = 9;
 
 /// Source of a prediction: one of the `ENTIRE_SOURCE_*` numbers.
 pub type entire_source = u32;
@@ -38,8 +36,6 @@ pub type entire_source = u32;
 pub const ENTIRE_SOURCE_ANALYTIC: entire_source = 1;
 /// The model's network.
 pub const ENTIRE_SOURCE_NETWORK: entire_source = 2;
-/// Recent frames.
-pub const ENTIRE_SOURCE_HISTORY: entire_source = 3;
 
 /// In `absent`: the seconds are unknown; they are NaN.
 pub const ENTIRE_ABSENT_SECONDS: u32 = 1;
@@ -60,10 +56,8 @@ const _: () = {
     assert!(ENTIRE_REASON_HISTORY == Reason::History as u32);
     assert!(ENTIRE_REASON_NO_INFORMATION == Reason::NoInformation as u32);
     assert!(ENTIRE_REASON_OFF == Reason::Off as u32);
-    assert!(ENTIRE_REASON_REACTIVE == Reason::Reactive as u32);
     assert!(ENTIRE_SOURCE_ANALYTIC == Source::Analytic as u32);
     assert!(ENTIRE_SOURCE_NETWORK == Source::Network as u32);
-    assert!(ENTIRE_SOURCE_HISTORY == Source::History as u32);
 };
 
 /// Settings of a frame to draw, and its expected time. Set struct_size before the call.
@@ -206,9 +200,7 @@ fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
 /// Predicts a frame's time at the frame's own step, with the correction learned from observed frames. Does
 /// not influence later plans. Set prediction->struct_size first.
 ///
-/// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
-/// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
-/// ENTIRE_INVALID_MODEL (the model's result is not a frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// Fails as entire_session_plan does.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_predict(
     session: *mut entire_session,
@@ -242,8 +234,10 @@ pub unsafe extern "C" fn entire_session_predict(
 /// with an upper bound of at most (1 + tolerance) times `target_seconds`. Draw with plan->step, then pass the
 /// frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
 ///
-/// Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
-/// positive.
+/// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
+/// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (a frame that is out of
+/// range, or a target that is not finite and positive), ENTIRE_INVALID_MODEL (the model's result is not a frame
+/// time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_plan(
     session: *mut entire_session,

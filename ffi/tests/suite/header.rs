@@ -1,12 +1,35 @@
-//! `include/entire/entire.h` equals the header that cbindgen makes from this crate's source.
-//! `UPDATE_HEADER=1` (`make header`) writes it.
+//! `include/entire/entire.h` and `advanced.h` equal the headers that cbindgen makes from this crate's source.
+//! `UPDATE_HEADER=1` (`make header`) writes them.
 
 use entire_steer::control::{HybridOptions, StepLimits};
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::path::Path;
 
-fn header_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../include/entire/entire.h")
-}
+/// Functions of `entire.h`: a render loop needs no others. All other functions are in `advanced.h`.
+const RENDER_LOOP: [&str; 22] = [
+    "entire_version",
+    "entire_result_name",
+    "entire_last_error",
+    "entire_model_open",
+    "entire_model_open_machine",
+    "entire_model_free",
+    "entire_volume_desc_init",
+    "entire_volume_new",
+    "entire_volume_free",
+    "entire_transfer_function_from_nodes",
+    "entire_transfer_function_from_table",
+    "entire_transfer_function_free",
+    "entire_frame_init",
+    "entire_session_options_init",
+    "entire_session_new",
+    "entire_session_free",
+    "entire_session_set_volume",
+    "entire_session_set_transfer_function",
+    "entire_session_set_limits",
+    "entire_session_plan",
+    "entire_session_observe",
+    "entire_session_last_error",
+];
 
 /// The version macros, from the package's version.
 fn version_macros() -> String {
@@ -32,11 +55,18 @@ fn version_macros() -> String {
     )
 }
 
-fn generate() -> String {
+/// Header without the excluded items.
+fn header(file: &str, after_includes: Option<String>, excluded: &BTreeSet<String>) -> String {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut config = cbindgen::Config::from_file(here.join("cbindgen.toml")).expect("ffi/cbindgen.toml");
-    config.header = Some(std::fs::read_to_string(here.join("header.h")).expect("ffi/header.h"));
-    config.after_includes = Some(version_macros());
+    config.header = Some(std::fs::read_to_string(here.join(file)).expect(file));
+    config.include_guard = Some(format!("ENTIRE_{}", file.replace('.', "_").to_ascii_uppercase()));
+    if file != "entire.h" {
+        config.sys_includes.clear();
+        config.includes.push("entire.h".to_owned());
+    }
+    config.after_includes = after_includes;
+    config.export.exclude.extend(excluded.iter().cloned());
     let bindings = cbindgen::Builder::new()
         .with_config(config)
         .with_crate(here)
@@ -47,33 +77,93 @@ fn generate() -> String {
     String::from_utf8(text).expect("a header in UTF-8")
 }
 
+/// The part of a header after its conventions.
+fn declarations(header: &str) -> &str {
+    header.split_once("#ifndef").expect("an include guard").1
+}
+
+/// Names of the functions and types that a header declares.
+fn declared(header: &str) -> (BTreeSet<String>, BTreeSet<String>) {
+    let (mut functions, mut types) = (BTreeSet::new(), BTreeSet::new());
+    for line in header.lines().filter(|l| !l.starts_with([' ', '/', '#', '*'])) {
+        let name_before = |end: char| {
+            line.split_once(end).and_then(|(before, _)| before.rsplit([' ', '*']).next()).map(str::to_owned)
+        };
+        if line.starts_with("typedef void (*") {
+            types.extend(line.split(['*', ')']).nth(1).map(str::to_owned));
+        } else if line.starts_with("typedef ") || line.starts_with('}') {
+            types.extend(name_before(';'));
+        } else {
+            functions.extend(name_before('('));
+        }
+    }
+    let ours = |names: BTreeSet<String>| names.into_iter().filter(|n| n.starts_with("entire_")).collect();
+    (ours(functions), ours(types))
+}
+
+/// Names of the constants that a header defines.
+fn constants(header: &str) -> impl Iterator<Item = &str> {
+    header.lines().filter_map(|l| l.strip_prefix("#define ")?.split_once(' ')).map(|(name, _)| name)
+}
+
+/// Returns true if a text has the constant's name or that of its group, such as `ENTIRE_SCALAR_*`.
+fn mentions(text: &str, constant: &str) -> bool {
+    text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_' || c == '*')).any(|word| {
+        word == constant
+            || word.strip_suffix("_*").is_some_and(|group| constant.starts_with(&format!("{group}_")))
+    })
+}
+
+/// The two headers: `entire.h`, and `advanced.h`, which includes it and has all other functions, and the types
+/// and constants that no declaration of `entire.h` mentions.
+fn generate() -> [(&'static str, String); 2] {
+    let all = header("entire.h", None, &BTreeSet::new());
+    // cbindgen writes types only if a function uses them, but it writes all constants.
+    let mut excluded = declared(&all).0;
+    for function in RENDER_LOOP {
+        assert!(excluded.remove(function), "the library has no function {function}");
+    }
+    let without_constants = excluded.iter().map(String::as_str).chain(constants(&all)).map(str::to_owned);
+    let types = header("entire.h", None, &without_constants.collect());
+    excluded.extend(constants(&all).filter(|c| !mentions(declarations(&types), c)).map(str::to_owned));
+    let front = header("entire.h", Some(version_macros()), &excluded);
+    let (functions, types) = declared(&front);
+    excluded = functions.union(&types).cloned().chain(constants(&front).map(str::to_owned)).collect();
+    [("advanced.h", header("advanced.h", None, &excluded)), ("entire.h", front)]
+}
+
 #[test]
-fn the_committed_header_is_that_of_the_source() {
+fn the_committed_headers_are_those_of_the_source() {
     if Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml.orig").exists() {
-        // A published package lacks the repository, whose tests have checked the header.
+        // A published package lacks the repository, whose tests have checked the headers.
         return;
     }
-    let generated = generate();
-    let path = header_path();
-    if std::env::var_os("UPDATE_HEADER").is_some() {
-        std::fs::create_dir_all(path.parent().expect("include/entire")).expect("include/entire");
-        std::fs::write(&path, &generated).expect("include/entire/entire.h");
-    }
-    let committed = std::fs::read_to_string(&path).unwrap_or_default();
-    if let Some((n, (a, b))) = committed.lines().zip(generated.lines()).enumerate().find(|(_, (a, b))| a != b)
-    {
-        panic!(
-            "include/entire/entire.h line {}: {a:?} is committed, the source gives {b:?}; run `make header`",
-            n + 1
+    for (name, generated) in generate() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../include/entire").join(name);
+        if std::env::var_os("UPDATE_HEADER").is_some() {
+            std::fs::create_dir_all(path.parent().expect("include/entire")).expect("include/entire");
+            std::fs::write(&path, &generated).expect(name);
+        }
+        let committed = std::fs::read_to_string(&path).unwrap_or_default();
+        let different = committed.lines().zip(generated.lines()).enumerate().find(|(_, (a, b))| a != b);
+        if let Some((n, (a, b))) = different {
+            panic!(
+                "include/entire/{name} line {}: {a:?} is committed, the source gives {b:?}; run `make header`",
+                n + 1
+            );
+        }
+        assert_eq!(
+            committed.len(),
+            generated.len(),
+            "include/entire/{name} is out of date; run `make header`"
         );
     }
-    assert_eq!(committed.len(), generated.len(), "include/entire/entire.h is out of date; run `make header`");
 }
 
 #[test]
 fn every_item_is_documented() {
-    let header = generate();
-    let lines: Vec<&str> = header.lines().collect();
+    let headers = generate().map(|(_, text)| text).join("");
+    let lines: Vec<&str> = headers.lines().collect();
     let mut undocumented = Vec::new();
     for (i, line) in lines.iter().enumerate().skip(1) {
         let field = line.strip_prefix("    ").is_some_and(|l| !l.starts_with(' ') && l.ends_with([';', ',']));
@@ -88,7 +178,7 @@ fn every_item_is_documented() {
             undocumented.push(*line);
         }
     }
-    assert!(undocumented.is_empty(), "without a comment in entire.h:\n{}", undocumented.join("\n"));
+    assert!(undocumented.is_empty(), "without a comment in a header:\n{}", undocumented.join("\n"));
     assert!(lines.iter().filter(|l| l.contains(" entire_")).count() > 30);
 }
 
@@ -102,7 +192,7 @@ fn comment_of<'a>(header: &'a str, structure: &str, field: &str) -> &'a str {
 
 #[test]
 fn documented_defaults_are_those_of_the_code() {
-    let header = generate();
+    let [_, (_, header)] = generate();
     let (hybrid, steps) = (HybridOptions::default(), StepLimits::default());
     let defaults = [
         ("finest_step", steps.finest),

@@ -1,5 +1,6 @@
 /* entire.h - predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step
- * that keeps the frame inside its budget.
+ * that keeps the frame inside its budget. A render loop needs no other header; entire/advanced.h has the
+ * library's further functions.
  *
  * SPDX-License-Identifier: MIT OR Apache-2.0
  *
@@ -49,7 +50,7 @@
  * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says
  * so; it is never zero. The result for zero, negative, infinite and NaN inputs is documented.
  *
- * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything is
+ * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits (some are in advanced.h) before anything is
  * allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory whose size the caller or a file
  * determines (copies, features, batches) is requested in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
  * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB if the system refuses them; while half
