@@ -486,11 +486,6 @@ typedef struct entire_pass {
 #define ENTIRE_SOURCE_NETWORK 2
 
 /**
- * Recent frames.
- */
-#define ENTIRE_SOURCE_HISTORY 3
-
-/**
  * No clock was named, or none of those below.
  */
 #define ENTIRE_CLOCK_UNSTATED 0
@@ -630,10 +625,8 @@ entire_result entire_model_predict_batch(const entire_model *model,
                                          float *seconds);
 
 /**
- * Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
- * `capacity` bytes with its closing NUL; empty if no call has failed. `length`, if not NULL, receives the
- * length of the whole text in bytes, without the NUL; `buffer` may be NULL with capacity 0 to query that
- * length. On the thread whose call failed, entire_last_error is simpler.
+ * Copies the text of the most recent failure of a call on this model, by any thread, like
+ * entire_session_last_error; empty if no call has failed.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -674,7 +667,7 @@ entire_result entire_volume_set_features(entire_volume *volume, const float *fea
 entire_result entire_volume_describe(const entire_volume *volume, struct entire_volume_info *info);
 
 /**
- * Copies the text of the volume's last failure, as entire_model_last_error does.
+ * Copies the text of the volume's last failure, like entire_session_last_error.
  */
 entire_result entire_volume_last_error(const entire_volume *volume,
                                        char *buffer,
@@ -745,7 +738,7 @@ entire_result entire_transfer_function_table(const entire_transfer_function *tra
                                              size_t capacity);
 
 /**
- * Copies the text of the transfer function's last failure, like entire_model_last_error.
+ * Copies the text of the transfer function's last failure, like entire_session_last_error.
  */
 entire_result entire_transfer_function_last_error(const entire_transfer_function *transfer_function,
                                                   char *buffer,
@@ -835,9 +828,7 @@ entire_result entire_session_reset(entire_session *session);
  * Predicts a frame's time at the frame's own step, with the correction learned from observed frames. Does
  * not influence later plans. Set prediction->struct_size first.
  *
- * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
- * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
- * ENTIRE_INVALID_MODEL (the model's result is not a frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * Fails as entire_session_plan does.
  */
 entire_result entire_session_predict(entire_session *session,
                                      const entire_frame *frame,
@@ -892,11 +883,11 @@ entire_result entire_session_set_max_image_sample_distance(entire_session *sessi
 /**
  * Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
  * plans coarsen step or image, whichever adds less error. With a step of s times the finest, and rays d
- * pixels apart along each side, the picture error is proportional to (s - 1)^step_exponent + image_weight *
- * (d - 1)^image_exponent, and the time to (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to
- * pictures of this renderer. The law replaces `step_alone` of entire_session_set_max_image_sample_distance.
- * An `image_weight` of 0 removes the law: the session then uses the law of its model, if the model was
- * calibrated with pictures of this renderer.
+ * pixels apart along each side, a power of the picture error is proportional to (s - 1)^step_exponent +
+ * image_weight * (d - 1)^image_exponent, and the time is proportional to (ray_share + (1 - ray_share) / s) /
+ * d^2. Fit the four numbers to pictures of this renderer. The law replaces `step_alone` of
+ * entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the law: the session then
+ * uses the law of its model, if the model was calibrated with pictures of this renderer.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
  * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.

@@ -484,6 +484,16 @@ typedef struct entire_session_options {
      * probe. Leave it 0 in a session that records frames.
      */
     float probe_tolerance;
+    /**
+     * Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
+     * this load, so frames exceed the target. entire_plan.seconds includes the load. After 32 frames the load
+     * counts as the machine's new speed, which always changes the step. Default 0.
+     */
+    uint32_t ignore_load;
+    /**
+     * Must be 0.
+     */
+    uint32_t reserved;
 } entire_session_options;
 
 /**
@@ -714,11 +724,6 @@ typedef struct entire_plan {
  */
 #define ENTIRE_REASON_OFF 8
 
-/**
- * A rule that reacts to past frames only.
- */
-#define ENTIRE_REASON_REACTIVE 9
-
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -847,8 +852,12 @@ entire_result entire_session_new(const struct entire_model *model,
                                  struct entire_session **session);
 
 /**
- * Copies the text of the session's most recent failure, like entire_model_last_error. A later successful
- * call with a non-const session clears the text.
+ * Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its closing
+ * NUL; empty if no call has failed since the last successful call with a session that is not const. `length`,
+ * if not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be NULL with
+ * capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_last_error(const struct entire_session *session,
                                         char *buffer,
@@ -884,8 +893,10 @@ entire_result entire_session_options_init(struct entire_session_options *options
  * with an upper bound of at most (1 + tolerance) times `target_seconds`. Draw with plan->step, then pass the
  * frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
  *
- * Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
- * positive.
+ * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
+ * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (a frame that is out of
+ * range, or a target that is not finite and positive), ENTIRE_INVALID_MODEL (the model's result is not a frame
+ * time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_plan(struct entire_session *session,
                                   const struct entire_frame *frame,

@@ -1,13 +1,13 @@
-// entire.hpp - C++17 over entire.h and advanced.h: ownership, views, and results that cannot be overlooked. Header only.
+// entire.hpp - C++17 over entire.h and advanced.h: owning types, views, and results that must be tested. Header only.
 //
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //
 // Every call that can fail returns entire::result<T> or entire::plain_result<T>. Test it (`if (r)`, `r.code()`,
-// `r.message()`), or take the value: `r.value()` throws entire::error where the result is a failure. With
-// ENTIRE_NO_EXCEPTIONS defined before the include (it is implied where the compiler has exceptions switched off),
-// `value()` prints the message and ends the program instead. Threads, units and ownership are as at the top of
-// entire.h. This header allocates memory for values in a result<T> and for error texts; a plain_result<T> of a call
-// that succeeded allocates none.
+// `r.message()`), or take the value: `r.value()` throws entire::error if the result is a failure. If
+// ENTIRE_NO_EXCEPTIONS is defined before the include, or exceptions are off in the compiler, `value()` prints the
+// message and ends the program instead. The top of entire.h describes threads, units and ownership. This header
+// allocates memory for values in a result<T> and for error texts; a plain_result<T> of a call that succeeded allocates
+// none.
 #ifndef ENTIRE_ENTIRE_HPP
 #define ENTIRE_ENTIRE_HPP
 
@@ -101,7 +101,7 @@ private:
 
 // The result of a call without a value, or with plain data, which is stored in place: success allocates nothing.
 template <class T> class [[nodiscard]] plain_result {
-    static_assert(std::is_trivially_copyable_v<T>, "result<T> is for values that own something");
+    static_assert(std::is_trivially_copyable_v<T>, "use result<T> for a type that is not trivially copyable");
 
 public:
     plain_result(T value) : value_(value), code_(ENTIRE_OK) {}
@@ -125,7 +125,7 @@ private:
 // The result of a call without a value.
 using status = plain_result<detail::nothing>;
 
-// A view of elements owned elsewhere, as std::span in C++20 (which it accepts too).
+// A view of elements that another object owns, like std::span of C++20, from which it can be made.
 template <class T> class span {
 public:
     constexpr span() noexcept = default;
@@ -263,7 +263,7 @@ public:
     // Sets the next time step: other voxels, or the borrowed ones after they were written to. Then call set_time_step
     // of each session.
     status update(const entire_volume_desc &desc) { return detail::done(entire_volume_update(get(), &desc)); }
-    // As above, for a time step in which only a box of `size` voxels changed, which starts at voxel `first` (x, y, z).
+    // Sets the next time step if only the voxels of a box changed: `size` voxels along x, y, z from voxel `first` on.
     status update(const entire_volume_desc &desc, const std::size_t (&first)[3], const std::size_t (&size)[3]) {
         return detail::done(entire_volume_update_box(get(), &desc, first, size));
     }
@@ -297,11 +297,11 @@ public:
             return failure::last(code);
         return transfer_function(handle);
     }
-    // Table of entries of red, green, blue, opacity.
+    // Makes a transfer function from a table; each entry has four floats: red, green, blue, opacity.
     static result<transfer_function> from_table(span<const float> rgba) {
         if (rgba.size() % 4 != 0)
             return failure{ENTIRE_SIZE_MISMATCH, "rgba holds " + std::to_string(rgba.size()) +
-                                                     " floats; it must be four per entry"};
+                                                     " floats; it must hold four per entry"};
         entire_transfer_function *handle = nullptr;
         if (auto code = entire_transfer_function_from_table(rgba.data(), rgba.size() / 4, &handle))
             return failure::last(code);

@@ -1,4 +1,4 @@
-/* Shared parts of the tests: checks that print place and reason of a failure, and a small scene. */
+/* Shared parts of the tests: checks that print file, line and reason of a failure, and a small scene. */
 #ifndef ENTIRE_TESTS_CHECK_H
 #define ENTIRE_TESTS_CHECK_H
 
@@ -17,7 +17,7 @@
         }                                                                                              \
     } while (0)
 
-/* Checks that the call returns this code, and leaves an error text exactly if it fails. */
+/* Checks that the call returns this code, and that there is an error text if and only if the call failed. */
 #define EXPECT(code, call)                                                                             \
     do {                                                                                               \
         entire_result expect_found_ = (call);                                                          \
@@ -88,16 +88,20 @@ static inline entire_frame toy_frame(void) {
 }
 
 /* A session with volume and transfer function set; `model` may be NULL. */
-static inline entire_session *toy_session(const entire_model *model) {
+static inline entire_session *toy_session_with(const entire_model *model, const entire_session_options *options) {
     entire_volume *volume = toy_volume();
     entire_transfer_function *tf = toy_transfer_function();
     entire_session *session = NULL;
-    OK(entire_session_new(model, NULL, &session));
+    OK(entire_session_new(model, options, &session));
     OK(entire_session_set_volume(session, volume));
     OK(entire_session_set_transfer_function(session, tf));
     entire_transfer_function_free(tf);
     entire_volume_free(volume);
     return session;
+}
+
+static inline entire_session *toy_session(const entire_model *model) {
+    return toy_session_with(model, NULL);
 }
 
 #endif

@@ -13,7 +13,7 @@ static entire_plan plan_of(entire_session *session, const entire_frame *frame, f
     return plan;
 }
 
-/* A plan for half of the time of the finest step, after the session has learned. */
+/* Lets the session learn from 12 frames; returns a plan whose target is half of the time at the finest step. */
 static entire_plan plan_for_half(entire_session *session, const entire_frame *frame) {
     entire_frame large = *frame;
     large.width = large.height = 1024;
@@ -26,7 +26,7 @@ static entire_plan plan_for_half(entire_session *session, const entire_frame *fr
     return plan_of(session, &large, 0.5f * seconds);
 }
 
-/* A renderer with a fixed and a per-sample cost. */
+/* Seconds of a renderer with a fixed cost and a cost per sample. */
 static float draw(float step) {
     return 0.003f + 0.1f / step;
 }
@@ -46,6 +46,28 @@ static void loop(const entire_model *model) {
     }
     CHECK(within >= 36);
     entire_session_free(session);
+}
+
+/* A renderer that becomes twice as slow: the step follows the load, or keeps its value if the load is ignored. */
+static void loads(void) {
+    for (uint32_t ignored = 0; ignored < 2; ++ignored) {
+        entire_session_options options;
+        OK(entire_session_options_init(&options, sizeof options));
+        CHECK(options.ignore_load == 0);
+        options.ignore_load = ignored;
+        entire_session *session = toy_session_with(NULL, &options);
+        const entire_frame frame = toy_frame();
+        float before = 0;
+        entire_plan plan;
+        for (int i = 0; i < 60; ++i) {
+            plan = plan_of(session, &frame, 0.03f);
+            if (i == 49) before = plan.step;
+            OK(entire_session_observe(session, plan.id, (i < 50 ? 1.0f : 2.0f) * draw(plan.step), 0, NULL));
+        }
+        const float change = plan.step / before;
+        CHECK(ignored ? change > 0.9f && change < 1.1f : change > 1.6f);
+        entire_session_free(session);
+    }
 }
 
 static void observations(void) {
@@ -146,7 +168,8 @@ static void frames(void) {
     plan.struct_size = 0;
     EXPECT(ENTIRE_STRUCT_SIZE, entire_session_plan(session, &frame, 0.03f, &plan));
 
-    /* The same eye by arcball and by matrix: same prediction. The volume's box is 5 x 14 x 77, centered at (1, 2, 3). */
+    /* An arcball and a matrix with the same eye give the same prediction. The volume's box is 5 x 14 x 77, centered at
+     * (1, 2, 3). */
     entire_prediction a = {.struct_size = sizeof a}, b = a;
     frame.arcball[2] = 2;
     OK(entire_session_predict(session, &frame, &a));
@@ -161,7 +184,8 @@ static void frames(void) {
     OK(entire_session_predict(session, &frame, &b));
     CHECK(fabsf(a.seconds - b.seconds) < 0.01f * a.seconds);
 
-    /* Parallel rays: by arcball in radii and by matrix in world units, from any distance before the volume. */
+    /* With a parallel projection, an arcball (scale in radii) and a matrix (scale in world units) give the same
+     * prediction, at any distance of the eye from the volume. */
     frame = toy_frame();
     frame.projection = ENTIRE_PROJECTION_PARALLEL;
     frame.parallel_scale = 0.8f;
@@ -235,7 +259,8 @@ static void options(const entire_model *model) {
     CHECK(plan_of(session, &frame, 10.0f).image_sample_distance == 1);
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 0.5f, 1));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 2, NAN));
-    /* If smaller images cost more picture quality than any step, the step is coarsened, and vice versa. */
+    /* With a quality law in which smaller images add more error than coarser steps, the step is coarsened; with the
+     * opposite law, the image becomes smaller. */
     OK(entire_session_set_limits(session, 1, 100));
     OK(entire_session_set_quality(session, 500, 1, 0.1f, 0));
     const entire_plan coarse = plan_for_half(session, &frame);
@@ -263,7 +288,7 @@ static void options(const entire_model *model) {
     entire_session_free(session);
 }
 
-/* Without a model, the probe may be coarser or finer. */
+/* Without a model, `probe_side` is the number of probe rays per side: 0 means 11; fewer rays predict similar times. */
 static void probe_sides(void) {
     entire_session_options options;
     OK(entire_session_options_init(&options, sizeof options));
@@ -287,7 +312,8 @@ static void probe_sides(void) {
     CHECK(seconds[0] > 0 && seconds[0] == seconds[1]);
     CHECK(seconds[2] != seconds[0] && fabsf(seconds[2] / seconds[0] - 1) < 0.3f);
     CHECK(seconds[3] != seconds[2] && fabsf(seconds[3] / seconds[0] - 1) < 0.5f);
-    /* A plan that any probe can decide takes the coarsest probe; a prediction takes the finest. */
+    /* With `probe_tolerance`, a plan whose step does not depend on the probe uses the coarsest probe; a prediction uses
+     * the finest probe. */
     options.probe_side = 0;
     options.probe_tolerance = 0.05f;
     entire_session *climbs = NULL;
@@ -343,7 +369,7 @@ static void choices(void) {
     entire_session_free(session);
 }
 
-/* A renderer whose time depends on the number of pixels only. */
+/* Seconds of a renderer whose time depends only on the number of pixels. */
 static float draw_pixels(uint32_t width, uint32_t height) {
     return 1e-3f + 4e-8f * (float)(width * height);
 }
@@ -359,7 +385,7 @@ static void play(entire_session *session, int frames) {
     }
 }
 
-/* Pictures of four scenes whose distance from full quality follows a law. */
+/* Records pictures of four scenes; their errors and times are computed from a quality law. */
 static void compare_pictures(entire_session *session) {
     const float steps[] = {1, 1.5f, 2.2f, 3.2f, 4.5f}, distances[] = {1, 1.2f, 1.44f, 2};
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record_picture(session, 0, 0.5f, 1, 0.1, 0));
@@ -443,7 +469,8 @@ static void calibration(void) {
     const float real = draw_pixels(frame.width, frame.height);
     CHECK(p.seconds == q.seconds && fabsf(p.seconds / real - 1) < 0.1f);
 
-    /* The fitted model can be a prior in turn, and works with any probe, since it holds unit costs. */
+    /* The fitted model can be the prior of another calibration, and works with any probe, since it consists of unit
+     * costs. */
     OK(entire_session_record(other, again, 8));
     play(other, 20);
     entire_model *third = NULL;
@@ -539,7 +566,7 @@ static void with_a_model(const char *path) {
     size_t count = 0;
     OK(entire_model_encode(model, volume, features, 2, &count));
 
-    /* Its first prediction, uncorrected, is the network's own on the same inputs, and its source says so. */
+    /* The source of the first prediction is the network. Precomputed volume features give the same prediction. */
     OK(entire_session_predict(session, &frame, &prediction));
     CHECK(prediction.source == ENTIRE_SOURCE_NETWORK && isfinite(prediction.seconds) && prediction.seconds > 0);
     OK(entire_volume_set_features(volume, features, 2));
@@ -601,6 +628,7 @@ static void with_a_model(const char *path) {
 int main(int argc, char **argv) {
     CHECK(argc == 2);
     loop(NULL);
+    loads();
     observations();
     order_of_calls();
     frames();

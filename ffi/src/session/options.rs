@@ -40,6 +40,12 @@ pub struct entire_session_options {
     /// their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
     /// probe. Leave it 0 in a session that records frames.
     pub probe_tolerance: f32,
+    /// Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
+    /// this load, so frames exceed the target. entire_plan.seconds includes the load. After 32 frames the load
+    /// counts as the machine's new speed, which always changes the step. Default 0.
+    pub ignore_load: u32,
+    /// Must be 0.
+    pub reserved: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
@@ -57,6 +63,8 @@ unsafe impl ByValue for entire_session_options {
             damping: hybrid.damping.into(),
             probe_side: 0,
             probe_tolerance: 0.0,
+            ignore_load: hybrid.ignore_load.into(),
+            reserved: 0,
         }
     }
 }
@@ -70,7 +78,9 @@ no_padding!(entire_session_options {
     trust_limit,
     damping,
     probe_side,
-    probe_tolerance
+    probe_tolerance,
+    ignore_load,
+    reserved
 });
 
 /// The probe that the options request: number of rays along each side, and its accepted error. `None` keeps
@@ -96,7 +106,8 @@ pub unsafe extern "C" fn entire_session_options_init(
 
 pub(super) fn hybrid_options(options: &entire_session_options) -> Result<HybridOptions, Failure> {
     let entire_session_options { miss_rate, tolerance, trust_limit, .. } = *options;
-    let damping = options.damping != 0;
-    let hybrid = HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() };
+    let (damping, ignore_load) = (options.damping != 0, options.ignore_load != 0);
+    let defaults = HybridOptions::default();
+    let hybrid = HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults };
     Ok(hybrid.checked()?)
 }

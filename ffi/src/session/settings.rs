@@ -157,11 +157,11 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
 
 /// Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
 /// plans coarsen step or image, whichever adds less error. With a step of s times the finest, and rays d
-/// pixels apart along each side, the picture error is proportional to (s - 1)^step_exponent + image_weight *
-/// (d - 1)^image_exponent, and the time to (ray_share + (1 - ray_share) / s) / d^2. Fit the four numbers to
-/// pictures of this renderer. The law replaces `step_alone` of entire_session_set_max_image_sample_distance.
-/// An `image_weight` of 0 removes the law: the session then uses the law of its model, if the model was
-/// calibrated with pictures of this renderer.
+/// pixels apart along each side, a power of the picture error is proportional to (s - 1)^step_exponent +
+/// image_weight * (d - 1)^image_exponent, and the time is proportional to (ray_share + (1 - ray_share) / s) /
+/// d^2. Fit the four numbers to pictures of this renderer. The law replaces `step_alone` of
+/// entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the law: the session then
+/// uses the law of its model, if the model was calibrated with pictures of this renderer.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
 /// the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.

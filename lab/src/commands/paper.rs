@@ -1,4 +1,4 @@
-//! `entire-lab paper`: the paper's evaluation, row by row.
+//! `entire-lab paper`: reproduction of the paper's tables and figures.
 
 use super::{farm, replay};
 use crate::bars;
@@ -16,7 +16,7 @@ use entire_io::options::thread_pool;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Recorded paths, for use case 1 (`make steer-traces`).
+/// Folder of the recorded paths for the paper's use case 1, steering (`make steer-traces` records them).
 const RECORDED: &str = "data/steer";
 
 /// Reproduce every table and figure of the paper, beside our results.
@@ -37,7 +37,7 @@ pub(crate) struct Options {
 
 #[derive(Debug, Subcommand)]
 enum Step {
-    /// Every step, one after another.
+    /// Run every step, one after another.
     All(AllOptions),
     /// Render frames: by our raycaster in every mode, each also at low resolution (the proxy), and by yt.
     #[command(after_help = "Example:
@@ -288,7 +288,8 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
     Ok(())
 }
 
-/// Use case 2: the paper's assignment, and all methods of `entire-lab farm` in a separate report.
+/// The paper's use case 2, load balancing: assigns tasks by the paper's method, and writes a separate report
+/// of all methods of `entire-lab farm`.
 fn balance(work: &Work<'_>) -> Result<()> {
     cases::balance(work.out, &work.paper.orbit)?;
     for (set, mode) in work.paper.panels.get(&Panel::Varied).into_iter().flatten() {
@@ -308,8 +309,8 @@ fn balance(work: &Work<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Use case 1: recorded paths of a data set under every controller with the paper's network, and with our
-/// predictor.
+/// The paper's use case 1, steering: replays recorded paths of a data set under every controller with the
+/// paper's network, and under the controller `hybrid` with our predictor.
 fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let calibration = Path::new(RECORDED).join("calibration.csv.gz");
     let folder = Path::new(RECORDED).join("traces");
@@ -319,7 +320,8 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let prefix = format!("{set}-{mode}-volumes-network-1-");
     let models = work.out.join("models");
     let network = std::fs::read_dir(&models).ok().and_then(|entries| {
-        // The most recent file: older networks were trained on other frames or with other encoders.
+        // Takes the most recent file, since older networks were trained on other frames or with other
+        // encoders.
         entries
             .flatten()
             .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))
@@ -342,6 +344,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
             limits: (1.0, 16.0),
         },
         disturbance: None,
+        ignore_load: false,
         model,
         controllers: controllers.to_vec(),
         rounds: 1,

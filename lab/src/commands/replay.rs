@@ -1,5 +1,5 @@
-//! `entire-lab replay`: recorded time curves under every controller and target, beside an oracle; the
-//! steering bars.
+//! `entire-lab replay`: replays recorded time curves under every controller and target, beside an oracle, and
+//! prints the steering bars.
 
 use crate::bars;
 use crate::calibration::samples_of;
@@ -46,7 +46,7 @@ pub(crate) struct Paths {
 }
 
 impl Paths {
-    /// The allowed steps, checked.
+    /// Checks and returns the allowed steps.
     ///
     /// # Errors
     /// For limits that contain no step.
@@ -56,7 +56,7 @@ impl Paths {
         Ok(limits)
     }
 
-    /// Opens the paths.
+    /// Opens the recorded paths.
     ///
     /// # Errors
     /// For files that cannot be read or are no recordings; names the file.
@@ -70,7 +70,7 @@ impl Paths {
     /// Every target in seconds with its name, the longest first.
     ///
     /// # Errors
-    /// For a text that is no time.
+    /// For a target that is no time.
     pub(crate) fn targets(&self) -> Result<Vec<(f64, &str)>> {
         let mut out =
             self.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;
@@ -99,6 +99,9 @@ pub(crate) struct Options {
     /// Replay with the slowdowns that `entire-lab disturb` recorded while another program ran.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) disturbance: Option<PathBuf>,
+    /// Let the steps of our controller (hybrid) ignore the load of the other program.
+    #[arg(long, requires = "disturbance")]
+    pub(crate) ignore_load: bool,
     /// Model file, instead of the predictor that is fitted to the tables.
     #[arg(long, value_name = "M.safetensors")]
     pub(crate) model: Option<PathBuf>,
@@ -142,7 +145,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let disturbance = Arc::new(Disturbance::open(file)?);
         traces = traces.into_iter().map(|trace| trace.disturbed(&disturbance)).collect();
     }
-    let players = Player::all(&options.controllers, &traces);
+    let mut players = Player::all(&options.controllers, &traces);
+    for player in players.iter_mut().filter(|p| p.kind == ControllerKind::Hybrid) {
+        player.ignore_load = options.ignore_load;
+    }
     let (trials, unplayed) = trials_of_all(&traces, &targets, limits);
     for name in &unplayed {
         note(&format!(

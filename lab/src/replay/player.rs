@@ -11,12 +11,14 @@ use entire_io::files::note;
 pub struct Player {
     /// The controller.
     pub kind: ControllerKind,
-    /// The quantity that it sets in this replay.
+    /// The quantity that the controller sets in this replay.
     pub acts_on: ActsOn,
+    /// True if its steps ignore a detected load ([`entire_steer::control::HybridOptions::ignore_load`]).
+    pub ignore_load: bool,
 }
 
 impl Player {
-    /// The named controllers; all of them if `kinds` is empty.
+    /// Returns players of the given controllers; of all controllers if `kinds` is empty.
     ///
     /// If a trace holds no smaller images, rules that act on image resolution act on the ray step instead, on
     /// all traces, so that each row of a table has one meaning. A note and the tables say so.
@@ -29,6 +31,7 @@ impl Player {
             .map(|&kind| Self {
                 kind,
                 acts_on: if without.is_empty() { kind.acts_on() } else { ActsOn::RayStep },
+                ignore_load: false,
             })
             .collect();
         let standing_in: Vec<&str> =
@@ -46,12 +49,12 @@ impl Player {
         players
     }
 
-    /// True if it sets the ray step instead of its own quantity.
+    /// True if the controller sets the ray step instead of its own quantity.
     pub fn stands_in(&self) -> bool {
         self.acts_on != self.kind.acts_on()
     }
 
-    /// Name of the quantity that it sets, for tables.
+    /// Name of the quantity that the controller sets, for tables.
     pub const fn acts_on_name(&self) -> &'static str {
         match (self.acts_on, self.kind.acts_on()) {
             (ActsOn::RayStep, ActsOn::ImageResolution { .. }) => "ray step instead",

@@ -1,13 +1,13 @@
 //! Trials: traces with targets, played under every controller.
 
+use super::cold::hybrid;
 use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
 use crate::fitted::Calibrated;
 use anyhow::Result;
 use entire_cli::steering::contenders::contender;
 use entire_cli::steering::rivals::StepResponse;
 use entire_io::metrics::median;
-use entire_steer::control::Prior;
-use entire_steer::control::StepLimits;
+use entire_steer::control::{HybridOptions, Prior, StepLimits};
 
 /// One trace with one target or a series of targets.
 pub(crate) struct Trial {
@@ -29,8 +29,8 @@ pub(crate) struct Outcome {
     pub(crate) tallies: Vec<Tally>,
 }
 
-/// The useful trials: every trace with every target that some allowed step meets in half of its frames, and
-/// with a series of those targets.
+/// Returns the useful trials: every trace with every target that some allowed step meets in at least half of
+/// the frames, and with a series of these targets.
 pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {
@@ -49,9 +49,9 @@ pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: Ste
     out
 }
 
-/// As [`trials`], with a target for every trace that has no useful one: halfway, in ln(seconds), between its median
-/// frame times at the finest and at the coarsest step. Also returns the names of the traces for which that target
-/// is not useful either.
+/// Returns the trials of [`trials`], and a trial for every trace without a useful target. The target of such
+/// a trace is halfway, in ln(seconds), between its median frame times at the finest and at the coarsest step.
+/// Also returns the names of the traces for which this target is not useful either.
 pub(crate) fn trials_of_all(
     traces: &[Replayable],
     targets: &[(f64, &str)],
@@ -75,8 +75,8 @@ pub(crate) fn trials_of_all(
     (out, unplayed)
 }
 
-/// Target that follows from a trace alone: halfway, in ln(seconds), between its median frame times at the finest
-/// allowed step and at the coarsest.
+/// Returns a target that depends on the trace alone: halfway, in ln(seconds), between its median frame times
+/// at the finest and at the coarsest allowed step.
 fn own_target(trace: &Replayable, limits: StepLimits) -> Option<f64> {
     let middle = |step: f32| {
         let mut seconds: Vec<f64> = trace.curves.iter().map(|c| c.seconds(f64::from(step))).collect();
@@ -102,7 +102,8 @@ pub(crate) fn play(
 ) -> Result<Outcome> {
     let chosen = &calibrated.chosen().fitted;
     let mean = trial.targets.iter().sum::<f64>() / trial.targets.len() as f64;
-    // For the controller with a fixed step: the step at which the middle frame of the path meets the target.
+    // The controller with a fixed step uses the step at which the middle frame of the path meets the mean
+    // target.
     let middle = &trace.curves[trace.curves.len() / 2];
     let fixed = middle.oracle(mean, f64::from(limits.finest), f64::from(limits.coarsest)) as f32;
     let mut outcome =
@@ -110,7 +111,12 @@ pub(crate) fn play(
     for (k, player) in players.iter().enumerate() {
         for round in 0..rounds {
             let prior: Prior = calibrated.prior();
-            let mut who = contender(player.kind, fixed, chosen.predictor()?, response, prior);
+            let predictor = chosen.predictor()?;
+            let mut who = if player.ignore_load {
+                hybrid(predictor, HybridOptions { prior, ignore_load: true, ..HybridOptions::default() })
+            } else {
+                contender(player.kind, fixed, predictor, response, prior)
+            };
             who.acts_on = player.acts_on;
             let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
             let played = replay(trace, &mut who, features, &trial.targets, limits, round + 1, all)?;
@@ -131,7 +137,8 @@ mod tests {
 
     const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 16.0 };
 
-    /// A recorded path of the repository with other times: `seconds` maps frame index and recorded seconds to them.
+    /// Returns a recorded path of the repository with other frame times, which `seconds` computes from the
+    /// frame's index and its recorded seconds.
     fn path(name: &str, seconds: impl Fn(usize, f64) -> f64) -> Replayable {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut trace = Trace::open(&root.join(format!("data/steer/traces/{name}.json.gz"))).unwrap();
@@ -145,8 +152,8 @@ mod tests {
     #[test]
     fn no_path_is_left_out_without_a_word() {
         let targets = [(1.0 / 30.0, "30fps"), (1.0 / 60.0, "60fps"), (1.0 / 90.0, "90fps")];
-        // A path that is faster than every target, one that some targets suit, and one whose times do not depend on
-        // the step.
+        // The first path is faster than every target; some targets are useful for the second path; the times
+        // of the third path do not depend on the step.
         let paths = [
             path("banana-resize", |_, s| s),
             path("castro-cuts", |_, s| s),

@@ -29,7 +29,7 @@ fn ssim(s: f64) -> f64 {
     0.3 + 0.2 / s
 }
 
-/// The same trace with smaller images down to a sixteenth of the pixels.
+/// The trace of [`recorded`] with smaller images, down to a sixteenth of the pixels.
 fn with_images() -> Replayable {
     let mut trace = recorded().trace;
     for frame in &mut trace.frames {
@@ -86,20 +86,23 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
                     assert_eq!(f.finest_step, f.oracle_step, "{place}");
                 }
                 ActsOn::ImageResolution { coarsest } => {
-                    // The range is the rule's own, as far as images were recorded; limits of the step do not count.
+                    // The range of s is the rule's own, as far as images were recorded; limits of the ray
+                    // step do not apply.
                     let coarsest = f64::from(coarsest).min(16.0);
                     assert!((1.0..=1.0001 * coarsest).contains(&f.step), "{place}");
                     assert!(close(f.seconds, noise * seconds(f.step)), "{place}");
                     assert!(close(f.psnr, recorded.images.as_ref().unwrap()[index].psnr(f.step)), "{place}");
-                    // A tenth of the work meets the target; Unreal and Filament reach at most a fourth.
+                    // A tenth of the pixels meets the target; Unreal and Filament draw at least a fourth of
+                    // the pixels.
                     assert!(close(f.finest_step, coarsest.min(10.0)), "{place}");
                 }
             }
         }
         let last = frames.last().unwrap();
         match player.kind {
-            // As in VTK: the first frame is drawn at half of the largest image sample distance, here that of the
-            // recorded images, and later ones follow the time of the frame before.
+            // As in VTK, the first frame is drawn at half of the largest image sample distance; here, the
+            // smallest recorded image (s = 16) limits it. The distance of a later frame depends on the time
+            // of the frame before.
             ControllerKind::VtkFixedPoint => {
                 assert!(close(frames[0].step, 16.0) && frames[20].step > 7.0, "{:?}", frames[20]);
                 assert!(close(last.ssim, recorded.images.as_ref().unwrap()[0].ssim(last.step)));
@@ -122,8 +125,12 @@ fn traces_without_images_open_and_rules_for_them_are_played_on_the_step_and_said
     for f in play(&both[0], players[0], 0.02).unwrap() {
         assert!((1.0..=12.0).contains(&f.step) && f.finest_step == f.oracle_step);
     }
-    // On images it is refused, with the reason.
-    let filament = Player { kind: ControllerKind::Filament, acts_on: ControllerKind::Filament.acts_on() };
+    // On image resolution, the rule is refused with the reason.
+    let filament = Player {
+        kind: ControllerKind::Filament,
+        acts_on: ControllerKind::Filament.acts_on(),
+        ignore_load: false,
+    };
     let refused = play(&both[0], filament, 0.02).unwrap_err().to_string();
     assert!(refused.contains("without smaller images") && refused.contains("record it again"), "{refused}");
     assert_eq!(Player::all(&[ControllerKind::Filament], &both[1..]), [filament]);

@@ -50,7 +50,7 @@ impl Session {
         self.state(py)?.take_volume(py, &volume.0, features.as_deref())
     }
 
-    /// The frame of a call, and the locked state, in which the call's transfer function is set.
+    /// Sets the transfer function of a call; returns the frame of the call and the locked state.
     fn begin(
         &self,
         py: Python<'_>,
@@ -62,7 +62,7 @@ impl Session {
         Ok((frame, self.taking(py, tf)?))
     }
 
-    /// The locked state, in which a transfer function is set.
+    /// Sets the transfer function, if one is given; returns the locked state.
     fn taking(&self, py: Python<'_>, tf: Option<&TransferFunction>) -> PyResult<MutexGuard<'_, State>> {
         let mut state = self.state(py)?;
         if let Some(tf) = tf {
@@ -76,8 +76,7 @@ impl Session {
 impl Session {
     #[new]
     #[pyo3(signature = (volume = None, *, model = None, tolerance = 0.1, miss_rate = 0.05,
-        trust_limit = 2.0, damping = true,
-        probe_side = None))]
+        trust_limit = 2.0, damping = true, ignore_load = false, probe_side = None))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn new(
         py: Python<'_>,
@@ -87,12 +86,13 @@ impl Session {
         miss_rate: f32,
         trust_limit: f32,
         damping: bool,
+        ignore_load: bool,
         probe_side: Option<usize>,
     ) -> PyResult<Self> {
-        let options =
-            HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() }
-                .checked()
-                .map_err(raise)?;
+        let defaults = HybridOptions::default();
+        let options = HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults }
+            .checked()
+            .map_err(raise)?;
         let predictor: Box<dyn Predictor + Send> = match model {
             Some(model) => model.0.predictor()?,
             None => Box::new(AnalyticModel::default()),
@@ -110,8 +110,8 @@ impl Session {
     }
 
     /// Sets the volume. The first use of a volume scans its voxels; a model with volume features encodes
-    /// them. If it is the next time step of the current volume (:meth:`Volume.next`), the transfer function
-    /// and the learned state of the scene are kept.
+    /// them. If `volume` is the next time step of the current volume (:meth:`Volume.next`), the transfer
+    /// function and the learned state of the scene are kept.
     ///
     /// Parameters
     /// ----------
@@ -177,8 +177,8 @@ impl Session {
     /// Sets the quality law of this renderer (picture error as a function of ray step and image size), so
     /// that plans coarsen step or image, whichever adds less error.
     ///
-    /// For a step of s times the finest and rays d pixels apart, the error of a picture is proportional to
-    /// ``(s - 1)**step_exponent + image_weight * (d - 1)**image_exponent``, and its time to
+    /// For a step of s times the finest and rays d pixels apart, a power of the picture's error is
+    /// proportional to ``(s - 1)**step_exponent + image_weight * (d - 1)**image_exponent``, and its time to
     /// ``(ray_share + (1 - ray_share) / s) / d**2``. The law replaces `step_alone` of
     /// :meth:`set_max_image_sample_distance`.
     ///
@@ -212,8 +212,8 @@ impl Session {
     }
 
     /// (float, float, float, float) or None : The quality law that plans use, in the order of
-    /// :meth:`set_quality`: the law that was set, else that of the model for this renderer; None without a
-    /// law.
+    /// :meth:`set_quality`: the law that was set, else the model's law, if it is for this renderer; None
+    /// without a law.
     #[getter]
     fn quality(&self, py: Python<'_>) -> PyResult<Option<(f32, f32, f32, f32)>> {
         let known = self.state(py)?.core.quality();
@@ -371,8 +371,9 @@ impl Session {
         Ok((plan, core.step, core.image_sample_distance))
     }
 
-    /// Chooses among settings, best picture first: the first that is expected to meet the target, with an
-    /// upper bound of at most the target plus the tolerance, else the one expected to be fastest.
+    /// Chooses a setting from a list that is sorted by picture quality, best first. The choice is the first
+    /// setting whose expected time is at most the target and whose upper bound is at most the target plus the
+    /// tolerance. If there is none, it is the setting with the shortest expected time.
     ///
     /// For renderers that allow only a few steps or sizes.
     ///
@@ -551,7 +552,7 @@ impl Session {
     ///     Number of frames to keep, 8 to 65536: a uniform random sample if more are observed. Default 1000.
     /// model : Model, optional
     ///     The model to start from, fitted on another machine or renderer; a model with a learned factor must
-    ///     have the session's probe. Default: the unit costs of a software renderer.
+    ///     have the same probe as the session. Default: the unit costs of a software renderer.
     ///
     /// Raises
     /// ------
@@ -607,9 +608,9 @@ impl Session {
         Ok(())
     }
 
-    /// Names the renderer of the observed frames and their clock. A learned correction is valid only for
-    /// them: it is forgotten if a name that was not empty changes, saved states contain both names, and
-    /// :meth:`load_state` refuses states with other names. Both names are empty at first.
+    /// Names the renderer of the observed frames and their clock. A learned correction is valid only for this
+    /// renderer and clock: it is forgotten if a name that was not empty changes. Saved states contain both
+    /// names, and :meth:`load_state` refuses states with other names. Both names are empty at first.
     ///
     /// A clock named "cpu", "wall" or "device" is compared with the model's (:attr:`model_clock`). If they
     /// differ, the session keeps the model's ratios between scenes and learns the factor between the clocks

@@ -37,6 +37,18 @@ def test_a_loop_meets_its_target(voxels, tf):
     }
 
 
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_load_is_followed_or_ignored(voxels, tf, ignored):
+    session = entire.Session(entire.Volume(voxels), ignore_load=ignored)
+    steps = []
+    for i in range(60):
+        plan = session.plan(CAMERA, tf, (640, 480), target=0.01)
+        session.observe(plan, drawn(plan, 1 if i < 50 else 2))
+        steps.append(plan.step)
+    change = steps[-1] / steps[49]
+    assert 0.9 < change < 1.1 if ignored else change > 1.6
+
+
 def test_the_image_shrinks_where_it_may(voxels, tf):
     session = entire.Session(entire.Volume(voxels))
     session.set_limits(1, 2)
@@ -62,7 +74,7 @@ def test_what_was_learned_is_kept(voxels, tf, tmp_path):
         plan = first.plan(entire.Camera.arcball(20, 7 * i, 2.5), tf, (640, 480), target=0.01)
         first.observe(plan, drawn(plan, speed=20))
     first.save(tmp_path / "learned")
-    # The file is whole, under its own name, without a temporary one beside it; a failure leaves no file and names it.
+    # The file is complete, and no temporary file is left beside it. An error names the file that cannot be written.
     assert [p.name for p in tmp_path.iterdir()] == ["learned"]
     assert (tmp_path / "learned").read_bytes() == first.save_state()
     with pytest.raises(OSError, match="nowhere"):
@@ -188,7 +200,7 @@ def test_parallel_cameras_agree(voxels, tf):
     assert straight.fov is None and straight.parallel_scale == pytest.approx(0.9)
     assert entire.Camera.arcball(0, 0, 2.5).parallel_scale is None
     cameras = [straight]
-    # The distance has no effect.
+    # With a parallel projection, the distance of the eye has no effect.
     for distance in (2.5, 40):
         eye = center + distance * radius * np.array((0, 0, 1))
         view = np.eye(4)
@@ -200,12 +212,12 @@ def test_parallel_cameras_agree(voxels, tf):
                 volume, view.ravel(), np.eye(4).ravel(), np.eye(3).ravel(), center, 45.0, 0.9 * radius
             ),
         ]
-    # OpenGL's matrix: half of the height is 0.9 radii, the width is by 100 : 80.
+    # OpenGL's matrix: half of the visible height is 0.9 radii, and the width is 100 / 80 of the height.
     clip = np.diag([1 / (0.9 * radius * 1.25), 1 / (0.9 * radius), -0.01, 1.0]) @ view
     cameras.append(entire.Camera.projection(volume, clip))
     times = [seconds(camera) for camera in cameras]
     assert np.allclose(times, times[0], rtol=1e-3), times
-    # A narrow field of view far away sees nearly the same.
+    # A distant perspective camera with a narrow field of view sees nearly the same part of the volume.
     angle = 2 * np.degrees(np.arctan(0.9 / 300))
     assert seconds(entire.Camera.arcball(0, 0, 300, angle)) == pytest.approx(times[0], rel=0.02)
     # A change of the scale or of the projection is a jump.

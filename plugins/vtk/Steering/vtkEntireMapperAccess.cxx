@@ -118,7 +118,7 @@ void Keep(T& own, const T& now, const T& written)
   }
 }
 
-// Mappers that are being steered, and their steerings. A list, since they are few.
+// Claimed mappers, each with the object that has claimed it. A list, since they are few.
 std::mutex ClaimsMutex;
 std::vector<std::pair<const vtkVolumeMapper*, const void*>>& Claims()
 {

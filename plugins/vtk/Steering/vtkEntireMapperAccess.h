@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Access to volume mappers: the mappers that draw, their settings, and the steering that owns each mapper for a frame.
+// Access to volume mappers: the mappers that draw, their settings, and claims, so that only one object steers a mapper.
 #ifndef vtkEntireMapperAccess_h
 #define vtkEntireMapperAccess_h
 
@@ -15,7 +15,7 @@ class vtkVolumeMapper;
 
 namespace vtkEntire
 {
-// A mapper that draws.
+// A mapper that draws itself, not by mappers inside it.
 struct LeafMapper
 {
   vtkVolumeMapper* Mapper;
@@ -25,18 +25,19 @@ struct LeafMapper
   bool Gpu;
 };
 
-// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper of another class.
+// Adds `mapper` to `found` if it draws itself, else the mappers inside it that draw. Adds nothing if a mapper of this
+// class cannot be steered.
 void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& found);
 
 // The reason why a mapper cannot be steered with its current settings; empty if it can.
 std::string Refusal(vtkAbstractVolumeMapper* mapper);
 
-// True if a GPU mapper jitters ray starts, or lights samples by scattering: both change the time of the same rays.
-// `gpu` is LeafMapper::Gpu.
+// Jitters() returns true if a GPU mapper jitters the starts of rays, Scatters() if it lights samples by scattering.
+// Both change the time that a ray takes. `gpu` is LeafMapper::Gpu.
 bool Jitters(vtkVolumeMapper* mapper, bool gpu);
 bool Scatters(vtkVolumeMapper* mapper, bool gpu);
 
-// The sample distance of a mapper that is locked to the spacing of its input.
+// Returns the sample distance of a mapper that is locked to the spacing of its input.
 double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* image);
 
 // The settings of a mapper that steering changes for one frame. `gpu` is LeafMapper::Gpu.
@@ -52,12 +53,13 @@ struct MapperSettings
 
   static MapperSettings Read(vtkVolumeMapper* mapper, bool gpu);
   void Write(vtkVolumeMapper* mapper, bool gpu) const;
-  // These settings, but with the values of `now` that differ from `written`: the application changed them meanwhile.
+  // Returns these settings, except that values of `now` that differ from `written` replace them: the application has
+  // changed these values since `written` was written.
   MapperSettings Keeping(const MapperSettings& now, const MapperSettings& written) const;
 };
 
-// The settings of a smart mapper that would override those of the fixed-point mapper inside it. They are written like
-// MapperSettings.
+// The settings of a smart mapper that would override those of the fixed-point mapper inside it. As with MapperSettings,
+// they are written to the members directly.
 struct SmartSettings
 {
   vtkTypeBool AutoAdjust = 0;
@@ -69,8 +71,8 @@ struct SmartSettings
   SmartSettings Keeping(const SmartSettings& now, const SmartSettings& written) const;
 };
 
-// Claims a mapper for the steering `who`; returns false if another steering has claimed it. ReleaseClaim() releases all
-// claims of `who`.
+// Claims a mapper for `who`, the object that steers it; returns false if another object has claimed the mapper.
+// ReleaseClaim() releases all claims of `who`.
 bool ClaimMapper(const vtkVolumeMapper* mapper, const void* who);
 void ReleaseClaim(const void* who);
 }

@@ -331,7 +331,8 @@ std::string ReadCamera(
   {
     return "the volume's matrix shears the volume; rotations, translations and scales can be predicted";
   }
-  // Makes the axes a right-handed orthonormal basis. A mirrored volume is so predicted as its mirror image.
+  // Makes the axes a right-handed orthonormal basis. So the prediction for a mirrored volume is that of its mirror
+  // image.
   double across[3];
   vtkMath::Cross(axes[0], axes[1], across);
   vtkMath::Normalize(across);

@@ -28,7 +28,7 @@ namespace vtkEntire
 // Inputs from which a session's volume is read. The volume must be read again when one of these changes.
 struct VolumeKey
 {
-  // Only compared, since the array may be deleted.
+  // Compared but never dereferenced, since the array may be deleted.
   const vtkDataArray* Array = nullptr;
   // MTime of the whole image: an application that changes voxels in place may call Modified() of the image only, and
   // VTK's mappers load an image again if its MTime changed.
@@ -61,20 +61,20 @@ struct TransferNodes
   bool operator==(const TransferNodes& o) const;
 };
 
-// Position of a mapper's voxels.
+// The voxels that a mapper draws: array, scalar type and position.
 struct VoxelGrid
 {
   VolumeKey Key;
   vtkDataArray* Scalars = nullptr;
   entire_scalar_type Type = 0;
   int Components = 1;
-  // The center of the box, as a continuous index that counts from the extent's first voxel.
+  // The center of VolumeKey::Box, as a continuous index that counts from the extent's first voxel.
   std::array<double, 3> Center{ { 0, 0, 0 } };
   // The smallest voxel spacing, which is the unit of the library's ray steps.
   double Reference = 1;
 };
 
-// Identities and MTimes of ReadGrid()'s inputs. MTimes are unique, so equal stamps mean the same state.
+// Identities and MTimes of ReadGrid()'s inputs. MTimes are unique, so inputs with equal stamps have not changed.
 struct GridStamp
 {
   const vtkImageData* Image = nullptr;
@@ -95,8 +95,8 @@ std::string ReadGrid(
   vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
 
 // Makes a volume of the voxels in the grid's box. If the library can read their type in place, the volume borrows them:
-// use it only before the scene changes, and while `kept` lives. `kept` receives a copy of the drawn component if its
-// values are not stored as an ordinary array. `range` receives the minimum and maximum scalar value.
+// use it only before the scene changes, and before `kept` is released. `kept` receives a copy of the drawn component if
+// its values are not stored as an ordinary array. `range` receives the minimum and maximum scalar value.
 std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
   std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept);
 
@@ -111,12 +111,13 @@ std::string MakeTransferFunction(
 // AutoAdjustSampleDistances.
 double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
 
-// Reads the camera into `frame`: relative to the volume's axes, lengths in the unit of the volume's spacing.
+// Reads the camera into `frame`, relative to the volume's axes, with lengths in the unit of the volume's spacing.
 std::string ReadCamera(
   vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
 
-// True if the camera moved abruptly between two frames: it turned, came closer or zoomed by much, or changed its
-// projection. The rule is that of Camera.jumps_from() of the Python package.
+// True if the camera changed abruptly between two frames: it turned by about 30 degrees or more, its distance (with a
+// parallel projection, its scale) changed by a factor of 1.5 or more, or its projection changed. Camera.jumps_from() of
+// the Python package has the same rule.
 inline bool Jumps(const entire_frame& before, const entire_frame& now)
 {
   float turned = 0;

@@ -663,7 +663,8 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
       this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));
     this->Planned = {};
   }
-  // The time of a mapper that is not steered counts as time outside of the passes, which reduces the others' shares.
+  // The time of a mapper that is not steered counts as time outside of the passes, which reduces the shares of the
+  // steered mappers.
   if (steered && this->Internals->InFrame && this->Internals->Shared)
   {
     static_cast<void>(this->Internals->Shared->Budget.drew(

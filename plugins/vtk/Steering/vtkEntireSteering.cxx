@@ -213,6 +213,7 @@ void vtkEntireSteering::PrintSelf(ostream& os, vtkIndent indent)
   os << indent << "Clock: " << this->Internals->ClockName() << "\n";
   os << indent << "Tolerance: " << this->Tolerance << "\n";
   os << indent << "MissRate: " << this->MissRate << "\n";
+  os << indent << "IgnoreLoad: " << this->IgnoreLoad << "\n";
   os << indent << "ModelFileName: " << (this->ModelFileName ? this->ModelFileName : "(none)") << "\n";
   os << indent << "ModelClock: " << (this->GetModelClock() ? this->GetModelClock() : "(not stated)") << "\n";
   os << indent << "PredictedTime: " << this->PredictedTime << "\n";

@@ -143,8 +143,8 @@ public:
 
   ///@{
   /**
-   * The finest sample distance, as a multiple of the smallest voxel spacing. 0, the default, stands for the
-   * mapper's own sample distance.
+   * The finest sample distance, as a multiple of the smallest voxel spacing. 0, the default, means the mapper's
+   * own sample distance.
    */
   vtkSetClampMacro(FinestSampleDistance, double, 0.0, 4096.0);
   vtkGetMacro(FinestSampleDistance, double);
@@ -209,10 +209,21 @@ public:
 
   ///@{
   /**
+   * If true, pictures keep their quality while other programs slow frames down, and frames exceed the target. After
+   * 32 frames such a load counts as the machine's new speed, which always changes the step. Default false. A change
+   * discards the learned state.
+   */
+  vtkSetMacro(IgnoreLoad, bool);
+  vtkGetMacro(IgnoreLoad, bool);
+  vtkBooleanMacro(IgnoreLoad, bool);
+  ///@}
+
+  ///@{
+  /**
    * A model file from `entire train`, or nullptr for none. If the file cannot be used, frames are not steered, and
    * Status gives the reason. A change of the name discards the learned state. If the model predicts times of another
-   * clock than Clock, a warning says that its scale is learned from the first frames; the warning is raised once
-   * for each change of the model's clock or Clock.
+   * clock than Clock, a warning says that the model's scale is learned from the first frames; the warning is raised
+   * once for each change of the model's clock or Clock.
    */
   vtkSetFilePathMacro(ModelFileName);
   vtkGetFilePathMacro(ModelFileName);
@@ -243,12 +254,12 @@ public:
 
   ///@{
   /**
-   * Values of the last frame. Times are seconds of the chosen clock; NaN stands for an unknown value. PredictedTime
-   * and MeasuredTime are those of the mappers alone, FrameTime is that of the window's whole frame. ShareTime is the
-   * mapper's share of the target: all vtkEntireSteering in a window with the same clock share its frame time, also
-   * those of two eyes and of several renderers, and their mappers are coarsened alike. SampleDistance is in the unit
-   * of the spacing, ImageSampleDistance in pixels. ObserverTime is the overhead of vtkEntireSteering in the frame,
-   * always in wall time; it excludes pipelines, the graphics device and observers of FrameEvent.
+   * Values of the last frame. Times are seconds of the chosen clock; NaN means that a value is unknown. PredictedTime
+   * and MeasuredTime are times of the mappers alone, FrameTime is the time of the window's whole frame. ShareTime is
+   * the mapper's share of the target: all vtkEntireSteering in a window with the same clock share the window's frame
+   * time, also with two eyes or several renderers, and their mappers are coarsened equally. SampleDistance is in the
+   * unit of the spacing, ImageSampleDistance in pixels. ObserverTime is the overhead of vtkEntireSteering in the
+   * frame, always in wall time; it excludes pipelines, the graphics device and observers of FrameEvent.
    */
   vtkGetMacro(PredictedTime, double);
   vtkGetMacro(MeasuredTime, double);
@@ -308,6 +319,7 @@ protected:
   int Clock = WALL;
   double Tolerance = 0.25;
   double MissRate = 0.02;
+  bool IgnoreLoad = false;
   char* ModelFileName = nullptr;
 
   double PredictedTime;

@@ -21,7 +21,7 @@ namespace
 // from the caches.
 constexpr std::uint32_t PROBE_SIDE = 7;
 // Estimated error of the probe, as a share of the frame's time, up to which a plan keeps its first probe of 4 rays
-// along each side. These are enough except for sparse volumes.
+// along each side. Four rays are enough except for sparse volumes.
 constexpr float PROBE_TOLERANCE = 0.3f;
 
 void Copy(char*& to, const char* text)
@@ -483,7 +483,7 @@ void vtkEntireSteering::vtkInternals::MatchOwner()
 {
   const char* const name = this->Owner->ModelFileName ? this->Owner->ModelFileName : "";
   if (this->ModelName != name || this->Tolerance != this->Owner->Tolerance ||
-    this->MissRate != this->Owner->MissRate)
+    this->MissRate != this->Owner->MissRate || this->IgnoreLoad != this->Owner->IgnoreLoad)
   {
     for (const auto& each : this->Drawing)
     {
@@ -498,6 +498,7 @@ void vtkEntireSteering::vtkInternals::MatchOwner()
     this->ModelName = name;
     this->Tolerance = this->Owner->Tolerance;
     this->MissRate = this->Owner->MissRate;
+    this->IgnoreLoad = this->Owner->IgnoreLoad;
   }
 }
 
@@ -518,6 +519,7 @@ std::string vtkEntireSteering::vtkInternals::NewSession(
   entire::session_options options;
   options.tolerance = static_cast<float>(this->Tolerance);
   options.miss_rate = static_cast<float>(this->MissRate);
+  options.ignore_load = this->IgnoreLoad;
   options.probe_side = PROBE_SIDE;
   options.probe_tolerance = PROBE_TOLERANCE;
   auto made =

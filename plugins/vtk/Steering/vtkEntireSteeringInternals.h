@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Attachment of a vtkEntireSteering: the window and the renderer (vtkInternals), and each mapper that
-// draws (Leaf).
+// Parts of an attached vtkEntireSteering: vtkInternals handles the events of the window and the renderer, Leaf those of
+// one mapper that draws.
 //
 // Observers of any event may call back: detach, attach elsewhere, drop the last reference to the steering.
-// A handler of an event therefore holds references to the owner and the leaf, iterates over copies of lists, and
-// checks after each call into VTK that can invoke an event that the attachment has not ended. Warnings are raised
-// at the end of the frame.
+// A handler of an event therefore holds references to the owner and the leaf, and iterates over copies of lists. After
+// each call into VTK that can invoke an event, the handler checks that the attachment has not ended. Warnings are
+// raised at the end of the frame.
 #ifndef vtkEntireSteeringInternals_h
 #define vtkEntireSteeringInternals_h
 
@@ -88,7 +88,7 @@ private:
 class Busy
 {
 public:
-  // During its lifetime an event is handled, and time is counted; handlers may call each other.
+  // While an object of this class exists, an event is being handled, and the time is counted. Handlers may be nested.
   class Handling
   {
   public:
@@ -112,7 +112,8 @@ public:
     Busy& Of;
   };
 
-  // During its lifetime other code runs, and no time is counted, except for events that this code invokes.
+  // While an object of this class exists, other code runs, and no time is counted, except in handlers of events that
+  // the other code invokes.
   class Elsewhere
   {
   public:
@@ -168,7 +169,7 @@ public:
   // A window's frame, shared by all steerings in the window with the same clock.
   struct WindowFrame
   {
-    // The frame of a window and a clock; null without a window.
+    // Returns the frame that the steerings of this window with this clock share; null if `window` is null.
     static std::shared_ptr<WindowFrame> Of(vtkRenderWindow* window, int clock);
 
     // Weak, since a new window may get the address of a deleted one.
@@ -201,7 +202,8 @@ public:
     void Start();
     void End();
 
-    // Reads the mapper's current volume, so that the first frame need not; errors are reported by the first frame.
+    // Reads the mapper's current volume, so that the first frame does not need to read it. An error is not reported
+    // here, but by the first frame.
     void ReadAhead();
 
     // Drops the learned state.
@@ -228,7 +230,8 @@ public:
     void DrainQueue();
     // Plans the frame and sets the mapper; returns an error text on failure.
     std::string Prepare();
-    // These read the data that have changed since their last call.
+    // These functions read data that have changed since their last call, and pass them to the session. Those that
+    // return a text return the error, or an empty text on success.
     std::string UpdateGrid(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property);
     std::string SetVolume();
     std::string SetTransferFunction(vtkVolumeProperty* property);
@@ -244,7 +247,7 @@ public:
     // Position of the voxels, and the stamp of the inputs that it was read from.
     vtkEntire::GridStamp Stamp;
     vtkEntire::VoxelGrid Grid;
-    // The values that the session has.
+    // Volume, transfer function and limits that the session has, for the detection of changes.
     vtkEntire::VolumeKey Volume;
     vtkEntire::TransferNodes Transfer;
     bool HasTransfer = false;
@@ -269,7 +272,8 @@ public:
     bool Drawing = false;
     bool Steered = false;
     double StartTime = 0;
-    // State of this mapper's share of the window's frame, and its time at full quality divided by its planned time.
+    // State of this mapper in the window's frame budget, and the mapper's estimated time at full quality divided by its
+    // time at the planned settings.
     entire::pass Pass;
     double Coarsening = 1;
   };
@@ -289,14 +293,15 @@ public:
   const char* ModelClockName() const;
   // A sentence about both clocks, for Status.
   std::string ClocksText() const;
-  // Stores the clock of a session's model, and warns if frames have another one: once for each change of either.
+  // Stores the clock of a session's model, and warns if frames are timed by another clock: once for each change of one
+  // of the two clocks.
   void NoteClocks(const entire::session& session);
 
-  // Ends the attachment. Returns the leaves, which the caller must release; this invokes observers of the mappers.
+  // Ends the attachment. Returns the leaves, which the caller must release; their release may invoke observers.
   Leaves TakeApart();
   static void ReleaseAll(const Leaves& leaves);
 
-  // Joins the shared frame of a window, or leaves that of the last window if `window` is null.
+  // Leaves the shared frame of the last window, and joins the shared frame of `window` if it is not null.
   void Share(vtkRenderWindow* window);
   // True while a renderer of the window draws for a selector. Such a drawing is invisible, takes a different time, and
   // does not count as a frame.
@@ -311,7 +316,7 @@ public:
   void RendererEnd();
   void WindowStart();
   void WindowEnd();
-  // Restarts if model, tolerance or miss rate changed.
+  // Drops the learned states of all leaves if the owner's ModelFileName, Tolerance, MissRate or IgnoreLoad has changed.
   void MatchOwner();
   // Makes a session for a leaf, with the names of the leaf's mapper and the owner's clock; returns an error text on
   // failure.
@@ -332,7 +337,7 @@ public:
   void SayWarnings();
 
   vtkEntireSteering* Owner;
-  // State of the current frame.
+  // Time that the event handlers have taken in the current frame.
   vtkEntire::Busy Busy;
   vtkWeakPointer<vtkRenderer> Renderer;
   vtkWeakPointer<vtkRenderWindow> Window;
@@ -349,6 +354,7 @@ public:
   std::string ModelName;
   double Tolerance = -1;
   double MissRate = -1;
+  bool IgnoreLoad = false;
   entire_clock ModelClock = ENTIRE_CLOCK_UNSTATED;
   // The last warning about the model's clock; empty if the two clocks agree.
   std::string ClocksSaid;

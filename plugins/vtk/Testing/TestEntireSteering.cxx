@@ -23,8 +23,8 @@ using namespace EntireTest;
 
 namespace
 {
-// Draws up to three frames, until two were steered; at least one must be. The first frame of some mappers cannot be
-// steered.
+// Draws up to three frames, until two were steered; fails if none was steered. The first frame of some mappers cannot
+// be steered.
 void Warm(Scene& scene, vtkEntireSteering* steering)
 {
   for (int i = 0; i < 3 && steering->GetNumberOfSteeredFrames() < 2; ++i)
@@ -119,7 +119,7 @@ void DrawsWhatVtkDraws(Kind kind)
   };
   plain.Interactive();
   std::vector<unsigned char> shown;
-  // The distances differ from those of the previous frames.
+  // Each coarsest sample distance differs from the one of the frames before.
   for (const double coarsest : { 3.0, 2.0, 5.0 })
   {
     steering->SetCoarsestSampleDistance(coarsest);
@@ -256,7 +256,8 @@ void FallsBack(Kind kind)
   CHECK(Empty(steering->GetStatus()));
 }
 
-// Turns, approaches and zooms are jumps if they are large, and changes of the projection always are.
+// Large turns of the camera, large changes of its distance (with a parallel projection, of its scale), and every change
+// of the projection are jumps.
 void KnowsJumps()
 {
   entire_frame before{};
@@ -347,7 +348,7 @@ void FollowsTheScene(Kind kind)
   }
 }
 
-// The distances of a mapper that two renderers share are those of the renderer that draws.
+// If two renderers draw one mapper, the steering that is attached to the drawing renderer sets the sample distances.
 void KnowsItsRenderer(Kind kind)
 {
   Scene scene(kind);
@@ -420,6 +421,11 @@ void KeepsState(Kind kind)
     prediction = steering->GetPredictedTime();
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
+  // Another option discards the learned state.
+  steering->IgnoreLoadOn();
+  scene.Draw();
+  CHECK(steering->GetPredictedTime() == untaught);
+  steering->IgnoreLoadOff();
   // A state of another clock, or of another mapper, is not loaded.
   const int clock = steering->GetClock();
   steering->SetClock(clock == vtkEntireSteering::WALL ? vtkEntireSteering::PROCESS_CPU : vtkEntireSteering::WALL);
@@ -454,7 +460,8 @@ void KeepsState(Kind kind)
   CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), file));
 }
 
-// Objects may be deleted in any order, and the application gets the event of every frame.
+// Renderer, volume and mapper may be deleted before the steering, and FrameEvent is invoked in every frame in which the
+// volume is drawn.
 void OutlivesItsObjects(Kind kind)
 {
   vtkNew<vtkEntireSteering> steering;
@@ -520,7 +527,7 @@ void KeepsSettingsMadeDuringFrames(Kind kind)
     }
   });
   const bool smart = kind == SMART || kind == SMART_FIXED;
-  // A smart mapper copies its settings to its inner mapper before that one invokes its start event.
+  // A smart mapper copies its settings to its inner mapper before the inner mapper invokes its start event.
   vtkObject* subject = smart ? static_cast<vtkObject*>(scene.Renderer) : scene.Mapper;
   const unsigned long tag = subject->AddObserver(
     smart ? vtkCommand::StartEvent : vtkCommand::VolumeMapperRenderStartEvent, command, -1.0f);
@@ -538,7 +545,7 @@ void KeepsSettingsMadeDuringFrames(Kind kind)
   CHECK(kept());
 }
 
-// A volume that is not in its renderer is neither planned nor updated; one in an assembly is drawn.
+// A volume that was removed from its renderer is neither planned nor updated. A volume in an assembly is steered.
 void LeavesRemovedVolumesAlone(Kind kind)
 {
   Scene scene(kind);

@@ -11,13 +11,13 @@ use entire_core::bail;
 pub enum Prior {
     /// The machine was never measured: even the order of magnitude is unknown.
     Unknown,
-    /// The model was fitted to times of another clock: ratios between scenes have errors of about this
-    /// standard deviation in ln(time), but the factor between the clocks is unknown.
+    /// The model was fitted to times of another clock: predicted ratios of the times of two scenes are about
+    /// right, but the factor between the clocks is unknown.
     Converted {
         /// Standard deviation of ln(measured / predicted), apart from the common factor.
         log_sd: f32,
     },
-    /// The model was fitted on this machine; its errors have about this standard deviation in ln(time).
+    /// The model was fitted to times of this machine and clock.
     Fitted {
         /// Standard deviation of ln(measured / predicted).
         log_sd: f32,
@@ -38,11 +38,11 @@ pub(crate) enum Standing {
 /// A corrected prediction.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corrected {
-    /// Seconds.
+    /// Expected seconds.
     pub(crate) seconds: f64,
-    /// Standard deviation of ln(time).
+    /// Standard deviation of ln(time) over all frames.
     pub(crate) sd: f64,
-    /// Standard deviation of ln(time) among undisturbed frames.
+    /// Standard deviation of ln(time) over frames that no other program disturbs.
     pub(crate) calm_sd: f64,
 }
 
@@ -50,44 +50,44 @@ fn standard_deviation(variance: f64) -> f64 {
     libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE))
 }
 
-/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b estimated together from observed times by an extended
-/// Kalman filter on ln t.
+/// Predicts a frame's time as t = exp(b) · Σ exp(θ_i) · part_i, where part_i is the i-th term of the
+/// uncorrected prediction. An extended Kalman filter on ln t estimates θ and b together from observed times.
 ///
-/// θ belongs to the machine: it drifts slowly and persists across scenes. b belongs to the present scene: the
-/// prediction's error for this scene alone. It follows the last few frames as closely as their noise allows;
-/// a new scene begins with b = 0 and the variance observed among scenes. So errors learned on an expensive
-/// scene do not bias the cheap one after it.
+/// θ belongs to the machine: it drifts slowly and persists across scenes. b belongs to the present scene: it
+/// is the logarithm of a factor for this scene alone, and is learned from the last few frames. A new scene
+/// begins with b = 0 and the variance observed among scenes. So errors learned on an expensive scene do not
+/// bias the cheap scene after it.
 ///
 /// Costs stay positive because only their logarithms change.
 ///
 /// Times have a heavy tail on the slow side: other programs slow frames down, mostly several in a row, and
 /// such times carry no information about the scene. A single frame that is too slow by more than three
-/// standard deviations is a stall, and its error is clipped to three standard deviations; errors of frames
-/// that are too fast are clipped at `clip_below`. Two frames in a row with errors of more than three standard
-/// deviations on the same side are a change of the machine's pace: its *load*, a common factor on every
-/// scene. The load ends with the first frame that is better explained without it. While it lasts, only the
-/// first of the present scene's frames updates θ and b. A load that persists becomes the machine's own pace
-/// and is added to θ. A scene of at most [`ESTABLISHED`] frames may have begun under an undetected load: if
-/// its frames become faster, b absorbs the change. All state is bounded.
+/// standard deviations is a stall, and its error is clipped to three standard deviations. The error of a
+/// frame that is too fast is clipped at `clip_below`. Two successive frames that are both too slow, or both
+/// too fast, by more than three standard deviations begin a *load*: a factor on the times of all scenes. The
+/// load ends with the first frame whose time is more likely without it. During a load, later frames of the
+/// present scene do not update θ and b; its first frame does. A load of more than [`ESTABLISHED`] frames is
+/// added to θ, as the machine's own speed. A scene of at most [`ESTABLISHED`] frames may have begun under an
+/// undetected load: if its frames become faster, b is changed instead of the load. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// θ, then b.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
-    /// Variance of the errors of calm frames, in ln t, without stalls.
+    /// Variance of the errors of calm frames, in ln t, without stalls and frames under a load.
     spread: f64,
-    /// As `spread`, including stalls and frames under a load.
+    /// As `spread`, but including stalls and frames under a load.
     spread_of_all: f64,
     /// Variance of b among scenes.
     change: f64,
-    /// ln of the present common factor on all times; 0 where the machine runs at its own pace.
+    /// Load: ln of a factor on the times of all scenes; 0 without a load.
     load: f64,
     /// Number of frames under the present load.
     loaded: u64,
-    /// Number of consecutive frames whose error exceeds [`CLIP`]: positive for too slow, negative for too
-    /// fast.
+    /// Number of the last consecutive frames whose errors exceed [`CLIP`]: positive if they were too slow,
+    /// negative if they were too fast.
     off: i64,
-    /// True where the last observation began or ended a load, or was applied without clipping.
+    /// True if the last observation began or ended a load, or if its error was applied without clipping.
     jumped: bool,
     observations: u64,
     /// Number of frames since the scene began.
@@ -96,74 +96,75 @@ pub(crate) struct Correction {
     constants: CorrectionConstants,
 }
 
-/// Number of states: θ and b.
+/// Number of states of the filter: the elements of θ, and b.
 const STATES: usize = TERMS + 1;
 /// Index of b among the states.
 const LOCAL: usize = TERMS;
-/// Guard: largest magnitude of θ and b, logarithms of factors: e¹⁰ exceeds the speed ratio of any two machines.
+/// Largest absolute value of θ_i, b and the load, logarithms of factors: e¹⁰ exceeds the speed ratio of any
+/// two machines.
 const STATE_LIMIT: f64 = 10.0;
-/// Guard: range of the variance of calm frames' errors, for standard deviations of 0.3 % (below any clock's
-/// noise) to 50 %.
+/// Range of the variance of calm frames' errors in ln(time), for standard deviations from 0.3 % (below any
+/// clock's noise) to 50 %.
 const SPREAD: (f64, f64) = (1.0e-5, 0.25);
-/// Guard: range of `gain`. At 0 the scene's factor would never change; at 1 it would absorb every error
-/// completely, noise included.
+/// Range of `gain`. At 0 the scene's factor would never change; at 1 every error, noise included, would be
+/// added to it completely.
 const GAIN: (f64, f64) = (0.1, 0.8);
-/// Smallest learning rate of the variance of calm frames' errors: an average over about ten frames. At half
-/// the rate, the loss on the training paths is the same.
+/// Smallest learning rate of the variance of calm frames' errors, which is thus an average over about ten
+/// frames. At half the rate, the loss on the training paths is the same.
 const SPREAD_PACE: f64 = 0.1;
-/// Learning rate of the variance of b among scenes: an average over about ten scenes. At half the rate, the
-/// loss on the training paths is the same.
+/// Learning rate of the variance of b among scenes, which is thus an average over about ten scenes. At half
+/// the rate, the loss on the training paths is the same.
 const SCENE_PACE: f64 = 0.1;
 /// Prior variance of ln of each unit cost of a fitted model, and of their common factor, as a share of the
 /// variance of the model's errors. At 0, the loss on the training paths is the same.
 const FITTED_SHARE: f64 = 0.1;
-/// Guard: range of the variance of b among scenes, for standard deviations of 3 % to 70 %.
+/// Range of the variance of b among scenes, for standard deviations from 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
-/// Prior variance of ln of an unknown common factor, by definition: a standard deviation of 3, a factor of
-/// 20, so that the first observed time determines the factor, whatever its order of magnitude.
+/// Prior variance of ln of an unknown common factor, by definition. Its standard deviation of 3 is a factor
+/// of 20, so that the first observed time determines the factor, whatever its order of magnitude.
 const OPEN: f64 = 9.0;
-/// Guard: upper bound of every variance, slightly above the prior variance of an unknown machine ([`OPEN`]
-/// plus that of a unit cost).
+/// Upper bound of every variance in the filter, slightly above the prior variance of an unknown machine
+/// ([`OPEN`] plus that of a unit cost).
 const MAX_VARIANCE: f64 = 12.0;
-/// Guard: standard deviation of ln(time) of a fitted model that states none.
+/// Assumed standard deviation of ln(measured / predicted) if [`Prior`] states a value that is not finite.
 const FITTED_SD: f64 = 0.3;
-/// Guard: range of stated standard deviations of ln(time), from 1 % to a factor of e.
+/// Range to which the standard deviation stated by [`Prior`] is clamped, from 1 % to a factor of e.
 const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// Number of frames after which a scene's own factor is settled: at the default `gain`, a fifth of the first
 /// error is left.
 const SETTLED: u64 = 3;
-/// Number of consecutive frames beyond [`CLIP`] on one side that count as a change of pace. Normal errors
-/// exceed [`CLIP`] twice in a row on one side only once in a quarter of a million frames; a single slow frame
-/// is a stall.
+/// Number of consecutive frames with errors beyond [`CLIP`] on the same side that begin a load. Normally
+/// distributed errors exceed [`CLIP`] twice in a row on the same side only once in a quarter of a million
+/// frames; a single slow frame is a stall.
 const SURE: i64 = 2;
 /// Variance that each frame adds to ln of the unit costs' common factor, for a machine whose speed drifts: a
 /// standard deviation of 10 % after 1000 frames. At 0, the loss on the training paths is the same.
 const DRIFT: f64 = 1.0e-5;
 /// As [`DRIFT`], for ln of each unit cost: a standard deviation of 4.5 % after 1000 frames.
 const DRIFT_SINGLE: f64 = 2.0e-6;
-/// Guard: largest number of frames over which the load is averaged, so that it can change.
+/// Largest number of frames over which the load is averaged; more frames would hide a change of the load.
 const LOAD_FRAMES: f64 = 8.0;
 /// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
 /// longest burst in the recordings.
 const ESTABLISHED: u64 = 32;
-/// Variance added to ln of the common factor when a persistent load becomes the machine's own pace, as a
-/// share of the variance of b among scenes: a guess, since few scenes were observed under the load.
+/// Variance added to ln of the unit costs' common factor when an established load is added to θ, as a share
+/// of the variance of b among scenes: a guess, since few scenes were observed under the load.
 const LEARNED_SHARE: f64 = 0.25;
-/// Guard: largest ratio of a squared error to its expectation; 1.4 % of normal errors exceed it.
+/// Clipping limit of the ratio of a squared error to its expected value; 1.4 % of normal errors exceed it.
 const SQUARE_LIMIT: f64 = 6.0;
-/// Guard: largest learning rate of the variance during the first frames, so that no single error dominates.
+/// Largest learning rate of the variance of calm frames' errors, so that no single early error dominates it.
 const FASTEST_PACE: f64 = 0.25;
-/// Guard: smallest trust in an observation, on a scale up to 1.
+/// Lower clamp of the trust in an observation; full trust is 1.
 const LEAST_TRUST: f64 = 1.0e-3;
-/// Smallest novelty of a scene's first frame, on a scale from 0 (same scene) to 1 (unrelated); by definition,
-/// one half.
+/// Novelty at or above which a frame begins a scene, on a scale from 0 (same scene) to 1 (unrelated): one
+/// half by definition.
 pub(crate) const NOVEL: f64 = 0.5;
-/// Clipping limit of errors, in standard deviations: only 0.3 % of normal errors are larger, so a larger
-/// error is an outlier (a stall, a load, or another machine).
+/// Limit beyond which an error is an outlier (a stall, a load, or another machine), in standard deviations:
+/// only 0.3 % of normal errors are larger.
 pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {
-    /// A correction without observations.
+    /// Returns a correction without observations.
     pub(crate) fn new(prior: Prior, constants: CorrectionConstants) -> Self {
         let mut out = Self {
             state: [0.0; STATES],
@@ -226,7 +227,7 @@ impl Correction {
         core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// True where the present scene has lasted longer than [`SETTLED`] frames, not counting its first.
+    /// True from the fifth frame of a scene on: [`SETTLED`] frames have passed since its first.
     pub(crate) fn settled(&self) -> bool {
         self.age > SETTLED + 1
     }
@@ -240,6 +241,11 @@ impl Correction {
     /// True during a load.
     fn loaded(&self) -> bool {
         self.load != 0.0
+    }
+
+    /// Returns the load: a factor on the times of all scenes; 1 without one.
+    pub(crate) fn load_factor(&self) -> f64 {
+        libm::exp(self.load)
     }
 
     /// Share of a calm frame's error that is added to the scene's own factor.
@@ -257,8 +263,8 @@ impl Correction {
         self.spread_of_all * (1.0 - self.gain())
     }
 
-    /// Advances by one frame. `novelty` is 0 where the frame continues the one before, 1 where it is
-    /// unrelated to it.
+    /// Begins the next frame. `novelty` is 0 if it continues the previous frame, 1 if it is unrelated to the
+    /// previous frame.
     pub(crate) fn advance(&mut self, novelty: f64) {
         let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
         let keep = 1.0 - novelty;
@@ -279,20 +285,21 @@ impl Correction {
         self.recover();
     }
 
-    /// Corrects a prediction.
+    /// Returns the corrected prediction of the present frame.
     pub(crate) fn apply(&self, terms: &CostTerms) -> Corrected {
         let (seconds, shares) = self.shares(terms, true);
         let model = self.model_variance(&shares);
         Corrected {
-            seconds: seconds * libm::exp(self.load),
+            seconds: seconds * self.load_factor(),
             sd: standard_deviation(model + self.noise_of_all()),
             calm_sd: standard_deviation(model + self.noise()),
         }
     }
 
     /// Updates the filter by the observed time (finite and positive) of a frame for which
-    /// [`Correction::advance`] was called. `trust` in (0, 1] weakens an observation that may include other
-    /// work. Returns the error ln(observed / corrected prediction) before the update, in standard deviations.
+    /// [`Correction::advance`] was called. A `trust` below 1 weakens an observation that may include other
+    /// work. Returns the error before the update, ln(observed / corrected prediction), in standard
+    /// deviations; NaN if the time or the prediction is invalid.
     pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
         let c = self.constants;
         let this_scene = standing != Standing::Past;
@@ -328,8 +335,9 @@ impl Correction {
         // The distribution of errors is skewed: frames faster than expected are clipped earlier than slower
         // ones.
         let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
-        // The part of the squared error beyond the model's variance is attributed to the variance among
-        // scenes in a scene's first frame, and to noise in calm frames.
+        // In a scene's first frame, the squared error, less the variances of θ and of noise, updates the
+        // variance of b among scenes. In a calm frame, the squared error updates the variance of calm frames'
+        // errors.
         let squared = (error * error).min(CLIP * CLIP * sd * sd);
         if standing == Standing::First {
             if self.observations > 0 {
@@ -360,14 +368,14 @@ impl Correction {
         normalized
     }
 
-    /// Updates a mean squared error by one more squared error.
+    /// Returns a mean squared error, updated by one more squared error.
     fn follow(&self, spread: f64, squared: f64) -> f64 {
         let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(SPREAD_PACE, FASTEST_PACE);
         (spread + pace * (squared.min(SQUARE_LIMIT * spread) - spread)).clamp(SPREAD.0, SPREAD.1)
     }
 
-    /// Begins, moves or ends the load. `free` is ln(observed / expected without load), `sd` the expectation's
-    /// standard deviation. Returns true where the scene alone has become faster.
+    /// Begins, changes or ends the load. `free` is ln(observed / expected without a load), `sd` its standard
+    /// deviation. Returns true if b must be changed instead: the frames of a new scene have become faster.
     fn judge(&mut self, free: f64, sd: f64) -> bool {
         let with = free - self.load;
         // After n frames of a load, the odds that it continues are n to 1 (Laplace's rule of succession).
@@ -393,8 +401,8 @@ impl Correction {
             self.loaded = self.loaded.saturating_add(1);
             let mean = self.load + with / (self.loaded as f64).min(LOAD_FRAMES);
             self.load = mean.clamp(-STATE_LIMIT, STATE_LIMIT);
-            // An established load becomes the machine's own pace, but not at the first frame of a scene,
-            // whose error updates θ and b as well.
+            // An established load is added to θ, except in the first frame of a scene, whose error updates θ
+            // and b too.
             if self.loaded > ESTABLISHED && self.age > 1 {
                 for i in 0..TERMS {
                     self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);
@@ -406,15 +414,15 @@ impl Correction {
         false
     }
 
-    /// Begins a load whose first frame is the last observed one; a `load` of 0 ends it.
+    /// Begins a load whose first frame is the last observed frame; a `load` of 0 ends the present load.
     fn pace(&mut self, load: f64) {
         self.load = load;
         self.loaded = u64::from(load != 0.0);
         (self.off, self.jumped) = (0, true);
     }
 
-    /// The corrected time in seconds, without the load, and the derivatives of ln t with respect to the
-    /// states.
+    /// Returns the corrected time t in seconds, without the load, and the derivatives of ln t with respect to
+    /// the states. Without `this_scene`, b is left out.
     fn shares(&self, terms: &CostTerms, this_scene: bool) -> (f64, [f64; STATES]) {
         let mut parts = [0.0f64; STATES];
         let mut sum = 0.0;
@@ -445,7 +453,7 @@ impl Correction {
         v.max(0.0)
     }
 
-    /// Increases the variance of θ.
+    /// Adds `common` to all covariances of θ, and `single` to each variance of θ.
     fn widen(&mut self, common: f64, single: f64) {
         for i in 0..TERMS {
             for j in 0..TERMS {
@@ -480,7 +488,7 @@ impl Correction {
         }
     }
 
-    /// Forgets all observations where a value is not finite: no observation would repair such a filter.
+    /// Forgets all observations if a value is not finite: no observation would repair such a filter.
     fn recover(&mut self) {
         let rest = [self.spread, self.spread_of_all, self.change, self.load];
         let mut numbers = self.state.iter().chain(self.covariance.iter().flatten()).chain(&rest);
@@ -489,7 +497,7 @@ impl Correction {
         }
     }
 
-    /// True where the covariance is positive definite, to a millionth of its diagonal (Cholesky).
+    /// True if the covariance, with its diagonal increased by a millionth, is positive definite (Cholesky).
     fn is_definite(&self) -> bool {
         const TOLERANCE: f64 = 1.0e-6;
         let mut low = self.covariance;

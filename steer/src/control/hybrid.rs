@@ -1,4 +1,5 @@
-//! Feed-forward prediction with online correction and an adaptive-conformal margin.
+//! The default controller: chooses the step by a prediction with online correction and an adaptive-conformal
+//! margin.
 
 use super::constants::HybridConstants;
 use super::history::History;
@@ -14,8 +15,8 @@ use entire_core::bail;
 /// Default share of calm frames that may exceed their upper bound.
 const DEFAULT_MISS_RATE: f32 = 0.05;
 
-/// Smallest miss rate of the first frames of new scenes. New scenes are rare, so a margin would learn a lower
-/// rate too slowly.
+/// Smallest miss rate for the first frames of new scenes. New scenes are rare, so the margin for a lower rate
+/// would be learned too slowly.
 const NEW_SCENE_MISS_RATE: f32 = 0.07;
 
 /// Default share of the target by which an upper bound may exceed it.
@@ -30,13 +31,17 @@ pub struct HybridOptions {
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
     /// The finest step is drawn even if its bound exceeds the tolerance, provided that its expected time
-    /// meets the target and the step that would be chosen otherwise is at most `full` ([`HybridConstants`])
-    /// away.
+    /// meets the target and that the finest step whose bound is within the tolerance is at most `full`
+    /// coarser, in ln(step) ([`HybridConstants`]).
     pub tolerance: f32,
     /// Prior knowledge of the prediction's errors.
     pub prior: Prior,
     /// True where changes of the step are damped in calm phases.
     pub damping: bool,
+    /// True where a detected load does not change the step: while other programs slow frames down, the picture
+    /// keeps its quality and frames exceed the target. The expected time of a plan includes the load. A load of
+    /// more than 32 frames is the machine's new speed, which always changes the step. False by default.
+    pub ignore_load: bool,
     /// Out-of-range score beyond which recent frames replace the prediction.
     pub trust_limit: f32,
     /// Constants tuned on recorded paths.
@@ -52,6 +57,7 @@ impl Default for HybridOptions {
             tolerance: DEFAULT_TOLERANCE,
             prior: Prior::Unknown,
             damping: true,
+            ignore_load: false,
             trust_limit: 2.0,
             constants: HybridConstants::default(),
             correction: CorrectionConstants::default(),
@@ -60,7 +66,8 @@ impl Default for HybridOptions {
 }
 
 impl HybridOptions {
-    /// Returns the options if every value is valid. [`Hybrid::new`] does not check: it clamps the miss rate.
+    /// Returns the options if every value is valid. [`Hybrid::new`] does not check the options; it clamps the
+    /// miss rate.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`], naming the option, its value and its range.
@@ -75,7 +82,7 @@ impl HybridOptions {
         if !(trust_limit > 0.0) {
             bail!(
                 InvalidArgument,
-                "trust_limit is {trust_limit}; it must be positive, infinity to trust always"
+                "trust_limit is {trust_limit}; it must be positive (infinity: every prediction is trusted)"
             );
         }
         Ok(self)
@@ -87,22 +94,23 @@ impl HybridOptions {
 /// adaptive-conformal margin gives the bound.
 ///
 /// * Novelty: the relative change of the predicted cost, in amount and composition, at the last drawn step.
-///   The larger it is, the less the earlier frames count. A change that the caller announces after calm
-///   frames begins a scene; in a series of announced changes (a drag) only the change of the cost counts.
-/// * Calm phases: the correction follows the present scene, so the margin shrinks to the noise between frames
-///   and the target is met on average. The step is kept while it is close to the best. A larger change is
-///   limited per frame, unless only the whole change meets the target.
+///   The larger it is, the less the earlier frames count. A change that the caller announces begins a scene,
+///   unless the previous frame was announced as changed too (as while a slider is dragged); then only the
+///   change of the cost counts.
+/// * Calm phases: the correction adapts to the present scene, so the expected error shrinks to the noise
+///   between frames. The step is kept while it is close to the best step. A larger change is limited per
+///   frame, unless only the whole change meets the target.
 /// * Other programs on the machine: a detected load multiplies every expected time, until the first frame
 ///   without the load. The step is chosen by the bound for undisturbed frames; the bound of the plan covers
 ///   disturbed frames too.
 /// * A new scene: nothing is damped, the scene's own correction is dropped, and the margin is that of new
 ///   scenes.
-/// * Wide bounds: where some step is expected to fit but the bound of none does, the chosen step lies
-///   halfway, in ln(step), between the finest step that is expected to fit and the coarsest.
+/// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
+///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
-/// * Fallback: a second predictor from the last three frames alone (scaled to a common step by a simple rule)
-///   takes over where the prediction is out of range or has recently been clearly worse. If neither predictor
-///   is available, the coarsest step is chosen.
+/// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
+///   replaces the prediction if the prediction is out of range or was recently clearly worse than the
+///   forecast. If neither is available, the coarsest step is chosen.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,
@@ -111,12 +119,12 @@ pub struct Hybrid {
     changed: Margin,
     history: History,
     last: Option<Last>,
-    /// True where the frame before was announced as changed.
+    /// True if the last begun frame was announced as changed.
     announced: bool,
     scene: SceneMark,
     /// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames.
     worth: f64,
-    /// State before the last begun frame, until the next observation.
+    /// State before the last begun frame, for [`Controller::withdraw`]; `None` after an observation.
     before: Option<Before>,
 }
 
@@ -137,39 +145,41 @@ struct Last {
     terms: CostTerms,
 }
 
-/// Guard: largest number of evaluations of the cost in a step search, besides those at the limits; four or
+/// Largest number of evaluations of the cost in a step search, besides those at the limits; usually four or
 /// five suffice.
 const EVALUATIONS: usize = 12;
 /// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames,
 /// unless a lower miss rate requires more: it covers 98 of 100 frames. Slower frames are due to other
-/// programs, and a step coarse enough for them would degrade every frame.
+/// programs, and a step that is coarse enough for these frames would be too coarse for all others.
 const WORTH: f64 = 2.0;
-/// Learning rate of the margins: averages over about twenty frames. A fixed margin has the same loss on the
-/// training paths, but does not keep a miss rate.
+/// Learning rate of the margins, which thus adapt over about twenty frames. A fixed margin has the same loss
+/// on the training paths, but does not keep a miss rate.
 const MARGIN_PACE: f32 = 0.05;
-/// Relative changes of the step, or distances of the expected time from the target, below which the step is
-/// kept: a guard, too small to be visible.
+/// Relative change of the step, and relative difference of the expected time from the target, below which the
+/// step is kept; too small to be visible.
 const DEAD_BAND: f64 = 0.01;
 /// Difference of two targets, in ln, below which they count as equal.
 const SAME_TARGET: f64 = 0.02;
-/// Trust in the very first frame, which may include a compilation or an upload: the variance of its time
-/// counts as a hundred times that of other frames, so the first frame sets the order of magnitude only where
-/// nothing else does.
+/// Trust in a session's first frame, which may include a compilation or an upload. Its noise is taken to have
+/// a hundred times the variance of other frames' noise, so this frame sets the order of magnitude only if the
+/// prior does not.
 const FIRST_TRUST: f64 = 0.01;
 
 /// Expected time of a frame and its bounds, in seconds.
 #[derive(Clone, Copy, Debug)]
 struct Expected {
     seconds: f64,
-    /// Bound of all frames, at the miss rate.
+    /// Upper bound for all frames, at the miss rate.
     upper: f64,
-    /// Bound of undisturbed frames, by which the step is chosen: a step coarse enough for frames that other
-    /// programs slow down would be too coarse for all others.
-    calm_upper: f64,
+    /// Time by which the step is chosen: `seconds`, without the load if it is ignored.
+    choice: f64,
+    /// Upper bound for frames that no other program disturbs. It is used to choose the step: a step that is
+    /// coarse enough for disturbed frames would be too coarse for all others.
+    choice_upper: f64,
 }
 
 impl Hybrid {
-    /// A controller without observations.
+    /// Returns a controller without observations.
     pub fn new(options: HybridOptions) -> Self {
         let (calm, changed) = margins(&options);
         Self {
@@ -192,13 +202,14 @@ impl Hybrid {
         &self.correction
     }
 
-    /// Corrects a prediction for the present frame; the bounds do not depend on the step.
+    /// Returns the corrected prediction for the present frame, with bounds that do not depend on the step.
     fn judge(&self, terms: &CostTerms) -> Expected {
         self.judge_at(terms, f64::NAN)
     }
 
-    /// Corrects a prediction for the present frame, at `step`. Within a scene the bounds widen with the
-    /// distance of the step from the last drawn one, since the predicted step curve has an error of its own.
+    /// Returns the corrected prediction for the present frame at `step`. Within a scene the bounds widen with
+    /// the distance of `step` from the last drawn step, since the predicted step curve has an error of its
+    /// own.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
         let corrected = self.correction.apply(terms);
         let far = match self.last {
@@ -209,11 +220,18 @@ impl Hybrid {
         let wider = |sd: f64| libm::sqrt(sd * sd + slope * slope);
         let z = if self.scene.first { self.changed.multiple() } else { self.calm.multiple() };
         let (all, calm) = (z * wider(corrected.sd), self.worth * wider(corrected.calm_sd));
+        let choice = corrected.seconds / self.ignored_load();
         Expected {
             seconds: corrected.seconds,
             upper: corrected.seconds * libm::exp(all),
-            calm_upper: corrected.seconds * libm::exp(all.min(calm)),
+            choice,
+            choice_upper: choice * libm::exp(all.min(calm)),
         }
+    }
+
+    /// Returns the factor of the load if steps ignore it, else 1.
+    fn ignored_load(&self) -> f64 {
+        if self.options.ignore_load { self.correction.load_factor() } else { 1.0 }
     }
 
     /// Novelty of the present frame, 0 to 1.
@@ -244,10 +262,11 @@ impl Hybrid {
         self.announced = changes.any();
     }
 
-    /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None`
-    /// where there is none. The excess (ln of time over target) is nearly linear in ln(step), so a bracketed
-    /// secant search (Illinois) needs four or five evaluations. The search assumes that the excess falls with
-    /// the step; where a network violates this, the result still fits.
+    /// Returns the finest step within the limits whose `excess` is not positive, to about half a percent;
+    /// `None` if there is no such step. The excess, ln(time / target), is nearly linear in ln(step), so a
+    /// bracketed secant search (Illinois) needs four or five evaluations. The search assumes that a coarser
+    /// step has a lower excess. If a network violates this, the returned step may not be the finest, but its
+    /// excess is not positive.
     fn finest(limits: StepLimits, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
         let mut f_high = excess(limits.coarsest);
         if f_high > 0.0 {
@@ -266,7 +285,7 @@ impl Hybrid {
             if width < 1.0e-3 {
                 break;
             }
-            // Shifted slightly to the fitting side, so that the search ends there.
+            // Shifted slightly towards coarser steps, so that the search ends at a step that fits.
             let secant = (low * f_high - high * (f_low + 1.0e-3)) / (f_high - f_low - 1.0e-3);
             let x = if secant.is_finite() { secant } else { 0.5 * (low + high) };
             let x = x.clamp(low + 0.02 * width, high - 0.02 * width);
@@ -323,22 +342,22 @@ impl Controller for Hybrid {
         let mut judge = |step: f32| -> Expected {
             if by_history {
                 let (seconds, upper) = history.forecast(step, margin);
-                Expected { seconds, upper, calm_upper: upper }
+                Expected { seconds, upper, choice: seconds, choice_upper: upper }
             } else {
                 this.judge_at(&(request.cost)(step), f64::from(step))
             }
         };
         let excess = |step: f32| {
-            let Expected { seconds, calm_upper, .. } = judge(step);
-            let f = libm::log(f64::max(seconds / target, calm_upper / ceiling));
+            let Expected { choice, choice_upper, .. } = judge(step);
+            let f = libm::log(f64::max(choice / target, choice_upper / ceiling));
             if f.is_nan() { 1.0 } else { f.clamp(-50.0, 50.0) }
         };
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
         let mut step = match Self::finest(limits, excess) {
             Some(step) => step,
-            // No step has a bound that fits. Where some step is expected to fit, the choice is the geometric
-            // mean of the finest such step and the coarsest.
-            None => match Self::finest(limits, |step| libm::log(judge(step).seconds / target)) {
+            // No step has a bound that fits. If some steps are expected to fit, the geometric mean of the
+            // finest of these steps and the coarsest step is chosen.
+            None => match Self::finest(limits, |step| libm::log(judge(step).choice / target)) {
                 Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
                 None => {
                     reason = Reason::TargetUnreachable;
@@ -348,7 +367,7 @@ impl Controller for Hybrid {
         };
         let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
         if reason == Reason::Fits
-            && (step <= limits.finest || (nearly() && judge(limits.finest).seconds <= target))
+            && (step <= limits.finest || (nearly() && judge(limits.finest).choice <= target))
         {
             step = limits.finest;
             reason = Reason::FinestAllowed;
@@ -362,10 +381,10 @@ impl Controller for Hybrid {
         };
         if let Some(last) = self.last.filter(steady) {
             let delta = libm::log(f64::from(step) / f64::from(last.step));
-            let Expected { seconds, calm_upper, .. } = judge(last.step);
-            let off = libm::log(seconds / target);
+            let Expected { choice, choice_upper, .. } = judge(last.step);
+            let off = libm::log(choice / target);
             let near = libm::fabs(delta) < DEAD_BAND
-                || (off > -DEAD_BAND && calm_upper <= ceiling * (1.0 + DEAD_BAND));
+                || (off > -DEAD_BAND && choice_upper <= ceiling * (1.0 + DEAD_BAND));
             if near && off <= DEAD_BAND && reason != Reason::FinestAllowed {
                 step = last.step;
                 if reason == Reason::Fits {
@@ -373,7 +392,7 @@ impl Controller for Hybrid {
                 }
             } else if delta > c.damping
                 && this.correction.settled()
-                && judge(limits.clamp(last.step * libm::exp(c.damping) as f32)).seconds <= target
+                && judge(limits.clamp(last.step * libm::exp(c.damping) as f32)).choice <= target
             {
                 step = limits.clamp(last.step * libm::exp(c.damping) as f32);
                 if reason == Reason::Fits {
@@ -442,7 +461,7 @@ impl Controller for Hybrid {
 
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
         self.enter(changes, cost);
-        // Without a target the next frame is not held or damped against this one.
+        // With a target of NaN, the next frame's step is neither kept at this step nor damped.
         self.last = Some(Last { step, target: f32::NAN, terms: cost(step) });
     }
 
@@ -464,6 +483,7 @@ impl Controller for Hybrid {
     }
 
     fn fits(&self, prediction: &Prediction, target: f32) -> bool {
+        let target = target * self.ignored_load() as f32;
         let ceiling = target * (1.0 + self.options.tolerance.max(0.0));
         prediction.seconds <= target && prediction.upper <= ceiling
     }
@@ -508,7 +528,7 @@ impl Controller for Hybrid {
     }
 }
 
-/// Initial margins of calm frames and of new scenes.
+/// Returns the initial margins of calm frames and of first frames of new scenes.
 fn margins(options: &HybridOptions) -> (Margin, Margin) {
     let c = &options.constants;
     let rate = options.miss_rate.max(NEW_SCENE_MISS_RATE);
@@ -518,7 +538,8 @@ fn margins(options: &HybridOptions) -> (Margin, Margin) {
     )
 }
 
-/// Quantile of the normal distribution with this upper-tail probability, clamped to 0…8.
+/// Returns the quantile of the standard normal distribution that is exceeded with this probability, clamped
+/// to 0…8; 0 for a probability that is NaN or not positive.
 fn normal_quantile(probability: f64) -> f64 {
     let (mut low, mut high) = (0.0, 8.0);
     for _ in 0..30 {
@@ -529,8 +550,8 @@ fn normal_quantile(probability: f64) -> f64 {
     if probability > 0.0 { low } else { 0.0 }
 }
 
-/// Distance of two predictions at one step: the absolute difference of their logarithms, plus half the sum of
-/// the absolute differences of their terms' shares. NaN if either prediction is unknown.
+/// Returns the distance of two predictions at one step: the absolute difference of ln(seconds), plus half the
+/// sum of the absolute differences of their terms' shares. NaN if a prediction is unknown.
 fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
     let (sum_a, sum_b) = (f64::from(a.seconds()), f64::from(b.seconds()));
     if !(sum_a > 0.0 && sum_b > 0.0 && sum_a.is_finite() && sum_b.is_finite()) {

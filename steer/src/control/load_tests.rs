@@ -1,4 +1,4 @@
-//! Frames slowed down by other programs, and machines that change for good.
+//! Tests with frames that other programs slow down, and with machines whose speed changes permanently.
 
 use super::tests::Noise;
 use super::*;
@@ -6,11 +6,20 @@ use crate::adapt::Prior;
 use crate::predict::Source;
 use std::vec::Vec;
 
-/// Plans for frames of one scene that costs 60 ms at step 1, with a target of 20 ms; frame i takes
-/// `slowed(i)` times as long as undisturbed.
+/// Returns the plans for frames of one scene that takes 60 ms at step 1, with a target of 20 ms. Frame i
+/// takes `slowed(i)` times as long as an undisturbed frame.
 fn played(frames: usize, changes: impl Fn(usize) -> Changes, slowed: impl Fn(usize) -> f32) -> Vec<Decision> {
-    let mut hybrid =
-        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
+    played_with(HybridOptions::default(), frames, changes, slowed)
+}
+
+/// As [`played`], with options.
+fn played_with(
+    options: HybridOptions,
+    frames: usize,
+    changes: impl Fn(usize) -> Changes,
+    slowed: impl Fn(usize) -> f32,
+) -> Vec<Decision> {
+    let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..options });
     let mut noise = Noise(17);
     let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
     let mut cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
@@ -35,10 +44,27 @@ fn one_slow_frame_changes_nothing_and_a_burst_is_followed_and_forgotten() {
     let stall = steps(|i| if i == 60 { 3.0 } else { 1.0 });
     assert!(stall[61..].iter().all(|s| *s < 1.1 * stall[60]), "{:?}", &stall[60..66]);
     let burst = steps(|i| if (60..80).contains(&i) { 2.0 } else { 1.0 });
-    // Two slow frames exceed the target; from the third on, the step is that for the slowed machine.
+    // The first two slow frames exceed the target. From the third on, the step must be that for the slowed
+    // machine.
     assert!(burst[62..80].iter().all(|s| (1.6..2.6).contains(&(s / burst[59]))), "{:?}", &burst[58..80]);
-    // The load ends with the first undisturbed frame.
+    // The load must end with the first undisturbed frame.
     assert!(burst[81..].iter().all(|s| *s < 1.1 * burst[59]), "{:?}", &burst[80..90]);
+}
+
+#[test]
+fn an_ignored_load_changes_no_step_until_it_is_the_machines_speed() {
+    let options = HybridOptions { ignore_load: true, ..HybridOptions::default() };
+    let calm = |_| Changes::default();
+    let plans = played_with(options, 160, calm, |i| if i >= 60 { 2.0 } else { 1.0 });
+    let before = plans[59];
+    for d in &plans[60..92] {
+        assert!((d.step / before.step - 1.0).abs() < 0.1, "{before:?} {d:?}");
+    }
+    // The expected time includes the load.
+    assert!((1.7..2.3).contains(&(plans[80].seconds / before.seconds)), "{:?}", plans[80]);
+    for d in &plans[110..] {
+        assert!((1.6..2.6).contains(&(d.step / before.step)), "{before:?} {d:?}");
+    }
 }
 
 #[test]
@@ -47,7 +73,7 @@ fn a_load_belongs_to_the_machine_and_says_nothing_of_the_bound() {
     let quiet = played(75, switched, |_| 1.0);
     let loaded = played(75, switched, |i| if i >= 60 { 2.0 } else { 1.0 });
     let [calm, busy] = [quiet[70], loaded[70]];
-    // The new scene's step is that for the slowed machine, not the coarsest one.
+    // The new scene's step must be that for the slowed machine, not the coarsest step.
     assert!((1.5..2.7).contains(&(busy.step / calm.step)), "{calm:?} {busy:?}");
     let wide = |d: &Decision| d.upper / d.seconds;
     assert!(wide(&busy) < 1.15 * wide(&calm), "{calm:?} {busy:?}");
@@ -69,7 +95,7 @@ fn a_machine_that_stays_slower_or_faster_is_learned_for_good() {
 fn a_prediction_that_knows_nothing_of_the_step_is_not_taken_for_a_load() {
     let mut hybrid =
         Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.3 }, ..HybridOptions::default() });
-    // A network trained on another renderer: its times hardly fall with the step.
+    // Predictions of a network trained on another renderer: they hardly depend on the step.
     let mut cost = |step: f32| CostTerms::whole(0.02 * step.powf(-0.05), 0.0, Source::Network);
     for i in 0..60 {
         let changes = Changes { first: i == 0, ..Changes::default() };

@@ -31,7 +31,7 @@ _REASONS = {
     "history": "the prediction is not trusted here; recent frames are used instead",
     "no information": "there is neither a prediction nor a measured frame yet",
     "off": "steering is switched off",
-    "reactive": "a rule that reacts to past frames",
+    "reactive": "the step was chosen by a rule that uses only past frames",
 }
 
 
@@ -149,7 +149,7 @@ class Session(_native.Session):
     """Predicts and steers one render loop of any renderer.
 
     For every frame: :meth:`plan`, draw with the plan's step, then :meth:`observe` the time it took. A session
-    may be used from any thread, by one at a time.
+    may be used from any thread; calls from several threads run one after the other.
 
     Parameters
     ----------
@@ -166,6 +166,10 @@ class Session(_native.Session):
         Out-of-range score above which recent frames are used instead of the prediction. Default 2.
     damping : bool, optional
         If true, the step changes only slowly while nothing in the scene changes abruptly. Default True.
+    ignore_load : bool, optional
+        If true, the picture keeps its quality while other programs slow frames down, and frames exceed the
+        target. After 32 frames such a load counts as the machine's new speed, which always changes the step.
+        Default False.
     probe_side : int, optional
         Rays along each side of the probe that estimates a frame's work, 1 to 24, for linear cost models.
         Default 11.
@@ -197,6 +201,7 @@ class Session(_native.Session):
         miss_rate: float = 0.05,
         trust_limit: float = 2.0,
         damping: bool = True,
+        ignore_load: bool = False,
         probe_side: int | None = None,
     ) -> Self:
         return super().__new__(
@@ -207,6 +212,7 @@ class Session(_native.Session):
             miss_rate=miss_rate,
             trust_limit=trust_limit,
             damping=damping,
+            ignore_load=ignore_load,
             probe_side=probe_side,
         )
 
@@ -222,7 +228,7 @@ class Session(_native.Session):
             Number of frames to keep, 8 to 65536: a uniform random sample if more are observed. Default 1000.
         model : Model, str, os.PathLike or bytes, optional
             The model to start from, fitted on another machine or renderer; a model with a learned factor must
-            have the session's probe. Default: the unit costs of a software renderer.
+            have the same probe as the session. Default: the unit costs of a software renderer.
 
         Raises
         ------

@@ -223,6 +223,7 @@ class Session:
         miss_rate: float = 0.05,
         trust_limit: float = 2.0,
         damping: bool = True,
+        ignore_load: bool = False,
         probe_side: int | None = None,
     ) -> Self: ...
     def set_volume(self, volume: Volume) -> None: ...

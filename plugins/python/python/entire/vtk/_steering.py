@@ -32,7 +32,8 @@ log = logging.getLogger("entire.vtk")
 # Rays along each side of the probe for linear cost models. The number is low, since each ray takes about a microsecond
 # after a large frame has evicted the probe's data from the caches.
 _PROBE_SIDE = 6
-# Smallest share of the target for the window's frame, however long the work outside of its drawing takes.
+# Smallest target of the window's frame, as a share of `Steering.seconds`: the time outside of the window's drawing is
+# subtracted only down to this share.
 _LEAST_SHARE = 0.2
 # Number of recent times spent outside of the window's drawing; their median is the expected time.
 _OUTSIDE_TIMES = 5
@@ -47,8 +48,8 @@ _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary(
 
 
 def _holder(volume: Any) -> Steering | None:
-    """The steering that holds a volume, or None. A new volume may have the address of a deleted one, so that both are
-    compared."""
+    """Returns the steering that holds a volume, or None. Compares the address and the volume itself, since a new volume
+    may have the address of a deleted one."""
     held = _held.get(volume.__this__)
     return held if held is not None and any(leaf.volume is volume for leaf in held.leaves) else None
 
@@ -69,12 +70,12 @@ class Steering:
     Attributes
     ----------
     seconds : float or None
-        Target time of a whole frame of the window, in seconds; None stands for 1 / the window's
+        Target time of a whole frame of the window, in seconds; None means 1 / the window's
         ``DesiredUpdateRate``.
     enabled : bool
         True if frames are steered.
     coarsest, finest : float, float or None
-        Coarsest and finest sample distance along rays, in smallest voxel spacings; None stands for the mapper's own.
+        Coarsest and finest sample distance along rays, in smallest voxel spacings; None means the mapper's own.
     coarsest_image : float
         Maximum number of pixels between rays along each side of the image.
     leaves : list of Leaf
@@ -104,6 +105,7 @@ class Steering:
         coarsest_image: float = 4.0,
         tolerance: float = 0.25,
         miss_rate: float = 0.02,
+        ignore_load: bool = False,
         always: bool | None = None,
         still_rate: float = 1.0,
         clock: str = "wall",
@@ -134,6 +136,7 @@ class Steering:
             "model": _model(model),
             "tolerance": tolerance,
             "miss_rate": miss_rate,
+            "ignore_load": ignore_load,
             "probe_side": _PROBE_SIDE,
         }
         self._clock, self._now = clock, now
@@ -394,7 +397,7 @@ class Steering:
 
     @property
     def history(self) -> History:
-        """History : The last frames of the volume that was drawn last; ``leaves`` have those of the others."""
+        """History : The last frames of the volume that was drawn last; ``leaves`` have the frames of the others."""
         return self._leaf.session.history if self._leaf else Session().history
 
     def __repr__(self) -> str:
@@ -563,6 +566,7 @@ def hold(
     coarsest_image: float = 4.0,
     tolerance: float = 0.25,
     miss_rate: float = 0.02,
+    ignore_load: bool = False,
     always: bool | None = None,
     still_rate: float = 1.0,
     clock: str = "wall",
@@ -598,6 +602,9 @@ def hold(
     tolerance, miss_rate : float, optional
         A frame is missed if its time exceeds the target by more than `tolerance` times the target. `miss_rate` is the
         share of frames that may be missed. Default 0.25 and 0.02.
+    ignore_load : bool, optional
+        True to keep the picture's quality while other programs slow frames down; frames then exceed the target. After
+        32 frames such a load counts as the machine's new speed, which always changes the step. Default False.
     always : bool, optional
         True to steer every frame. False to steer only frames for which the window's ``DesiredUpdateRate`` is at
         least `still_rate`; the others are still frames. Default: True if the window has no interactor.
@@ -657,6 +664,7 @@ def hold(
         coarsest_image=coarsest_image,
         tolerance=tolerance,
         miss_rate=miss_rate,
+        ignore_load=ignore_load,
         always=always,
         still_rate=still_rate,
         clock=clock,
