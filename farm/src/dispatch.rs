@@ -1,5 +1,5 @@
-//! Choice of the next task when a node asks for work (late binding): the longest first. If loading is
-//! expensive, a node keeps its loaded volume while this shortens the run.
+//! Choice of the next bundle when a node requests work (late binding): the longest tasks are sent first. If
+//! loading is expensive, a node keeps its loaded volume while this shortens the run.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -9,27 +9,27 @@ use std::collections::BinaryHeap;
 
 /// Maximum number of tasks in a bundle.
 const MOST: usize = 4096;
-/// Maximum and minimum of a bundle's expected seconds, divided by the seconds of its overhead and loading.
+/// Maximum and minimum ratio of a bundle's expected seconds to the seconds of its overhead and loading.
 const WORTH: (f64, f64) = (50.0, 3.0);
 /// Minimum number of bundles into which the remaining work per slot is cut.
 const CUTS: f64 = 4.0;
 
 /// A node's request for work.
 pub(crate) struct Ask<'a> {
-    /// Its loaded volume.
+    /// The volume that the node has loaded.
     pub(crate) held: Option<usize>,
-    /// True if it keeps a volume from one bundle to the next.
+    /// True if the node keeps a volume from one bundle to the next.
     pub(crate) keeps: bool,
-    /// Seconds to load a volume.
+    /// Returns the seconds to load a volume.
     pub(crate) load: &'a dyn Fn(usize) -> f64,
     /// Overhead of a bundle, seconds.
     pub(crate) overhead: f64,
-    /// Slots that share the work.
+    /// Number of slots that share the work.
     pub(crate) slots: usize,
-    /// Limit of the expected seconds of a bundle of several tasks.
+    /// Upper limit of a bundle's expected seconds; a bundle of a single task may exceed it.
     pub(crate) limit: f64,
-    /// True if expected times are neither predicted nor measured. A bundle then has at most a fixed share of
-    /// the waiting tasks, and `limit` alone bounds its expected seconds.
+    /// True if expected times are neither predicted nor measured. A bundle then has at most a quarter of
+    /// a slot's share of the waiting tasks, and only `limit` restricts its expected seconds.
     pub(crate) blind: bool,
 }
 
@@ -53,7 +53,7 @@ impl Ord for Front {
     }
 }
 
-/// Waiting tasks by volume, the longest last.
+/// Waiting tasks, in one list per volume that ends with the longest task.
 #[derive(Clone, Debug)]
 pub(crate) struct Dispatcher {
     seconds: Vec<f32>,
@@ -70,10 +70,11 @@ pub(crate) struct Dispatcher {
     pending: usize,
     asked: u32,
     sent: Vec<u32>,
-    /// Interval, in requests, between answers with a task for learning; 0 for no such answer.
+    /// Interval, in requests, at which a task is chosen for its information about the model; 0 for never.
     explore: u32,
-    /// True if loading costs enough to be considered, and the request at which that was decided.
+    /// True if loading is expensive enough to affect the choice of a volume.
     loading: bool,
+    /// Number of the request at which `loading` was updated last.
     looked: u32,
     uniform: bool,
     arrival: bool,
@@ -136,7 +137,8 @@ impl Dispatcher {
         self.waits.iter().enumerate().filter(|(_, w)| **w).map(|(i, _)| i as u32)
     }
 
-    /// Answers every n-th request with a task of the volume with the fewest sent tasks; 0 for never.
+    /// While loading is cheap, [`Self::next`] answers every `every`-th request with a random task of the
+    /// volume with the fewest sent tasks; 0 for never.
     pub(crate) fn set_explore(&mut self, every: u32) {
         self.explore = every;
     }
@@ -168,7 +170,7 @@ impl Dispatcher {
         let place = lane.partition_point(|t| self.key(*t) <= key);
         lane.insert(place, task);
         self.lanes[v] = lane;
-        // The task may be longer than the heap's entry of its volume says.
+        // The task may be longer than the entry of its volume in the heap states.
         self.listed[v] = false;
         self.push_front(v);
     }
@@ -197,8 +199,8 @@ impl Dispatcher {
         let by_number = self.arrival || self.uniform;
         self.lanes.par_iter_mut().zip(&mut self.work).for_each(|(lane, work)| {
             let waiting = lane.iter().filter(|t| waits[**t as usize]);
-            // A sort key of a task, the longest last. The bits of positive floats have the order of the
-            // floats.
+            // Sort key of a task, which puts the longest task last. The bits of positive floats are ordered
+            // like the floats.
             let key = |t: u32| {
                 let bits = if by_number { 0 } else { seconds[t as usize].to_bits() };
                 u64::from(bits) << 32 | u64::from(u32::MAX - t)
@@ -266,8 +268,8 @@ impl Dispatcher {
         }
     }
 
-    /// The next bundle for a node; `None` if no task waits, or if the other nodes would finish the waiting
-    /// tasks before this node has loaded their volume.
+    /// Returns the next bundle for a node; `None` if no task waits, or if the other nodes would finish the
+    /// waiting tasks before this node has loaded their volume.
     pub(crate) fn next(&mut self, ask: &Ask<'_>) -> Option<Vec<u32>> {
         if self.pending == 0 {
             return None;
@@ -311,7 +313,7 @@ impl Dispatcher {
         (!bundle.is_empty()).then_some(bundle)
     }
 
-    /// The volume of the longest task.
+    /// Returns the volume of the next task in the sending order, for example of the longest waiting task.
     fn longest(&mut self) -> Option<usize> {
         while let Some(front) = self.heap.pop() {
             let v = front.volume as usize;
@@ -322,7 +324,7 @@ impl Dispatcher {
                 None => {}
             }
         }
-        // Every volume with a waiting task has an entry, so no task waits.
+        // The heap is empty. Every volume with a waiting task has an entry in the heap, so no task waits.
         None
     }
 
@@ -343,18 +345,20 @@ impl Dispatcher {
         task
     }
 
-    /// The volume that a node works on if loading is expensive.
+    /// Returns the volume from which a node gets its next tasks if loading is expensive.
     ///
-    /// A node keeps its volume while tasks of this volume wait. It changes early to a volume that no node
-    /// holds, if other nodes hold its current volume too, and if the work of the new volume for one node
-    /// exceeds both the remaining work per other node of the current volume and, with loading, an equal share
-    /// of all waiting work. When no task of its volume waits, the node takes a volume that no node holds,
-    /// else the volume with the most work per node, unless the other nodes would finish that volume before
-    /// this node has loaded it.
+    /// While tasks of the node's volume wait, the node keeps this volume, with one exception. It changes to a
+    /// volume that no node holds if all of these conditions are met: other nodes hold the current volume too;
+    /// the work of the new volume exceeds the work of the current volume per other node; the work of the new
+    /// volume and its loading together exceed an equal share of all waiting work.
+    ///
+    /// If no task of the node's volume waits, the node takes a volume that no node holds, else the volume
+    /// with the most work per node. It gets no volume if the other nodes would finish this volume before the
+    /// node has loaded it.
     fn choose(&self, ask: &Ask<'_>, share: f64) -> Option<usize> {
         let held = ask.held.filter(|v| self.counts[*v] > 0);
         let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && held != Some(*v));
-        // Work per node of a volume, including a node that joins.
+        // Work of a volume per node, if one more node takes part.
         let per_node = |v: usize| self.work[v] / f64::from(self.holders[v] + 1);
         let best = open.max_by(|a, b| {
             let alone = |v: &usize| self.holders[*v] == 0;
@@ -363,9 +367,10 @@ impl Dispatcher {
         let Some(held) = held else {
             let v = best?;
             let load = (ask.load)(v);
-            // Work left for a joining node, after the others worked on while it loads.
+            // Work that is left once this node has loaded the volume, since the other nodes work meanwhile.
             let left = self.work[v] - f64::from(self.holders[v]) * load;
-            let shortest = f64::from(self.seconds[*self.lanes[v].first()? as usize]);
+            let shortest = *self.lanes[v].iter().find(|task| self.waits[**task as usize])?;
+            let shortest = f64::from(self.seconds[shortest as usize]);
             return (self.holders[v] == 0 || left > shortest).then_some(v);
         };
         let leave = best.filter(|&v| {

@@ -7,8 +7,8 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// The complete lines of a spool file; none if it does not exist. Partial lines of a killed worker are
-/// skipped.
+/// Returns the complete lines of a spool file; none if the file does not exist. Partial lines of a killed
+/// worker are skipped.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -62,7 +62,7 @@ impl Spool {
         self.open.entry(bundle).or_default();
     }
 
-    /// Lines added since the last call.
+    /// Returns the lines that were added since the last call, each with the number of its bundle.
     ///
     /// # Errors
     /// When a file cannot be read.
@@ -89,11 +89,15 @@ impl Spool {
     }
 }
 
-/// The last line of a log that is not blank, cut to 300 characters. Reads at most the first MiB of the log.
+/// Returns the last line that is not blank in the last MiB of a log, cut to 300 characters.
 pub(crate) fn tail(log: &Path) -> String {
+    const BYTES: u64 = 1 << 20;
     let mut bytes = Vec::new();
-    if let Ok(file) = File::open(log) {
-        let _ = file.take(1 << 20).read_to_end(&mut bytes);
+    if let Ok(mut file) = File::open(log) {
+        let length = file.metadata().map_or(0, |m| m.len());
+        if file.seek(SeekFrom::Start(length.saturating_sub(BYTES))).is_ok() {
+            let _ = file.take(BYTES).read_to_end(&mut bytes);
+        }
     }
     let text = String::from_utf8_lossy(&bytes);
     text.lines()
@@ -103,4 +107,18 @@ pub(crate) fn tail(log: &Path) -> String {
         .chars()
         .take(300)
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_line_of_a_long_log_is_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let log = folder.path().join("log");
+        std::fs::write(&log, "a line\n".repeat(300_000) + "no space left\n\n").unwrap();
+        assert_eq!(tail(&log), "no space left");
+        assert_eq!(tail(&folder.path().join("none")), "it printed nothing");
+    }
 }

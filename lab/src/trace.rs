@@ -10,7 +10,7 @@
 //! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the volumes (file and enlargement), the path
 //! ([`entire_io::path`]), `hold` (frames per volume of a series; 0 for a single volume), `scales` (image
 //! scale from a frame on), the draw settings, the grid, and per frame the seconds of every repeat at every
-//! step and scale, with the PSNR against the picture at the reference step.
+//! step and scale, with the PSNR and the structural similarity to the picture at the reference step.
 
 mod format;
 
@@ -46,7 +46,7 @@ pub(crate) const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
 /// Steps at which the images of [`TRACE_SCALES`] are drawn.
 pub(crate) const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
 
-// Not in `format`, which reads traces without opening volumes.
+// This method is not in `format`, which reads traces without opening volumes.
 impl TraceVolume {
     /// Opens the volume, enlarged as in the recording.
     ///
@@ -80,7 +80,7 @@ pub(crate) struct Recording<'a> {
 }
 
 impl Recording<'_> {
-    /// The trace before its first frame.
+    /// Returns the trace before its first frame is recorded.
     fn begun(&self) -> Trace {
         Trace {
             format: TRACE_FORMAT.into(),
@@ -120,7 +120,8 @@ impl Recording<'_> {
     }
 }
 
-/// True if both are the same volumes. The content of their files is compared if both sides have its identity.
+/// True if both lists name the same volumes. Contents of files are compared if both lists have the identities
+/// of the files.
 fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
     let same = |(a, b): (&TraceVolume, &TraceVolume)| {
         let unknown = a.files.is_empty() || b.files.is_empty();
@@ -197,7 +198,7 @@ fn drawn_frame(path: &FlightPath, draw: &DrawSettings, scale: f32, index: usize)
 /// Time between two savings of a recording.
 const KEEP_EVERY: Duration = Duration::from_secs(5);
 
-/// Draws every frame of a path at every point of the grid, except those that `begun` holds.
+/// Draws every frame of a path at every point of the grid, except frames that `begun` holds.
 ///
 /// `keep` saves the trace; it is called every few seconds and at the end. The trace is incomplete if `stop` returned
 /// true.
@@ -267,7 +268,12 @@ fn record_on(
         }
         let mut seconds = vec![Vec::with_capacity(recording.repeats); grid.len()];
         let mut looks = vec![(0.0, 0.0); grid.len()];
+        // The picture at the reference step, unless the grid begins with it.
         let mut reference: Option<Image> = None;
+        if grid.first() != Some(&(1.0, 1.0)) {
+            let rendered = renderer.render(&Frame { step: 1.0, ..frame }.checked()?).with_context(place)?;
+            reference = Some(rendered.image);
+        }
         // Each repeat is a round over the whole grid, so that a disturbance does not hit all repeats of one point.
         for round in 0..recording.repeats {
             for (k, &(step, scale)) in grid.iter().enumerate() {
@@ -307,7 +313,8 @@ fn record_on(
 
 /// Time and picture quality of a frame as functions of the ray step or of image resolution, and its noise.
 ///
-/// Image resolution is stated as s, for images with 1 / s of the pixels; what is said about steps holds for s as well.
+/// A curve over image resolution is a function of s, for images with 1 / s of the pixels. In the functions
+/// below, `step` is then this s.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
     /// ln(step), ln(seconds), PSNR in decibels, structural similarity; seconds never rise with the step.
@@ -392,7 +399,7 @@ impl Curve {
         self.at(step, 3)
     }
 
-    /// Measured noise of this frame, in ln(seconds); `which` selects one.
+    /// Returns one of the measured values of this frame's noise, in ln(seconds); `which` selects the value.
     pub fn noise(&self, which: u64) -> f64 {
         self.residuals[(which % self.residuals.len() as u64) as usize]
     }

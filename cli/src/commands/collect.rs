@@ -38,8 +38,8 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) out: PathBuf,
     /// Collect the frames of this table again: volumes, frames and settings come from its manifest, and
-    /// --repeats, --passes and --warm-up-repeats override it. Its volume names are relative to the working
-    /// folder.
+    /// --repeats, --passes and --warm-up-repeats override it. The volume names in the manifest are relative
+    /// to the working folder.
     #[arg(long, value_name = "TABLE", conflicts_with_all = [
         "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",
         "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy", "array", "fill", "range",
@@ -247,7 +247,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             manifest.created = old.created;
             manifest.commit = old.commit;
         } else {
-            // A collection that was killed before its manifest was written has no frame.
+            // A collection that was killed before its manifest was written has no frames, so it may begin
+            // anew.
             ensure!(
                 Writer::is_fresh(&options.out)?,
                 "cannot continue {}: its manifest {} is missing",
@@ -289,7 +290,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         if let Some(then) = files.get(path)
             && let Some(what) = identity::difference(then, &identity::of_volume(path)?)
         {
-            bail!("it changed while frames were collected: {what}; restore it, or begin another table");
+            bail!("the file changed while frames were collected: {what}; restore it, or begin another table");
         }
         Ok(volume)
     };
@@ -308,10 +309,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     bar.finish_and_clear();
     let go_on = format!("continue with the same command and --resume ({})", options.out.display());
     let outcome = match result {
-        Err(error) if Writer::is_fresh(&options.out)? => {
-            // The table has no frames: it is removed, so that a corrected command can start.
+        Err(error) if all_fresh(&tables(&options.out, protocol.passes))? => {
+            // No table has frames: all are removed, so that a corrected command can start.
             drop(table);
-            std::fs::remove_file(&options.out)?;
+            for file in tables(&options.out, protocol.passes) {
+                std::fs::remove_file(file)?;
+            }
             std::fs::remove_file(Manifest::path_for(&options.out))?;
             return Err(error);
         }
@@ -346,6 +349,22 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     );
     said.iter().for_each(|line| println!("{line}"));
     Ok(())
+}
+
+/// Returns the table and its pass tables, as far as they exist.
+fn tables(out: &Path, passes: u32) -> Vec<PathBuf> {
+    let all = std::iter::once(out.to_owned()).chain(pass_files(out, passes));
+    all.filter(|file| file.exists()).collect()
+}
+
+/// Returns true if no table has frames.
+fn all_fresh(tables: &[PathBuf]) -> Result<bool> {
+    for table in tables {
+        if !Writer::is_fresh(table)? {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 #[cfg(test)]

@@ -23,10 +23,10 @@ use std::path::{Path, PathBuf};
 /// Play a path against a target frame time under several controllers.
 ///
 /// First some random frames of the volume are rendered at several steps, to measure the time saved by coarser
-/// steps; the predictor is not fitted to them. Then the path is played: every frame is drawn under every
-/// controller before the next one begins, in rotating order. Each frame is also drawn at the reference step;
-/// this time counts for no controller. DIR gets frames.csv (every frame under every controller), summary.json
-/// and report.html.
+/// steps; the predictor is not fitted to these frames. Then the path is played: every frame is drawn under
+/// every controller before the next one begins, in rotating order. Each frame is also drawn at the reference
+/// step; the time of that drawing counts for no controller. The folder of --out gets frames.csv (every frame
+/// under every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
@@ -58,7 +58,7 @@ pub(crate) struct Options {
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub(crate) target: String,
-    /// Changes of the target, comma-separated: FRAME:TIME sets it from frame FRAME on.
+    /// Changes of the target, comma-separated: FRAME:TIME sets the target from frame FRAME on.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:TIME,…")]
     pub(crate) retarget: Vec<String>,
     /// Changes of the image size, comma-separated: FRAME:SCALE multiplies both sides of the full image by
@@ -66,14 +66,15 @@ pub(crate) struct Options {
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub(crate) scales: Vec<(u32, f32)>,
     /// Coarsest image of the hybrid controller, in pixels between rays along each side; the hybrid coarsens
-    /// step or image, whichever adds less error. Smaller images are enlarged to full size before pictures are
-    /// compared. 1 keeps the full image size.
+    /// step or image size, whichever adds less error. Smaller images are enlarged to full size before
+    /// pictures are compared. 1 keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub(crate) max_image_sample_distance: f32,
     /// Write every drawn frame into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) table: Option<PathBuf>,
-    /// Controllers to compare. Rules that act on image resolution draw smaller images at the reference step.
+    /// Controllers to compare. Controllers that act on image resolution draw smaller images at the reference
+    /// step.
     #[arg(
         long,
         value_enum,
@@ -89,11 +90,11 @@ pub(crate) struct Options {
     /// coarser steps.
     #[arg(long, alias = "calibrate", default_value_t = 16, value_name = "N")]
     pub(crate) scenes: usize,
-    /// Renderings of each random scene at each step; their median time counts.
+    /// Renderings of each random scene at each step; the median time is used.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub(crate) repeats: usize,
-    /// Model file; default: the machine's model (`entire calibrate`), else the shipped one, corrected by
-    /// every frame.
+    /// Model file; default: the machine's model (`entire calibrate`), else the shipped model, which every
+    /// frame corrects.
     #[arg(long, value_name = "M.safetensors")]
     pub(crate) model: Option<PathBuf>,
     /// Folder for the results.
@@ -109,11 +110,11 @@ pub(crate) struct Options {
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
     /// The clock of frame times; `auto`: the clock of --model or of the machine's model (`entire calibrate`),
-    /// else the device's. A model of another clock is refused.
+    /// else the device's timestamps on a GPU, else wall time. A model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
-    /// Finest and coarsest allowed step, reference steps. Rules that act on image resolution have their own
-    /// ranges.
+    /// Finest and coarsest allowed step, reference steps. Controllers that act on image resolution have their
+    /// own ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub(crate) limits: (f32, f32),
     /// Enlarge the volume by this factor at load, trilinearly.
@@ -122,7 +123,7 @@ pub(crate) struct Options {
     /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Frames whose pictures are added to the report, besides those of switches.
+    /// Frames whose pictures are added to the report, besides the frames of switches.
     #[arg(long, value_delimiter = ',', value_name = "FRAME,…")]
     pub(crate) pictures: Vec<usize>,
 }
@@ -175,7 +176,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         Some(_) => (None, clock),
         None => machine_model_for(options.render.shade.into(), clock)?,
     };
-    let draw = DrawSettings::new(options.size, &options.render, clock);
     let volumes = options
         .volumes
         .iter()
@@ -206,6 +206,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
     let mut renderer = device::open(options.render.device)?;
+    let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
+    let draw = DrawSettings::new(options.size, &options.render, clock);
     let seed_name = volume.name().to_owned();
     let (steers, prior) = steering_model(named.zip(model), machines, draw.shading, &view)?;
     let race = Race {
@@ -250,7 +252,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             options.controllers.len()
         ),
         target: match options.retarget.is_empty() {
-            true => format!("{:.2} ms, as asked for ({})", target * 1e3, options.target),
+            true => format!("{:.2} ms, as requested ({})", target * 1e3, options.target),
             false => format!("{}, then {}", options.target, options.retarget.join(", ")),
         },
         volume: options
@@ -272,12 +274,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     println!("{}", table(&playback, &metrics).to_text());
     println!("steered by {}", prepared.predictor.sentence());
-    println!("frame times are {} time", entire_io::clock::waited_for(draw.clock, renderer.as_ref()).name());
+    println!("frame times are {} time", draw.clock.name());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
     Ok(())
 }
 
-/// Writes every frame under every controller as a timing table.
+/// Writes a timing table with every frame that each controller drew.
 fn write_table(
     file: &Path,
     options: &Options,
@@ -325,7 +327,7 @@ fn write_table(
     Ok(())
 }
 
-/// Description of a volume: file, sizes, enlargement.
+/// Returns the description of a volume: file, size in voxels, enlargement.
 pub(super) fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
     let [x, y, z] = volume.dims();
     let enlarged =

@@ -74,11 +74,11 @@ impl Data {
 
 /// A scalar volume on a regular grid, read in place from memory.
 ///
-/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` in the machine's byte order are neither copied
-/// nor changed, whatever their strides, as long as no stride is negative; the array is kept alive. ``bool``
-/// counts as ``uint8``; every other integer and float type, foreign byte orders and negative strides are
-/// converted once (to ``int16`` from ``int8``, else to ``float32``). The array must not be written to while a
-/// call reads it.
+/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` are neither copied nor changed, whatever their
+/// strides; the array is kept alive. ``bool`` counts as ``uint8``. All other integer and float types are
+/// converted once (``int8`` to ``int16``, the others to ``float32``). An array is copied once if it has
+/// negative strides, unaligned data or another byte order than the machine. The array must not be written to
+/// while a call reads it.
 ///
 /// Parameters
 /// ----------
@@ -101,7 +101,8 @@ impl Data {
 ///     range is given: the smallest or the largest value is a fill value if at least 0.1 % of the voxels have
 ///     it and it is far from all other values. With None, every value is data.
 ///
-/// Masked arrays, and arrays whose fill value is above all other values, are copied.
+/// Masked arrays, arrays with a given fill value, and arrays with a detected fill value above all other values
+/// are copied.
 ///
 /// Raises
 /// ------
@@ -139,7 +140,7 @@ fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, P
     options.set_item("order", "C")?;
     let numpy = py.import("numpy")?;
     let quiet = PyDict::new(py);
-    // Values beyond the range of float32 become infinities, which count as the ends of the range.
+    // Values beyond those of float32 become infinities, which count as the ends of the volume's range.
     quiet.set_item("over", "ignore")?;
     let made = calling(py, || {
         let state = numpy.call_method("errstate", (), Some(&quiet))?;
@@ -222,7 +223,7 @@ fn hide<'py>(
     let numpy = py.import("numpy")?;
     calling(py, || {
         let copy = numpy.call_method1("array", (asarray(array)?,))?;
-        // Values are compared as the readers of volume files do: rounded to 32-bit floats.
+        // As in the readers of volume files, values are rounded to 32-bit floats before they are compared.
         let narrow = copy.call_method1("astype", ("float32",))?;
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {
@@ -248,10 +249,10 @@ fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
     PyErr::warn(py, &py.get_type::<pyo3::exceptions::PyUserWarning>(), &text, 1)
 }
 
-/// A slice over all elements within an array's strides.
+/// Returns `count` elements from `at` on: the memory from the first to the last element of a strided array.
 ///
 /// # Safety
-/// `at` points at the first element of an array of `T` whose memory lives as long as the result is used, and
+/// `at` points at the first element of an array of `T` whose memory exists as long as the result is used, and
 /// `count` elements can be read from there.
 unsafe fn elements<T>(at: *const u8, count: usize) -> &'static [T] {
     // SAFETY: as the caller promises.
@@ -285,7 +286,9 @@ impl Volume {
                     ),
                 )?;
             }
-            let mut data = Self::look_at(py, &hidden, spacing, origin, order, range, &Fill::Auto)?;
+            // Where fill values are declared, all other values are data.
+            let others = if matches!(fill, Fill::Auto) { Fill::Auto } else { Fill::Values(Vec::new()) };
+            let mut data = Self::look_at(py, &hidden, spacing, origin, order, range, &others)?;
             data.copied = true;
             data.fill = kept_fill;
             return Ok(data);
@@ -310,7 +313,7 @@ impl Volume {
         let mut copied = false;
         let plain = |a: &Bound<'_, PyUntypedArray>| {
             let whole = a.strides().iter().all(|&s| s >= 0 && (s as usize).is_multiple_of(size));
-            // SAFETY: the array lives; its data pointer is only looked at.
+            // SAFETY: the array is alive; its data pointer is read, but not dereferenced.
             whole && (unsafe { (*a.as_array_ptr()).fields.data } as usize).is_multiple_of(size)
         };
         if converted.is_some() || !plain(&kept) {
@@ -321,8 +324,8 @@ impl Volume {
         let strides: [usize; 3] = std::array::from_fn(|a| kept.strides()[order[a]] as usize / size);
         let count =
             if dims.contains(&0) { 0 } else { 1 + (0..3).map(|a| (dims[a] - 1) * strides[a]).sum::<usize>() };
-        // SAFETY: the array lives; NumPy's data pointer is aligned (checked above) and reaches `count`
-        // elements, the last of which is the array's last. `owner` keeps the memory for as long as the view.
+        // SAFETY: the array is alive; NumPy's data pointer is aligned (checked above), and `count` elements
+        // from it on end with the array's last element. `owner` keeps the memory alive as long as the view.
         let scalars = unsafe {
             let at = (*kept.as_array_ptr()).fields.data.cast::<u8>().cast_const();
             match kind {
@@ -367,7 +370,7 @@ impl Volume {
                 return Ok(data);
             }
         }
-        // With declared fill values, all other values belong to the range, however far apart they are.
+        // With `fill=None`, every value is data: the range contains all values, however far apart they are.
         let view = match (range, fill) {
             (None, Fill::Values(_)) if !matches!(scalars, Scalars::U8(_)) => {
                 let options = VolumeOptions { range: Some(detached(py, || view.own_range())), ..options };

@@ -193,7 +193,7 @@ def test_fill_values_do_not_decide_the_range(fill):
     with pytest.warns(UserWarning, match="taken as a fill value"):
         volume = entire.Volume(array)
     assert volume.range == (expected.min(), expected.max())
-    # Only voxels above the range must be changed, in a copy.
+    # Only fill values above the range are replaced, in a copy of the array.
     assert volume.copied == (fill > 0)
     assert array[0, 0, 0] == np.float32(fill)
     assert volume.array.max() == (expected.max() if fill > 0 else array.max())
@@ -232,3 +232,14 @@ def test_a_fill_value_is_auto_none_or_numbers():
     array = np.arange(64, dtype=np.float32).reshape(4, 4, 4)
     with pytest.warns(UserWarning, match="2 voxels"):
         assert entire.Volume(array, fill=[0.0, 63.0]).range == (1, 62)
+
+
+def test_a_value_that_is_not_declared_as_a_fill_value_is_data():
+    array = _values((16, 16, 16))
+    array[0, :8] = -9999
+    array[1, :8] = 1e6
+    with pytest.warns(UserWarning, match="128 voxels are hidden") as warned:
+        volume = entire.Volume(array, fill=-9999)
+    assert len(warned) == 1
+    assert volume.range[1] == np.float32(1e6)
+    assert volume.array.max() == np.float32(1e6)

@@ -1,9 +1,9 @@
 //! Fits the picture quality law to compared pictures.
 //!
-//! The law of [`Quality`] is fitted in two parts. The times, relative to full quality, give the share of
-//! rays. The errors, up to a power, give the weight and the exponents: least squares on the logarithms of the
-//! means over scenes, then a search for the parameters that choose the settings with the smallest measured
-//! errors.
+//! The law of [`Quality`] is fitted in two parts. The share of rays is fitted to the times, relative to full
+//! quality. The weight and the exponents are fitted to the errors: first by least squares on the means of
+//! ln(error) over scenes, then by a search for the parameters that choose the settings with the smallest
+//! measured errors. Measured errors may be proportional to any power of the law's error.
 
 use crate::numeric::{median, solve};
 use crate::predict::{DISTANCE_RATIO, Quality};
@@ -17,24 +17,26 @@ use serde::Serialize;
 /// Smallest number of scenes for a fit.
 const FEWEST_SCENES: usize = 3;
 
-/// Largest time, as a share of that at full quality, of a picture that counts in the fit of the error: closer
-/// to full quality, colors differ by rounding only.
+/// Largest time of a picture that is used in the fit of the error, as a share of the time at full quality.
+/// Pictures closer to full quality differ from it by rounding only.
 const LONGEST: f64 = 0.75;
 
 /// Ratio of successive values of c = step · distance² at which a path is evaluated.
 const FINER: f64 = 1.03;
 
-/// Difference in ln(error) assumed between full quality and the setting next to it, since an error of 0 has
-/// no logarithm.
+/// Difference in ln(error) assumed between full quality and the next coarser step, since the error of 0 at
+/// full quality has no logarithm.
 const FULL: f64 = 3.0;
 
-/// Shares of the time of full quality at which choices by the law are evaluated: start, end, increment.
+/// Frame times at which the law's choices are evaluated, as shares of the time at full quality: first share,
+/// end, increment.
 const SHARES: (f64, f64, f64) = (0.2, LONGEST, 0.025);
 
-/// Smallest error, since an error of 0 has no logarithm.
+/// Lower clamp of a picture's error, since an error of 0 has no logarithm.
 const LEAST_ERROR: f64 = 1.0e-7;
 
-/// Weight of the law's misfit relative to the excess error of its choices.
+/// Weight of the law's root mean squared misfit in ln(error), relative to the excess ln(error) of its
+/// choices.
 const MISFIT: f64 = 0.1;
 
 /// One picture, compared with the same view at full quality.
@@ -46,10 +48,10 @@ pub struct Picture {
     pub step: f32,
     /// Pixels between neighboring rays along each side: 1 for full quality.
     pub distance: f32,
-    /// Seconds of the drawing.
+    /// Seconds that the drawing took.
     pub seconds: f64,
     /// Difference from the picture at full quality, by any measure that is 0 for equal pictures and grows
-    /// with the difference: root mean squared difference, 1 − SSIM.
+    /// with the difference, such as the root mean squared difference or 1 − SSIM.
     pub error: f64,
 }
 
@@ -57,8 +59,8 @@ impl Picture {
     /// Checks the values.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless step and distance are at least 1, seconds positive and
-    /// the error not negative, all finite.
+    /// [`crate::ErrorKind::InvalidArgument`] unless step and distance are at least 1, seconds are positive,
+    /// the error is not negative, and all are finite.
     pub fn check(&self) -> Result<()> {
         let Self { scene, step, distance, seconds, error } = self;
         let sound = *step >= 1.0 && step.is_finite() && *distance >= 1.0 && distance.is_finite();
@@ -69,7 +71,7 @@ impl Picture {
         bail!(
             InvalidArgument,
             "a picture of scene {scene} has step {step}, image sample distance {distance}, {seconds} seconds and error \
-             {error}; step and distance are 1 at least, seconds positive, the error not negative"
+             {error}; step and distance must be at least 1, seconds positive, the error not negative"
         )
     }
 }
@@ -79,30 +81,31 @@ impl Picture {
 pub struct FittedQuality {
     /// The law.
     pub quality: Quality,
-    /// Number of scenes in the fit: those drawn at every setting.
+    /// Number of scenes in the fit; each was drawn at every setting.
     pub scenes: usize,
     /// Number of settings per scene.
     pub settings: usize,
-    /// Excess error of the law's choices: mean ratio of their error to the smallest one among the drawn
-    /// settings at the same share of the time; at least 1.
+    /// Excess error of the law's choices: ratio of the error of the law's setting to the smallest error of
+    /// any setting with the same time, interpolated between drawn settings. Geometric mean over frame times;
+    /// 1 is the best value.
     pub over_best: f64,
-    /// The same ratio for coarsening the ray step alone, over the shares that it reaches; `None` where it
-    /// reaches none.
+    /// As `over_best`, if only the ray step is coarsened; over the frame times that coarser steps reach;
+    /// `None` if they reach none.
     pub step_over_best: Option<f64>,
-    /// Share of the time of full quality at the coarsest step and full image size.
+    /// Time at the coarsest step and full image size, as a share of the time at full quality.
     pub step_least_time: f64,
 }
 
-/// A step, ln of the relative time and ln of the error, both means over scenes.
+/// A step, and two means over scenes: ln of the time relative to full quality, and ln of the error.
 type Point = (f64, f64, f64);
 
-/// An image sample distance and its steps, ascending.
+/// An image sample distance, and its points in the order of ascending steps.
 type Line = (f64, Vec<Point>);
 
-/// Seconds of every drawing of a setting, and its error, keyed by the bits of distance and step.
+/// Seconds of every drawing at a setting, and the error of the last one, by the bits of distance and step.
 type Settings = BTreeMap<(u32, u32), (Vec<f64>, f64)>;
 
-/// Table for the fit: by setting, ln of the relative time and ln of the error, means over scenes.
+/// Table for the fit: the drawn settings, each with the means of a [`Point`].
 struct Grid {
     /// Image sample distances, ascending, with their points.
     lines: Vec<Line>,
@@ -113,7 +116,7 @@ impl Grid {
         self.lines.iter().flat_map(|(d, line)| line.iter().map(|&(s, time, error)| (s, *d, time, error)))
     }
 
-    /// ln of the relative time and ln of the error at a setting, interpolated linearly between drawn
+    /// Returns ln of the relative time and ln of the error at a setting, interpolated linearly between drawn
     /// settings.
     fn at(&self, step: f64, distance: f64) -> (f64, f64) {
         let along = |line: &[Point]| {
@@ -141,7 +144,8 @@ impl Grid {
         )
     }
 
-    /// ln of time and of error along the path of a law, for c = step · distance² ascending from 1.
+    /// Returns ln of the relative time and ln of the error of the settings that a law chooses, for ascending
+    /// values of c = step · distance² from 1.
     fn path(&self, law: &Quality) -> Vec<(f64, f64)> {
         let largest = self.lines.last().map_or(1.0, |l| l.0);
         let coarsest = self.lines[0].1.last().map_or(1.0, |p| p.0);
@@ -159,19 +163,19 @@ impl Grid {
     }
 }
 
-/// Powers of `of` from 1 up to `end`.
+/// Returns the powers of `of` from 1 to `end`.
 fn powers(of: f64, end: f64) -> Vec<f64> {
     (0..).map(|i| libm::pow(of, f64::from(i))).take_while(|v| *v <= end * 1.001).collect()
 }
 
-/// Linear interpolation of time and error between two points.
+/// Interpolates time and error linearly between two points at the positions `a.0` and `b.0`.
 fn between(x: f64, a: (f64, Point), b: (f64, Point)) -> (f64, f64) {
     let part = if b.0 > a.0 { ((x - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 1.0 };
     (a.1.1 + part * (b.1.1 - a.1.1), a.1.2 + part * (b.1.2 - a.1.2))
 }
 
-/// Smallest ln(error) among the points within each share of the time of full quality; along a path, the error
-/// of the first such point.
+/// Returns, for each share of the time at full quality, the smallest ln(error) of the points that take at
+/// most this time; with `path`, ln(error) of the first of these points.
 fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
     let at = |share: &f64| {
         let mut fitting = points.iter().filter(|p| p.0 <= libm::log(*share)).map(|p| p.1);
@@ -181,11 +185,11 @@ fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
 }
 
 /// Fits the law to pictures. Every scene must be drawn at the same settings: full quality, coarser steps, and
-/// smaller images. Scenes that lack a setting which most scenes have are ignored.
+/// smaller images. Scenes with other settings than most scenes are ignored.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for invalid values, and for fewer than three scenes,
-/// two steps or two distances.
+/// [`crate::ErrorKind::InvalidArgument`] for invalid values, for fewer than three scenes, two steps or two
+/// distances, and if fewer than four settings take at most 0.75 of the time at full quality.
 pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     let (grid, scenes) = grid_of(pictures)?;
     let settings = grid.points().count();
@@ -222,7 +226,7 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     };
     let shares: Vec<f64> =
         (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect();
-    // Every step at every distance of a path.
+    // Every step at every image sample distance.
     let largest = grid.lines.last().map_or(1.0, |l| l.0);
     let steps = powers(FINER, grid.lines[0].1.last().map_or(1.0, |p| p.0));
     let all: Vec<(f64, f64)> = powers(DISTANCE_RATIO, largest)
@@ -260,7 +264,8 @@ fn square(x: f64) -> f64 {
     x * x
 }
 
-/// Means over the scenes that were drawn at every setting, and the number of these scenes.
+/// Returns the means over the scenes that were drawn at the most frequent set of settings, and the number of these
+/// scenes.
 fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
     pictures.iter().try_for_each(Picture::check)?;
     // The bits of positive floats have the same order as the floats.
@@ -272,12 +277,15 @@ fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
         slot.0.push(p.seconds);
         slot.1 = p.error;
     }
-    let most = scenes.values().map(BTreeMap::len).max().unwrap_or(0);
-    scenes.retain(|_, settings| settings.len() == most && settings.contains_key(&full));
-    let Some(first) = scenes.values().next() else {
+    scenes.retain(|_, settings| settings.contains_key(&full));
+    let mut scenes_of: BTreeMap<Vec<(u32, u32)>, usize> = BTreeMap::new();
+    for settings in scenes.values() {
+        *scenes_of.entry(settings.keys().copied().collect()).or_default() += 1;
+    }
+    let Some((wanted, _)) = scenes_of.into_iter().max_by_key(|(settings, scenes)| (*scenes, settings.len()))
+    else {
         bail!(InvalidArgument, "no scene was drawn at full quality: step 1, image sample distance 1");
     };
-    let wanted: Vec<(u32, u32)> = first.keys().copied().collect();
     scenes.retain(|_, settings| settings.keys().eq(&wanted));
     let distinct = |of: fn(&(u32, u32)) -> u32| {
         let mut all: Vec<u32> = wanted.iter().map(of).collect();
@@ -315,7 +323,7 @@ fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
     Ok((Grid { lines }, count))
 }
 
-/// Argument of a function's minimum among 181 values between two ends.
+/// Returns the argument, among 181 evenly spaced values from `low` to `high`, for which `of` is smallest.
 fn least_on_line(low: f64, high: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     let at = |i: u32| low + (high - low) * f64::from(i) / 180.0;
     let mut best = (f64::INFINITY, low);
@@ -328,7 +336,8 @@ fn least_on_line(low: f64, high: f64, of: &dyn Fn(f64) -> f64) -> f64 {
     best.1
 }
 
-/// Argument of a local minimum: coordinate search whose steps shrink when none of them improves the value.
+/// Returns the argument of a local minimum of `of`, found by a coordinate search from `at`. Its increments
+/// are halved after a round in which none of them reduces the value.
 fn descend(mut at: [f64; 3], rounds: usize, of: &dyn Fn(&[f64; 3]) -> f64) -> [f64; 3] {
     let mut reach = [0.5, 0.2, 0.2];
     let mut least = of(&at);
@@ -393,7 +402,7 @@ mod tests {
         let near = |own: f32, wanted: f32| (own / wanted - 1.0).abs() < 0.02;
         assert!(near(q.image_weight, 5.0) && near(q.step_exponent, 1.2), "{found:?}");
         assert!(near(q.image_exponent, 0.9) && near(q.ray_share, 0.2), "{found:?}");
-        // Distances are powers of a ratio, so the optimum is not met exactly.
+        // The law chooses among powers of 1.2 as distances, so it does not reach the optimum exactly.
         assert!(found.over_best < 1.05 && found.step_over_best.unwrap() > 1.1, "{found:?}");
     }
 
@@ -416,6 +425,11 @@ mod tests {
         let mut all = pictures(&TRUTH, 4, 0.0);
         all.pop();
         assert_eq!(fit_quality(&all).unwrap().scenes, 3);
+        // A scene with one more setting, and one without full quality, leave the others.
+        let mut more = pictures(&TRUTH, 5, 0.0);
+        more.push(Picture { step: 6.0, ..more[4] });
+        more.retain(|p| p.scene != 1 || p.step > 1.0);
+        assert_eq!(fit_quality(&more).unwrap().scenes, 3);
         let says = |pictures: &[Picture]| fit_quality(pictures).unwrap_err().to_string();
         assert!(says(&[]).contains("no scene was drawn at full quality"));
         assert!(says(&pictures(&TRUTH, 2, 0.0)).contains("at least 3 scenes"));

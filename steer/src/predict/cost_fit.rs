@@ -1,11 +1,17 @@
 //! Fits unit costs, and the weights of a factor's last layer, to timed frames.
 //!
-//! ln t = ln Σ c_i e^θ_i w_i + ψ·v + b, where w is the estimated work, c the prior unit costs, ψ the
-//! activations before the factor's last layer and v that layer's weights. Priors: θ_i ~ N(0, s_i²), v ~ N(v₀,
-//! s²), b free. Errors of ln t are assumed Gaussian with the standard deviation [`NOISE`]; beyond twice their
-//! robust standard deviation, the loss is linear (Huber). With this regularization, three frames determine
-//! the speed, ten the kinds of work that differ most, and hundreds every cost. Costs stay positive, so that
-//! no prediction is negative and none falls with a finer step or more pixels.
+//! The model of a frame's seconds t is ln t = ln Σ c_i exp(θ_i) w_i + ψ·v + b:
+//!
+//! * w_i is the estimated work of kind i, c_i its prior unit cost, and θ_i the fitted logarithm of a factor
+//!   on c_i, with a normal prior of mean 0 and standard deviation `cost_sd`.
+//! * ψ is the vector of activations before the factor's last layer, and v the fitted weights of this layer,
+//!   with a normal prior of mean `weights` and standard deviation `weight_sd`.
+//! * b is ln of a factor common to all frames. It has no prior.
+//!
+//! Errors of ln t are assumed to be normally distributed, with the standard deviation [`NOISE`]. For errors
+//! beyond twice their robust standard deviation, the loss is linear (Huber). With this regularization, three
+//! frames determine the speed, ten frames the kinds of work that differ most, and hundreds of frames every
+//! cost. Costs stay positive. So without a factor no prediction falls with a finer step or more pixels.
 
 use super::COSTS;
 use crate::numeric::{dot, median, solve};
@@ -15,16 +21,17 @@ use alloc::vec::Vec;
 /// Prior standard deviation of the logarithm of a unit cost, apart from the common speed.
 pub(crate) const COST_SD: f64 = 0.4;
 
-/// Assumed standard deviation of a measured ln t about the model.
+/// Assumed standard deviation of ln(measured seconds) about the model.
 const NOISE: f64 = 0.06;
 
-/// Exponent of a frame's time in its weight: long frames dominate the RMSE.
+/// Exponent of a frame's time in the weight of the frame: long frames get a larger weight, since they
+/// dominate the root mean square error.
 const IMPORTANCE: f64 = 0.25;
 
 /// Largest number of Gauss-Newton iterations.
 const ROUNDS: usize = 20;
 
-/// Smallest share of a Gauss-Newton step: a step at or below this share is not halved again.
+/// Share of a Gauss-Newton step below which the step is not halved again.
 const LEAST_SHARE: f64 = 0.02;
 
 /// A timed frame.
@@ -39,7 +46,7 @@ pub(crate) struct FitRow {
 
 /// The prior of a fit.
 pub(crate) struct Expected<'a> {
-    /// Unit costs in seconds; those at 0 stay 0.
+    /// Unit costs in seconds; costs of 0 stay 0.
     pub(crate) costs: &'a [f64; COSTS],
     /// Standard deviations of the unit costs' logarithms.
     pub(crate) cost_sd: [f64; COSTS],
@@ -57,7 +64,7 @@ pub(crate) struct CostFit {
 }
 
 impl CostFit {
-    /// Fits the rows.
+    /// Returns the parameters fitted to the rows.
     pub(crate) fn new(expected: &Expected<'_>, rows: &[&FitRow]) -> Self {
         let prior = expected.costs;
         let active: Vec<usize> =
@@ -105,8 +112,8 @@ impl CostFit {
             }
             gram[m * m - 1] += 1e-6;
             let Some(step) = solve(&mut gram, rhs) else { break };
-            // The step changes no cost by more than a factor of e, and is halved while it makes the fit
-            // worse.
+            // The step is shortened so that it changes no cost by more than a factor of e. It is then halved
+            // while it makes the fit worse.
             let loss = |fit: &Self, theta: &[f64]| -> f64 {
                 let of_rows: f64 = rows
                     .iter()
@@ -142,9 +149,12 @@ impl CostFit {
                     *w += share * s;
                 }
                 next.bias += share * step[m - 1];
-                if loss(&next, &moved) <= before || share < LEAST_SHARE {
+                if loss(&next, &moved) <= before {
                     (fitted, theta) = (next, moved);
                     break;
+                }
+                if share < LEAST_SHARE {
+                    return fitted;
                 }
                 share *= 0.5;
             }
@@ -155,12 +165,12 @@ impl CostFit {
         fitted
     }
 
-    /// Logarithm of the predicted seconds.
+    /// Returns ln(predicted seconds) of a frame.
     pub(crate) fn log_seconds(&self, row: &FitRow) -> f64 {
         libm::log(dot(&self.costs, &row.work).max(1e-12)) + dot(&self.weights, &row.psi) + self.bias
     }
 
-    /// Unit costs in seconds, scaled by the speed of the machine.
+    /// Returns the fitted unit costs in seconds, multiplied by the factor common to all frames.
     pub(crate) fn unit_costs(&self) -> [f64; COSTS] {
         self.costs.map(|c| c * libm::exp(self.bias))
     }

@@ -41,7 +41,7 @@ public:
       this->Renderer->RemoveObserver(this->Tag);
     }
     this->Renderer = nullptr;
-    // A copy, since releasing restores mappers' settings, which invokes observers.
+    // Moved out of the member first, since the deletion of a vtkEntireSteering may invoke observers.
     const auto volumes = std::move(this->Volumes);
     this->Volumes.clear();
   }
@@ -57,7 +57,7 @@ public:
     }
   }
 
-  // Attaches to the view's current volumes.
+  // Attaches a steering to each volume that the view draws and that has none yet, and passes on the settings.
   void Start()
   {
     // An observer of an error that is reported here may release this object.
@@ -125,10 +125,10 @@ public:
     steering->SetModelFileName(model && *model ? model : nullptr);
   }
 
-  // The internals whose values the getters return: those of the source if it is set, else these.
+  // Returns the internals whose values the getters return: those of the source if it is set, else this object.
   vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
 
-  // The steering of the volume that took longest in its last frame.
+  // Returns the steering of the volume that took longest in its last frame; nullptr without volumes.
   vtkEntireSteering* Last()
   {
     if (this->Source)
@@ -138,7 +138,10 @@ public:
     vtkEntireSteering* last = nullptr;
     for (auto& each : this->Volumes)
     {
-      if (each->GetVolume() && (!last || !(each->GetMeasuredTime() < last->GetMeasuredTime())))
+      // The time of a volume that was never drawn is NaN.
+      const bool longer = last && each->GetMeasuredTime() > last->GetMeasuredTime();
+      const bool drawn = !last || !std::isnan(last->GetMeasuredTime());
+      if (each->GetVolume() && (!last || longer || !drawn))
       {
         last = each;
       }
