@@ -1,14 +1,14 @@
-# entire — `make demo` runs the main job, `make test` builds and passes everything. Each installs what it lacks where it
-# may, and says what it does. `make help` lists the rest.
+# entire — `make demo` shows the main use, `make test` builds and tests everything. Both install missing packages if they
+# have the rights, and print their steps. `make help` lists all targets.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 
 CARGO ?= cargo
-# The lab's command, built where it is not.
+# The command `entire-lab`; cargo builds it if necessary.
 LAB := $(CARGO) run --release --quiet --package entire-lab --bin entire-lab --
-# Colors on a terminal, none in logs.
+# Cargo prints colors on a terminal, and none into logs.
 export CARGO_TERM_COLOR ?= auto
 
 -include make/*.mk
@@ -21,25 +21,25 @@ help: ## List the targets
 build: setup ## Build the command, the libraries and the examples (release)
 	$(CARGO) build --release --workspace
 
-# GATE=change adds a form of every suite that needs further packages, as CI does; GATE=nightly runs all that there is.
+# GATE=change adds a short form of every suite that needs further packages, as CI does; GATE=nightly runs every suite in full.
 GATE ?= test
 
 .PHONY: test
-test: ## Build and pass every test (installs what tests need where it may); GATE=change as CI does, with VTK, ParaView, Python, the window
+test: ## Build and run every test (installs missing packages if it has the rights); GATE=change: the tests of CI, also VTK, ParaView, Python, the window
 	@ENTIRE_SETUP_FOR="$(GATE)" bash scripts/setup.sh
 	@CARGO="$(CARGO)" bash scripts/test.sh "$(GATE)"
 
 .PHONY: test-all
-test-all: ## Everything that can be tested, hours: sanitizers, Miri, valgrind, every compiler, Python environment and engine
+test-all: ## Run all tests in full, for hours: also sanitizers, Miri, valgrind, every compiler, Python environment and engine
 	@$(MAKE) --no-print-directory test GATE=nightly
 
 .PHONY: check
-check: ## Format, lints and docs, as CI has them
+check: ## Check format, lints and documentation, as CI does
 	$(CARGO) fmt --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --quiet
 
 .PHONY: clean
-clean: ## Remove everything built and every report
+clean: ## Remove all build outputs and reports
 	$(CARGO) clean
 	rm -rf out

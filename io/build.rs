@@ -1,6 +1,7 @@
 //! Passes the git commit of the build to the compiler, so that tables and reports can state it. The words
-//! "with local changes" follow if files differed from the commit when this crate was built. Edits of crates
-//! that depend on this one do not rebuild it: that would rebuild all of them at every edit.
+//! "with local changes" follow if files differed from the commit when this crate was built. Edits in crates
+//! that depend on this crate do not update these words, since that would rebuild all these crates at every
+//! edit.
 
 use std::path::Path;
 use std::process::Command;

@@ -4,7 +4,7 @@ STUDY ?= data/timings/study.json
 STUDY_OUT ?= out/study
 
 .PHONY: study
-study: ## Make and judge every predictor of STUDY: out/study/report.html
+study: ## Train and evaluate every predictor of STUDY: out/study/report.html
 	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)"
 
 # The tables and the model at the same position in these lists are of one type of machine.
@@ -15,27 +15,27 @@ FRAMES_OPTIONS := --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) --judged $(FRA
     --priors $(FRAMES_MODELS:%=models/%.safetensors)
 
 .PHONY: study-frames
-study-frames: ## Calibration error by number of frames of another type of machine
+study-frames: ## Compute the calibration error by the number of frames of another type of machine: out/frames/frames.svg
 	$(LAB) frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
 
 .PHONY: bars-accuracy
-bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
+bars-accuracy: ## Run the study and print every accuracy bar (fails if one is missed): bar NAME VALUE LIMIT ok|short
 	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
 
 .PHONY: tables
-tables: build ## Collect timing tables anew on this machine: make tables DATA=FOLDER-WITH-ensembles TABLES="scatter-members scatter-train"
+tables: build ## Collect timing tables again on this machine: make tables DATA=FOLDER-WITH-ensembles TABLES="scatter-members scatter-train"
 	DATA="$(DATA)" bash lab/scripts/tables.sh $(TABLES)
 
 .PHONY: distill
-distill: build ## Distill the selected predictors into the paper's network, an hour or two: make distill DATA=FOLDER-WITH-ensembles
+distill: build ## Train the paper's network on predictions of the selected predictors, an hour or two: make distill DATA=FOLDER-WITH-ensembles
 	DATA="$(DATA)" bash lab/scripts/distill.sh $(SETS)
 
 .PHONY: models
-models: ## Make the shipped predictors and their cards anew from the timing tables: models/
+models: ## Make the shipped predictors and their cards again from the timing tables: models/
 	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models
 
 .PHONY: bars-model
-bars-model: build ## Print the bars of the predictors and of their calibration, by both clocks: make bars-model [BEFORE=REVISION]
+bars-model: build ## Print the bars of the predictors and of their calibration, by processor time and by wall time: make bars-model [BEFORE=REVISION]
 	$(LAB) study --study "$(STUDY)" --out out/study > /dev/null
 	$(LAB) study --study "$(STUDY)" --clock wall --out out/study-wall > /dev/null
 	$(LAB) frames $(FRAMES_OPTIONS) --clock cpu --out out/frames > /dev/null

@@ -1,8 +1,8 @@
-# VOLUME: another volume file. DEMO_OUT: where the report goes. DEMO_FLAGS: more options of `entire demo`.
+# VOLUME: another volume file. DEMO_OUT: folder of the report. DEMO_FLAGS: more options of `entire demo`.
 DEMO_OUT ?= out/demo
 
 .PHONY: demo
-demo: setup ## Calibrate on other volumes, explore and report on one (VOLUME=path for your own)
+demo: setup ## Calibrate on other volumes, play a path over one volume under several controllers, write a report (VOLUME=path: your own volume)
 	@echo "demo: building the command (release)"
 	@$(CARGO) build --release --quiet --package entire-cli --bin entire
 	@$(CARGO) run --release --quiet --package entire-cli --bin entire -- demo $(if $(VOLUME),"$(VOLUME)") --out "$(DEMO_OUT)" $(DEMO_FLAGS)

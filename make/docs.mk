@@ -1,4 +1,4 @@
-# The book: docs/src as HTML. `make docs` builds mdBook into target/tools once where no mdbook is installed.
+# The book: docs/src as HTML. If no mdbook is installed, `make docs` builds mdBook into target/tools once.
 MDBOOK_VERSION := 0.5.4
 DOCS_OUT ?= out/book
 
@@ -8,7 +8,7 @@ reference: ## Write the book's pages of options from the commands
 		--test suite the_book_names_every_option
 
 .PHONY: docs
-docs: ## Build the book: out/book/index.html (installs mdbook into target/tools where it is missing)
+docs: ## Build the book: out/book/index.html (installs mdbook into target/tools if it is missing)
 	@mdbook=$$(command -v mdbook || true); \
 	if [[ -z "$$mdbook" ]]; then \
 		mdbook="$$PWD/target/tools/bin/mdbook"; \

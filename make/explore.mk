@@ -7,14 +7,14 @@ explore-build:
 	@$(CARGO) build --release --quiet --package entire-cli --bin entire --features explore
 
 .PHONY: explore
-explore: setup explore-build ## Explore a volume in a window that holds a target frame time (VOLUME=path for your own)
+explore: setup explore-build ## Explore a volume in a window that holds a target frame time (VOLUME=path: your own volume)
 	@target/release/entire explore $(or $(VOLUME),data/nyx_cosmology/m01/t0010.nrrd) $(EXPLORE_FLAGS)
 
 .PHONY: test-explore
-test-explore: ## Use the window under Xvfb as a person would (skipped where Xvfb, xdotool or a driver is missing)
+test-explore: ## Test the window under Xvfb with simulated user input (skipped if Xvfb, xdotool or a driver is missing)
 	@if python3 explore/tests/window.py --can; then $(CARGO) build --quiet --workspace --features entire-cli/explore; fi
 	@python3 explore/tests/window.py target/debug/entire
 
 .PHONY: bars-explore
-bars-explore: explore-build ## Measure the window's bars under Xvfb; fails when one is short
+bars-explore: explore-build ## Measure the window's bars under Xvfb; fails if one is missed
 	@python3 lab/scripts/explore_bars.py target/release/entire --out "$(EXPLORE_OUT)"

@@ -1,17 +1,17 @@
-# Render farms on engines: HyperQueue's Python package goes into target/farm, Slurm's programs come from the distribution.
+# Render farms on engines: HyperQueue's Python package is installed into target/farm, Slurm's programs come from the distribution.
 # FARM_PYTHON: a Python that has hyperqueue (and for the tests cinemasci and openjd-cli).
 
 .PHONY: test-farm
-test-farm: ## Run entire farm on processes, HyperQueue and Slurm, read its database as Cinema does (engines installed where they may be)
+test-farm: ## Test entire farm on processes and HyperQueue (installed if possible), and its database with Cinema's reader
 	@CARGO="$(CARGO)" scripts/test-farm.sh
 
-# First the bars that need no engine, among them the paper's case (384 frames of six volumes); then those with real engines,
-# which need a quiet machine. FARM_PARTS: hq-frames hq-sleeping slurm kills full.
+# `make bars-farm` first measures the bars that need no engine, among them the paper's case (384 frames of six volumes); then
+# the bars with real engines, which need a quiet machine. FARM_PARTS selects among hq-frames hq-sleeping slurm kills full.
 FARM_OUT ?= out/farm-bars
 FARM_PARTS ?= hq-frames hq-sleeping slurm kills full
 
 .PHONY: bars-farm
-bars-farm: ## Measure the bars of render farms; fails when one is short
+bars-farm: ## Measure the bars of render farms; fails if one is missed
 	$(CARGO) build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
 	@status=0; \
 	bash lab/scripts/farm/traces.sh "$(FARM_OUT)" cpu || status=1; \
@@ -23,6 +23,6 @@ bars-farm: ## Measure the bars of render farms; fails when one is short
 	exit $$status
 
 .PHONY: check-farm-simulator
-check-farm-simulator: ## Compare the simulator of farms with SimGrid on list schedules (skipped where SimGrid is not there)
+check-farm-simulator: ## Compare the simulator of farms with SimGrid on list schedules (skipped if SimGrid is not installed)
 	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
 	python3 lab/scripts/farm/simgrid.py --bin target/release

@@ -5,7 +5,7 @@ LIBDIR ?= lib
 DESTDIR ?=
 
 .PHONY: install
-install: ## Build and install the C library into PREFIX (default /usr/local); DESTDIR stages it
+install: ## Build and install the C library into PREFIX (default /usr/local); DESTDIR: root folder for packagers
 	CARGO="$(CARGO)" ffi/package/install.sh --prefix "$(PREFIX)" --libdir "$(LIBDIR)" --destdir "$(DESTDIR)"
 
 .PHONY: header

@@ -1,4 +1,4 @@
-# Study of a GPU: one prebuilt folder that needs no network and no Rust. GPU_FLAGS go to `entire-lab gpu-study`.
+# Study of a GPU: one prebuilt folder that needs no network and no Rust. GPU_FLAGS: options of `entire-lab gpu-study`.
 
 GPU_OUT ?= out/gpu-study
 

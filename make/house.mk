@@ -1,15 +1,16 @@
 # Checks of the promises that README, book and source make to a reader. scripts/test.sh runs the quick ones.
 # HOUSE_BEFORE: the revision whose release build the build of HEAD is compared with (many minutes).
 .PHONY: bars-house bars-readme
-bars-house: ## Check README, links, commands, file lengths, public items, dependencies, build time; fails when one is short
+bars-house: ## Check README, links, commands, file lengths, public items, dependencies, build time; fails if a bar is missed
 	$(CARGO) build --release --quiet --package entire-cli --bin entire
 	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
 	python3 lab/scripts/house.py $(if $(HOUSE_BEFORE),--measure-build $(HOUSE_BEFORE) HEAD)
 
-bars-readme: ## Paste README's commands into a fresh clone on a fresh Debian, half an hour; fails when one fails
+bars-readme: ## Run README's commands in a fresh clone on a fresh Debian, half an hour; fails if a command fails
 	@scripts/readme.sh
 
-# GATES: the gates to run first, in a clone with nothing built: demo test change nightly. Without it, the last runs here count.
+# GATES: the gates to run first, in a clone with nothing built: demo test change nightly. Without GATES, the last runs in this
+# folder are evaluated.
 .PHONY: bars-gate
-bars-gate: ## Measure the bars of the gates: seconds, skips, removed tests (GATES="demo test change" runs these first); fails when one is short
+bars-gate: ## Measure the bars of the gates: seconds, skips, removed tests (GATES="demo test change" runs these gates first); fails if one is missed
 	python3 lab/scripts/gate.py $(if $(GATES),--measure $(GATES))

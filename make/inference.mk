@@ -1,6 +1,6 @@
-# Benchmarks and bars of the inference core. PEERS holds the other libraries' servers (see lab/peers/README.md); PYTHON needs the
-# libraries to compare with: torch, onnx, onnxruntime, openvino, safetensors. Missing libraries are named; comparisons go on
-# without them, and bars that ask for them are short.
+# Benchmarks and bars of the inference core. PEERS: folder of the other libraries' servers (see lab/peers/README.md). PYTHON: a
+# Python with the libraries to compare with: torch, onnx, onnxruntime, openvino, safetensors. Names of missing libraries are
+# printed; comparisons continue without them, and bars that need them are missed (`short`).
 PEERS ?= lab/peers
 PYTHON ?= python3
 BENCH_OUT ?= out/bench
@@ -9,7 +9,7 @@ BENCH_OUT ?= out/bench
 BENCH_NICE ?= 0
 
 .PHONY: bench
-bench: ## Time every network, level and storage against the machine's limits (RECORD=1 keeps the figures)
+bench: ## Time every network, SIMD level and weight type, and compare with the machine's limits (RECORD=1 stores the figures)
 	$(CARGO) bench --package entire-core --bench inference -- $(if $(RECORD),--record)
 
 .PHONY: peer-server
@@ -33,7 +33,7 @@ bench-rust-peers: ## Build the Rust libraries that bench-peers compares with (ma
 	$(CARGO) build --release --manifest-path $(PEERS)/rs/Cargo.toml --target-dir $(BENCH_OUT)/peers
 
 .PHONY: bars-inference
-bars-inference: peer-server ## Measure the inference bars; fails when one is short
+bars-inference: peer-server ## Measure the inference bars; fails if one is missed
 	@$(MAKE) --no-print-directory $(BENCH_OUT)/models/inputs.safetensors || echo "bars-inference: the networks cannot be made"
 	$(PYTHON) lab/scripts/bars_inference.py --server target/release/examples/peer_server --peers $(PEERS) \
 		--models $(BENCH_OUT)/models --rust $(BENCH_OUT)/peers/release --nice $(BENCH_NICE)

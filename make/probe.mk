@@ -2,5 +2,5 @@
 BEFORE ?= f11380f
 
 .PHONY: bars-probe
-bars-probe: ## Measure probe, transfer function and volume summary against revision BEFORE (fails when a bar is short)
+bars-probe: ## Compare the speed of probe, transfer function and volume summary with that of revision BEFORE (fails if a bar is missed)
 	$(PYTHON) lab/scripts/bars_probe.py --before $(BEFORE)

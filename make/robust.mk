@@ -1,10 +1,10 @@
 .PHONY: bars-robust
-bars-robust: ## Measure the bars of robustness: mutants, kills, full disks, states, re-entrant events, Miri (MUTANTS=100000 KILLS=200)
+bars-robust: ## Measure the bars of robustness: mutated model files, killed commands, full disks, states, re-entrant events, Miri (MUTANTS=100000 KILLS=200)
 	CARGO="$(CARGO)" scripts/bars-robust.sh
 
-# Seconds that each part under Miri may take.
+# Time limit of each part under Miri, in seconds.
 MIRI_SECONDS ?= 1800
 
 .PHONY: miri
-miri: ## Run core's scalar kernels, ffi's unit tests, and some as a 32-bit and a big-endian machine under Miri where it is installed
+miri: ## If Miri is installed, run tests of core's scalar kernels and ffi's unit tests under Miri, some as on a 32-bit and a big-endian machine
 	CARGO="$(CARGO)" scripts/miri.sh $(MIRI_SECONDS)

@@ -1,6 +1,7 @@
-# Steering: recorded cost curves, their replay under every controller beside an oracle, the stress scenes, farm balancing.
-# STEER_IN: recorded paths; those of the project, or those that `make steer-traces` recorded here. STEER_DATA: more volumes on
-# which no predictor was trained. STEER_CLOCK: cpu if other programs use the machine. STEER_FRAMES: frames per path.
+# Steering: recorded paths, their replay under every controller and an oracle, the stress scenes, schedules of farms.
+# STEER_IN: folder of recorded paths: those of the project, or those that `make steer-traces` recorded on this machine.
+# STEER_DATA: folder of more volumes on which no predictor was trained. STEER_CLOCK: cpu if other programs use the machine.
+# STEER_FRAMES: frames per path.
 STEER_IN ?= data/steer
 STEER_OUT ?= out/steer
 STEER_CLOCK ?= cpu
@@ -13,11 +14,11 @@ steer-build:
 	@$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
 
 .PHONY: steer-traces
-steer-traces: setup steer-build ## Record cost curves on this machine, for `make bars-steer STEER_IN=out/steer` (existing files stay)
+steer-traces: setup steer-build ## Record frame times of paths at several steps on this machine, for `make bars-steer STEER_IN=out/steer` (existing files stay)
 	@CARGO="$(CARGO)" bash lab/scripts/steer-traces.sh "$(STEER_OUT)" "$(STEER_CLOCK)" "$(STEER_FRAMES)" "$(STEER_DATA)"
 
 .PHONY: bars-steer
-bars-steer: steer-build ## Measure the bars of steering: controllers beside an oracle, schedules of a farm over their lower bound, stress scenes; fails when one is short
+bars-steer: steer-build ## Measure the bars of steering: controllers compared with an oracle, schedules of a farm compared with their lower bound, stress scenes; fails if one is missed
 	@status=0; \
 	target/release/entire-lab replay "$(STEER_IN)"/traces/*.json.gz --calibration "$(STEER_IN)/calibration.csv.gz" \
 		--out "$(STEER_OUT)" --bars || status=1; \
@@ -34,13 +35,13 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 		--out "$(STEER_OUT)/tune.json"
 
 .PHONY: stress
-stress: steer-build ## Play the scenes in which methods break, with a run of a million frames: out/stress/report.html
+stress: steer-build ## Play the scenes in which frame-time methods fail, among them a run of a million frames: out/stress/report.html
 	@target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
 
-# Measured live by the wall clock: about half an hour. Nothing else should run meanwhile. If it is interrupted, the same
-# command continues.
+# Measured on rendered frames by wall time: about half an hour. No other program should run meanwhile. After an
+# interruption, the same command continues.
 WALL_OUT ?= out/bars-wall
 
 .PHONY: bars-wall
-bars-wall: build ## Hold frame times by the wall clock, quiet and beside a neighbor: make bars-wall DATA=FOLDER-WITH-scans
+bars-wall: build ## Compare controllers by wall time, on a quiet machine and beside another program: make bars-wall DATA=FOLDER-WITH-scans
 	@python3 lab/scripts/bars_wall.py --data "$(DATA)" --out "$(WALL_OUT)" --bin "$(or $(CARGO_TARGET_DIR),target)/release/entire"

@@ -2,5 +2,5 @@
 PYTHON ?= python3
 
 .PHONY: bars-train
-bars-train: ## Training speed and final loss against PyTorch on this machine
+bars-train: ## Compare training speed and final loss with PyTorch on this machine
 	$(PYTHON) lab/scripts/bars_train.py

@@ -1,39 +1,39 @@
 # VTK, ParaView and yt: the adapters in plugins/vtk and plugins/paraview, their tests, bars and tables.
-# If a package is missing, a target says so in one line and goes on without it.
+# If a package is missing, a target prints one line about it and continues without it.
 
 .PHONY: test-vtk
-test-vtk: ## Build vtkEntireSteering against the installed VTK and run its tests (skipped where VTK is not there)
+test-vtk: ## Build vtkEntireSteering against the installed VTK and run its tests (skipped if VTK is not installed)
 	@CARGO="$(CARGO)" plugins/vtk/run.sh test
 
 .PHONY: test-vtk-asan
-test-vtk-asan: ## Run the tests of re-entrant VTK events under AddressSanitizer (skipped where VTK is not there)
+test-vtk-asan: ## Run the tests of re-entrant VTK events under AddressSanitizer (skipped if VTK is not installed)
 	@CARGO="$(CARGO)" plugins/vtk/run.sh asan
 
 .PHONY: bars-vtk
-bars-vtk: ## Compare with VTK's AutoAdjustSampleDistances and collect, train, evaluate per renderer (about an hour)
+bars-vtk: ## Compare steering with VTK's AutoAdjustSampleDistances; collect tables, train and evaluate for each renderer (about an hour)
 	@CARGO="$(CARGO)" lab/scripts/vtk/bars.sh
 
 .PHONY: test-paraview
-test-paraview: ## Build the ParaView plugin, load and check it (skipped where ParaView is not there)
+test-paraview: ## Build the ParaView plugin, load and check it (skipped if ParaView is not installed)
 	@CARGO="$(CARGO)" plugins/paraview/run.sh test
 
-# Debian's releases in folders of their own, 4 GB each, kept in MATRIX_FOLDERS; needs root. MATRIX: host, stable, testing; all by default.
+# Debian's releases in separate folders, 4 GB each, kept in MATRIX_FOLDERS; needs root. MATRIX: host, stable, testing; all by default.
 .PHONY: test-matrix
-test-matrix: ## Test the VTK class and the ParaView plugin with the versions of Debian stable and testing, beside those installed here
+test-matrix: ## Test the VTK class and the ParaView plugin with the versions of this machine, of Debian stable and of Debian testing
 	@CARGO="$(CARGO)" scripts/matrix.sh $(MATRIX)
 
 .PHONY: bars-windows
-bars-windows: ## Measure stereo, several volumes and several renderers in one window, held by the VTK class and by the Python package
+bars-windows: ## Measure stereo, several volumes and several renderers in one window, steered by the VTK class and by the Python package
 	@CARGO="$(CARGO)" lab/scripts/vtk/windows.sh
 
 .PHONY: bars-reach
-bars-reach: ## Print the bars of the versions that test-matrix ran last, here or elsewhere (.ci/matrix.csv); fails when one is short
+bars-reach: ## Print the bars of the last test-matrix, on this machine or another one (.ci/matrix.csv); fails if one is missed
 	@python3 lab/scripts/reach.py bars
 
 .PHONY: versions
-versions: ## Keep what test-matrix ran last in .ci/matrix.csv and write README's and the book's tested versions
+versions: ## Store the results of the last test-matrix in .ci/matrix.csv, and write the tested versions into README and the book
 	@python3 lab/scripts/reach.py keep
 
 .PHONY: study-renderers
-study-renderers: ## Accuracy for VTK's mappers, ParaView and yt: out/renderers/report.html
+study-renderers: ## Evaluate predictors on tables of VTK's mappers, ParaView and yt: out/renderers/report.html
 	$(LAB) study --study data/timings/renderers-study.json --out out/renderers --bars

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Prints one line `bar NAME VALUE LIMIT ok|short` per goal of robustness and fails when one is short.
+# Prints one line `bar NAME VALUE LIMIT ok|short` per goal of robustness, and fails if a goal is missed (`short`).
 #
 #   scripts/bars-robust.sh [part...]        parts: mutants kills states vtk miri; default: all
 #
-# MUTANTS sets the number of mutants of model files (100000), FIRST_SEED the first one's seed (0), KILLS and FULL the
-# numbers of commands that are ended at random moments (200) and on a full disk (20). Bars are short with lower numbers, and
-# if tools are missing (which is printed) or no test ran.
+# MUTANTS: number of mutated model files (100000); FIRST_SEED: seed of the first one (0); KILLS: number of commands that are
+# killed at random times (200); FULL: number of commands on a full disk (20). With lower numbers, bars are short. They are
+# also short if tools are missing (which is printed) or no test ran.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . lab/scripts/bar_lines.sh
@@ -28,7 +28,7 @@ mutants() {
     next=${FIRST_SEED:-0}
     end=$((next + ${MUTANTS:-$asked_for}))
     if ((end - next < asked_for)); then
-        lacking "$((end - next)) mutants are fewer than the $asked_for that are asked for (MUTANTS=$asked_for)" "${asked[@]}"
+        lacking "$((end - next)) mutants are fewer than the required $asked_for (MUTANTS=$asked_for)" "${asked[@]}"
         return
     fi
     while ((next < end)); do
@@ -42,7 +42,7 @@ mutants() {
         grep '^panic at' "$folder/err" || true
         if ((code == 0)); then
             if [[ -z $line ]]; then
-                lacking "model_mutants has not counted: $(tail -n 1 "$folder/err")" "${asked[@]}"
+                lacking "model_mutants printed no counts: $(tail -n 1 "$folder/err")" "${asked[@]}"
                 return
             fi
             panics=$((panics + $(awk '{ print $2 }' <<<"$line")))
@@ -59,7 +59,7 @@ mutants() {
         slowest=unknown
         next=$((next + 1))
         if ((aborts >= 20)); then
-            echo "stopped after 20 of them"
+            echo "stopped after 20 mutants that ended the process"
             ((panics > 0)) || panics=unknown
             break
         fi
@@ -69,7 +69,7 @@ mutants() {
     bar model_mutants_slowest_cpu_seconds "$slowest" 1
 }
 
-# Ends every command that writes by SIGKILL at random moments, and on full disks.
+# Counts torn or lost files after commands that write files were killed (SIGKILL) at random times, or ran on a full disk.
 kills() {
     ${CARGO:-cargo} build --release --quiet --package entire-cli --package entire-lab --bins || {
         lacking "the commands cannot be built" files_torn_or_lost_kill_200 0 files_torn_or_lost_full_disk_20 0
@@ -96,7 +96,7 @@ states() {
 vtk() {
     local counts why
     make --no-print-directory test-vtk-asan >"$log" 2>&1 || true
-    # The step succeeds if it cannot run on this machine and says so; ctest succeeds even if it finds no test.
+    # `make test-vtk-asan` also succeeds if it is skipped on this machine; ctest also succeeds if it finds no test.
     counts=$(sed -n 's/.*tests passed, \([0-9]*\) tests\{0,1\} failed out of \([0-9]*\).*/\1 \2/p' "$log" | tail -n 1)
     why=$(sed -n 's/^test-vtk-asan: skipped: //p' "$log" | tail -n 1)
     if [[ -z $counts || $counts == *" 0" ]]; then
@@ -132,7 +132,7 @@ miri() {
         bar miri_reports "$((all > 0 ? all : 1))" 0
         tail -n 40 "$log"
     else
-        lacking "not all of core's scalar kernels and ffi ran to their end: $(tail -n 1 "$log")" miri_reports 0
+        lacking "not all tests of core's scalar kernels and of ffi ran to their end: $(tail -n 1 "$log")" miri_reports 0
     fi
 }
 

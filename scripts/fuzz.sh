@@ -1,20 +1,20 @@
 #!/usr/bin/env bash
-# Builds the fuzz targets and runs each of them, or of the named ones, for an equal part of SECONDS (default 60).
+# Builds all fuzz targets, or those named, and runs each of them for an equal part of SECONDS (default 60).
 #
 #   fuzz.sh smoke [SECONDS] [TARGET...]   from the committed corpus, always with the same seed; new inputs are discarded
 #   fuzz.sh keep SECONDS [TARGET...]      with a new seed each time, from the committed corpus and the inputs of earlier runs
 #                                         under out/fuzz/TARGET, where new inputs are kept
 #
-# A crash is kept under fuzz/artifacts and fails the run, after the other targets had their time. Without a sanitizer,
-# the corpus and its mutations are replayed by the plain test.
+# An input that crashes a target is kept under fuzz/artifacts; the run then fails, after the other targets had their time.
+# Without a sanitizer, a test without coverage guidance runs the corpus and mutations of it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
 mode=${1:-smoke} seconds=${2:-60}
 shift $(($# < 2 ? $# : 2))
 
-plain() { # plain WHY
-    skip fuzz-smoke "coverage-guided fuzzing: $1; the corpus and mutations of it are replayed without it"
+plain() { # plain REASON: skips fuzzing with this reason, and runs the test without coverage guidance instead
+    skip fuzz-smoke "coverage-guided fuzzing: $1; the corpus and mutations of it are run without coverage guidance"
     exec cargo test --workspace --features entire-cli/explore --test hostile_files
 }
 
@@ -41,7 +41,7 @@ export RUSTFLAGS="${coverage[*]} -Zsanitizer=address -Cdebug-assertions --cfg fu
 known=$(sed -n 's|^path = "fuzz_targets/\(.*\)\.rs"$|\1|p' fuzz/Cargo.toml | sort)
 targets=${*:-$known}
 for target in $targets; do
-    grep -qx "$target" <<<"$known" || { echo "there is no fuzz target $target; there are: "$known >&2 && exit 2; }
+    grep -qx "$target" <<<"$known" || { echo "there is no fuzz target $target; use one of: "$known >&2 && exit 2; }
 done
 echo "building the fuzz targets"
 # Lock file and output stay in fuzz/, which is not part of the workspace.

@@ -35,7 +35,8 @@ mirror() {
         awk '!/-security/ { print; exit }' || true
 }
 
-# folder_lacking MIRROR: prints why no Debian can be installed into a folder and entered here, with the remedy; nothing where it can.
+# folder_lacking MIRROR: if this machine cannot install Debian into a folder and run commands in it, prints the reason and the
+# remedy; prints nothing if it can.
 folder_lacking() {
     local need
     [[ $(id -u) == 0 ]] || { echo "needs root for chroot (run it with sudo)"; return; }
@@ -51,7 +52,8 @@ folder_lacking() {
 install_debian() {
     local release=$1 folder=$2 mirror=$3 log=$4
     shift 4
-    # The mounts of mmdebstrap end with it. Files are not synced one by one, since an incomplete folder is made anew.
+    # Mounts that mmdebstrap makes end when it ends. Files are not flushed to disk one by one, since an incomplete folder is
+    # installed again.
     unshare --mount mmdebstrap --mode=root --dpkgopt=force-unsafe-io "$@" \
         "$release" "$folder" "deb $mirror $release main" >"$log" 2>&1 || {
         echo "mmdebstrap failed:"
@@ -61,8 +63,8 @@ install_debian() {
     }
 }
 
-# in_debian FOLDER [SOURCE=TARGET]... -- COMMAND...: runs a command in a Debian in a folder, with each SOURCE of this machine
-# mounted read-only at TARGET. Only the command's processes see the mounts: none stays, however they end.
+# in_debian FOLDER [SOURCE=TARGET]... -- COMMAND...: runs a command in the Debian that is installed in FOLDER, with each SOURCE
+# of this machine mounted read-only at TARGET. Only the command's processes see the mounts, so no mount is left when they end.
 # shellcheck disable=SC2016
 in_debian() {
     local folder=$1 mounts=()

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # Tests the VTK class and the ParaView plugin with the versions of other Debian releases. Each release is installed into a
-# folder of its own, in which the same scripts run as on the host: the same tests, with compiler warnings as errors.
+# separate folder, in which the same scripts run as on the host: the same tests, with compiler warnings as errors.
 # Results go to MATRIX_OUT/results.csv, logs beside it. Needs root, for chroot.
 #
 #   scripts/matrix.sh [host|stable|testing]...     default: all three
 #
-# MATRIX_FOLDERS  where the folders are kept (default target/matrix); one is made anew if its list of packages has changed
+# MATRIX_FOLDERS  where the folders are kept (default target/matrix); a folder is made again if its list of packages has changed
 # MATRIX_MIRROR   Debian's package mirror (default: that of this machine's apt sources)
-# MATRIX_FRESH    if set, all folders are made anew
+# MATRIX_FRESH    if set, all folders are made again
 # MATRIX_OUT      default out/matrix
 # ENTIRE_SDK      the folder of an installed libentire (default: that of `make install` is built into target/sdk)
 set -euo pipefail
@@ -30,9 +30,9 @@ packages=(ca-certificates g++ cmake ninja-build pkg-config valgrind xvfb xauth l
     libvtk9-dev python3-vtk9 paraview paraview-dev openmpi-bin qt6-base-dev qt6-svg-dev qt6-tools-dev qt6-5compat-dev
     libutfcpp-dev libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev
     libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
-# Last commands in the folder. They install ParaView's Python modules, which in some releases conflict with VTK's and are
-# then unpacked beside them; and they link extension modules to names without Python's suffix, which the CMake packages of
-# Debian's newer ParaViews expect.
+# Commands that run in the folder after its installation. They install ParaView's Python modules; in some releases these
+# conflict with VTK's modules and are unpacked into another folder instead. And they make links to extension modules under
+# names without Python's suffix, which the CMake packages of newer ParaView versions in Debian expect.
 # shellcheck disable=SC2016
 finish='export DEBIAN_FRONTEND=noninteractive
     apt-get install --yes --quiet --no-install-recommends --no-remove python3-paraview || {
@@ -56,7 +56,7 @@ folder() {
     local name=$1 folder=$folders/$1 began=$SECONDS list
     list=$(printf '%s\n' "${packages[@]}" "$finish")
     if [[ -z ${MATRIX_FRESH:-} && -e $folder/made-in && $(cat "$folder/made-from") == "$list" ]]; then
-        echo "matrix: $name: $folder is there ($(du -shx "$folder" | cut -f 1))"
+        echo "matrix: $name: $folder exists ($(du -shx "$folder" | cut -f 1))"
         return
     fi
     echo "matrix: $name: installing Debian $name from $mirror into $folder, some minutes and 4 GB: ${packages[*]} python3-paraview"
@@ -73,7 +73,7 @@ folder() {
     echo "matrix: $name: $(chroot "$folder" dpkg-query -f '.\n' -W | wc -l) packages, $(du -shx "$folder" | cut -f 1), in $((SECONDS - began)) s"
 }
 
-# tests NAME PROGRAM COMMAND...: runs a suite, and notes its end and its seconds for the results.
+# tests NAME PROGRAM COMMAND...: runs a suite, and adds its result (passed or failed) and its seconds to `suites`.
 tests() {
     local name=$1 program=$2 began=$SECONDS ended=passed
     shift 2

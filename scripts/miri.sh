@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Runs the tests of core's scalar kernels and the C library's unit tests under Miri, which finds undefined behavior; the
-# level is scalar there. Then it runs a small set of core's tests as on a 32-bit and on a big-endian machine.
+# Runs the tests of core's scalar kernels and the C library's unit tests under Miri, which finds undefined behavior and
+# supports only the scalar SIMD level. Then runs a small set of core's and steer's tests as on a 32-bit and on a big-endian
+# machine.
 #
 #   scripts/miri.sh [seconds] [part...]     time limit of each part (1800); parts: core ffi 32bit bigendian (default: all)
 set -euo pipefail
@@ -15,7 +16,7 @@ if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
     skip miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
     exit 0
 fi
-# Miri is some thousand times slower than the machine, so these are small tests that reach every scalar kernel.
+# Under Miri, code runs some thousand times slower, so these are small tests that reach every scalar kernel.
 kernels=(
     kernels::level::
     kernels::helper::
@@ -43,7 +44,7 @@ CARGO_TARGET_DIR=$(realpath -m "${CARGO_TARGET_DIR:-target}")/miri
 export CARGO_TARGET_DIR
 
 # Miri has no inline assembly, which libm uses for square roots by default.
-core() { # core TARGET-OPTION... -- TEST...
+core() { # core TARGET-OPTION... -- TEST...: runs the named tests of core and steer under Miri
     timeout "$seconds" "$cargo" +nightly miri test --package entire-core --package entire-steer --lib --features libm/force-soft-floats "$@"
 }
 

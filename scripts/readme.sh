@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Pastes README's shell commands, in their order, into a fresh clone on a fresh Debian: a minimal installation with git,
-# make and this machine's Rust, in a folder of its own. Prints the seconds of each command and `bar readme-commands-that-fail`.
+# Runs README's shell commands, in their order, in a fresh clone on a fresh Debian: a minimal installation with git,
+# make and this machine's Rust, in a separate folder. Prints the seconds of each command and `bar readme-commands-that-fail`.
 # Needs root, for chroot, and the network.
 #
 #   scripts/readme.sh
 #
-# README_FOLDER   where the installation is kept (default target/readme); only the clone is made anew
+# README_FOLDER   where the installation is kept (default target/readme); each run makes only a new clone
 # README_RELEASE  Debian's release (default bookworm)
-# MATRIX_MIRROR   Debian's package mirror (default: the one of apt's sources)
+# MATRIX_MIRROR   Debian's package mirror (default: that of this machine's apt sources)
 # README_OUT      logs of the commands (default out/readme)
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -34,7 +34,7 @@ if [[ ! -e $folder/made ]]; then
 fi
 rm -rf "$folder/root/entire"
 git clone --quiet . "$folder/root/entire"
-# How this machine reaches its mirrors.
+# The clone gets the settings by which this machine reaches its package mirrors.
 mkdir -p "$folder/root/.cargo"
 for file in /etc/resolv.conf /etc/pip.conf "${PIP_CERT:-}" "${SSL_CERT_FILE:-}" "${CARGO_HOME:-$HOME/.cargo}/config.toml"; do
     [[ -f $file ]] || continue

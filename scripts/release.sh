@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Rehearses a release: packs all that a release publishes, builds and checks it from the packages alone, and publishes
-# nothing.
+# Rehearses a release: packs everything that a release publishes, builds and checks it from the packages alone, and
+# publishes nothing.
 #
 #   scripts/release.sh [FOLDER]        default out/release
 #
-# FOLDER then holds the crates, wheel and sdist, the C library's archive, an SBOM, the notes, and checksums of them.
-# RELEASE_DIRTY=1 packs a checkout with local changes. Once the crates are downloaded, only twine needs the network.
+# FOLDER then has the crates, wheel and sdist, the C library's archive, an SBOM, the release notes, and checksums of all files.
+# RELEASE_DIRTY=1 packs a checkout with local changes. Once the crates are downloaded, only pip needs the network (twine, NumPy).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$(realpath -m "${1:-out/release}")
@@ -41,7 +41,7 @@ cc -o "$scratch/plan" examples/c/03_plan_observe.c \
 LD_LIBRARY_PATH=$scratch/unpacked/lib "$scratch/plan" >"$scratch/plan.txt"
 head -n 3 "$scratch/plan.txt"
 
-step "Python package: wheel and sdist, described as the index wants, imported in a clean environment"
+step "Python package: wheel and sdist, with metadata that the index accepts, imported in a clean environment"
 plugins/python/run.sh wheel
 cp out/wheels/entire-"$version"*.whl out/wheels/entire-"$version".tar.gz "$folder/"
 "$python" -m venv "$scratch/twine"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Checks for what building and rendering need, and installs missing packages from the distribution if this user may.
-# Prints its steps; a second run changes nothing. ENTIRE_SETUP_INSTALL=no makes it only check.
+# Checks for the programs and libraries that builds and renderers need, and installs missing packages of the distribution if
+# this user has the rights. Prints its steps; a second run changes nothing. With ENTIRE_SETUP_INSTALL=no it only checks.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -18,7 +18,7 @@ as_root() {
     if [[ "$(id -u)" == 0 ]]; then "$@"; else sudo -n "$@"; fi
 }
 
-# install_packages REASON PACKAGE…: true if they are installed afterwards.
+# install_packages REASON PACKAGE…: installs packages; true if all of them are installed afterwards.
 install_packages() {
     local reason=$1
     shift
@@ -26,7 +26,7 @@ install_packages() {
     log=$(mktemp)
     say "$reason: installing $* with apt-get"
     local get=(env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "$@")
-    # A disposable machine need not wait for its disk.
+    # On a machine of CI, dpkg need not flush files to disk.
     [[ -z ${CI:-} ]] || get+=(-o Dpkg::Options::=--force-unsafe-io)
     if as_root "${get[@]}" >"$log" 2>&1 ||
         { as_root apt-get update >"$log" 2>&1 && as_root "${get[@]}" >>"$log" 2>&1; }; then
@@ -41,7 +41,7 @@ install_packages() {
 
 missing=0
 
-# Rust. Its oldest version is stated once, in Cargo.toml.
+# Rust. The oldest supported version is stated only in Cargo.toml.
 wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 [[ -x "$HOME/.cargo/bin/cargo" ]] && PATH="$HOME/.cargo/bin:$PATH"
 if ! command -v cargo >/dev/null && may_install &&
@@ -63,18 +63,18 @@ else
     fi
 fi
 
-# Room for what is built. Linkers that run out of it end with a bus error.
+# Disk space of the build, in GB. A linker that runs out of disk space ends with a bus error.
 case ${ENTIRE_SETUP_FOR:-} in change) room=8 ;; nightly) room=30 ;; test) room=5 ;; *) room=2 ;; esac
 target=${CARGO_TARGET_DIR:-target}
 mkdir -p "$target"
 free=$(df --output=avail --block-size=1G "$target" 2>/dev/null | tail -n 1 | tr -d ' ') || free=$room
-# What is built already counts. It is measured only where it decides: a large folder takes seconds.
+# Existing build outputs count as free space. Their size is measured only if it is needed, since this can take seconds.
 used=0
 if ((free < room)); then
     used=$(du --summarize --block-size=1G "$target" 2>/dev/null | cut -f 1) || used=0
 fi
 if ((free + used < room)); then
-    say "$target takes up to $room GB and its disk has $free GB free: free some, or name a folder elsewhere in CARGO_TARGET_DIR"
+    say "$target needs up to $room GB, and its disk has $free GB free: delete files, or set CARGO_TARGET_DIR to a folder on another disk"
     missing=1
 fi
 
@@ -152,9 +152,9 @@ if ((${#packages[@]})) && command -v dpkg-query >/dev/null; then
     fi
 fi
 
-# The gate's own tools, in target/tools.
+# Tools that only the gates use, in target/tools.
 tools=$target/tools
-pip_tool() { # pip_tool NAME VERSION
+pip_tool() { # pip_tool NAME VERSION: installs a program from PyPI if it is missing
     command -v "$1" >/dev/null || [[ -x $tools/bin/$1 ]] && return
     [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]] && command -v python3 >/dev/null || return 0
     say "no $1: installing it into $tools"

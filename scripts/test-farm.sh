@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Tests `entire farm` end to end: processes of this machine, HyperQueue, Slurm, Cinema's reader, OpenJD's checker. Parts
-# that are missing and cannot be installed are skipped by name.
+# Tests `entire farm` end to end: processes of this machine, HyperQueue, Slurm, Cinema's reader, OpenJD's checker, ParaView.
+# A part that is missing and cannot be installed is listed as skipped.
 #
 #   scripts/test-farm.sh           without Slurm
 #   scripts/test-farm.sh --full    all tests
-#   scripts/test-farm.sh python    only makes the Python environment and prints its Python
+#   scripts/test-farm.sh python    only makes the Python environment and prints the path of its Python
 #
 # FARM_PYTHON   a Python that has hyperqueue, cinemasci and openjd-cli (default: an environment in target/farm)
 # FARM_BIN      the command `entire` to test (default: the one that cargo builds here)
@@ -15,12 +15,13 @@ target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 work=$(mktemp -d)
 slurm=
 trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$work"' EXIT
-# Time limit of every part, so that none hangs: a farm of this script takes seconds.
+# Time limit of every command, so that none hangs; each takes only seconds.
 within=(timeout --kill-after=10 120)
 
 # The environment's packages, each with the tested version.
 packages=(hyperqueue==0.27.0 cinemasci==1.7.9 openjd-cli==0.8.0)
 
+# Makes the Python environment with these packages, and prints the path of its Python; with FARM_PYTHON, only prints that.
 python() {
     if [[ -n ${FARM_PYTHON:-} ]]; then
         echo "$FARM_PYTHON"
@@ -34,7 +35,7 @@ python() {
     for package in "${packages[@]}"; do
         [[ -e $folder/made-${package%%=*} ]] && continue
         [[ ${ENTIRE_SETUP_INSTALL:-yes} != no ]] || continue
-        # Packages that cannot be installed here are skipped by name below.
+        # Tests that need a package which cannot be installed are listed as skipped below.
         if "${within[@]}" "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --retries 1 \
             --timeout 15 "$package" >&2; then
             touch "$folder/made-${package%%=*}"
@@ -88,7 +89,7 @@ TOML
 sums() { (cd "$work/$1.cdb" && find image -name '*.png' -print0 | sort -z | xargs -0 sha256sum); }
 
 same() { # same NAME: fails unless the images of a job are those of the reference
-    diff <(sums reference) <(sums "$1") >/dev/null || { echo "test-farm: $1: other images than the reference" >&2; exit 1; }
+    diff <(sums reference) <(sums "$1") >/dev/null || { echo "test-farm: $1: the images differ from those of the reference" >&2; exit 1; }
     echo "test-farm: $1: ok"
 }
 
@@ -98,7 +99,7 @@ echo "test-farm: local: ok"
 if has hyperqueue; then
     farm "$(job hyperqueue)" --engine hyperqueue --python "$python" --slots 2 >/dev/null
     same hyperqueue
-    # A worker's time limit, and a request that must stay below it.
+    # With a time limit of the workers, HyperQueue accepts only requests below this limit.
     farm "$(job limited)" --engine hyperqueue --python "$python" --slots 2 --time-limit 1h >/dev/null
     same limited
 else
@@ -142,7 +143,7 @@ display=()
 if command -v xvfb-run >/dev/null && [[ -z ${DISPLAY:-} ]]; then
     display=(xvfb-run -a -s "-screen 0 1280x900x24 -noreset")
 fi
-# ParaView's modules as plugins/paraview/run.sh unpacks them, where they are not installed.
+# If plugins/paraview/run.sh has unpacked ParaView's Python modules, they are used.
 modules=${PARAVIEW_PYTHON:-$target/paraview/python3-paraview}/usr/lib/python3/dist-packages
 if [[ -d $modules ]]; then export PYTHONPATH=$modules; fi
 echo "import paraview.simple" >"$work/import.py"

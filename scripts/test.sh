@@ -8,8 +8,8 @@
 # All steps share one build (`profile.dev` of Cargo.toml, the features of the whole workspace) and one installed C library.
 # Wall and processor seconds of each step go to out/test/steps.csv; `make bars-gate` compares them.
 #
-# A step for which this machine lacks something is listed as skipped at the end, with the reason, never as passed. So are
-# ignored tests. The list is kept in out/test/skipped-GATE; ENTIRE_SKIPPED has this path for every script.
+# A step for which this machine lacks something is listed as skipped at the end, with the reason, and not as passed. Ignored
+# tests are listed as skipped too. The list is kept in out/test/skipped-GATE; ENTIRE_SKIPPED has this path for every script.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
@@ -20,8 +20,8 @@ case $gate in
     *) echo "test.sh: found word \"$gate\"; use change, nightly or nothing" >&2; exit 2 ;;
 esac
 
-# Property tests always draw the same cases, so that a change fails here for its own effect, not for a random draw. `make
-# test-properties` draws new ones.
+# Property tests always draw the same cases, so that a failure is due to a change and not to a random draw. `make
+# test-properties` draws new cases.
 export PROPTEST_RNG_SEED=${PROPTEST_RNG_SEED:-20261121}
 # Nothing here is built twice, so incremental data need not be written.
 export CARGO_INCREMENTAL=${CARGO_INCREMENTAL:-0}
@@ -68,16 +68,17 @@ step() { # step NAME COMMAND...
     passed+=("$(printf '%4d s, processor %4d s  %s' "$wall" "$cpu" "$name")")
 }
 
-# All targets are built, so that crates that only tests use take part in the choice of features.
+# All targets are built, so that cargo's choice of features includes the crates that only tests use.
 build() { "$cargo" build --quiet "${everything[@]}" --all-targets; }
 
-# Adds the ignored tests of cargo's own runner to the skips: lines `test NAME ... ignored, REASON`.
+# Adds ignored tests to the list of skips, from the lines `test NAME ... ignored, REASON` of cargo's own runner.
 note_ignored() {
     sed -n -E 's/^test (.*) \.\.\. ignored(, (.*))?$/\1: ignored, \3/p' "$1" | sed 's/: ignored, $/: ignored/' |
         while read -r line; do echo "workspace, $line" >>"$ENTIRE_SKIPPED"; done
 }
 
-# Either runner runs the same tests. nextest does not run documentation tests, so cargo does.
+# Runs the tests with cargo-nextest if it is installed, else with cargo: the same tests. nextest does not run documentation
+# tests, so cargo runs them.
 workspace_tests() {
     if have cargo-nextest; then
         "$cargo" nextest run "${everything[@]}" --no-fail-fast --status-level fail --final-status-level fail || return 1
@@ -94,7 +95,7 @@ workspace_tests() {
 oldest_rust() {
     local version toolchain
     version=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' core/Cargo.toml)
-    # With the number of its last part, where it was installed so.
+    # The toolchain's name may include the last part of its version, such as 1.85.1.
     toolchain=$(rustup toolchain list 2>/dev/null | grep -om 1 "^$version[.0-9]*") || toolchain=$version
     if "$cargo" "+$toolchain" --version >/dev/null 2>&1; then
         CARGO_TARGET_DIR=$target/oldest-rust "$cargo" "+$toolchain" test --quiet --package entire-core \
@@ -120,7 +121,7 @@ if have python3; then
 else
     skip "house rules" "python3 is not installed (apt-get install python3)"
 fi
-# The set-up installs tools into this folder.
+# scripts/setup.sh installs tools into this folder.
 PATH=$PATH:$target/tools/bin
 if have typos; then
     step "spelling" typos

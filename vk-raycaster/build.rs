@@ -18,11 +18,12 @@ fn main() {
         for skipping in 0..3u32 {
             for fetch in 0..3u32 {
                 for [counting, packets, bricks] in [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1]] {
-                    // Packets are only for software devices, and they change only the skipping.
+                    // Packets exist only for packed volumes (FETCH 2), and they change only the skipping.
                     if packets == 1 && (fetch != 2 || skipping == 0) {
                         continue;
                     }
-                    // Shadow rays would leave the brick, and packed volumes are not cut.
+                    // Shadow rays (SHADING 2) would leave the brick, and packed volumes are not cut into
+                    // bricks.
                     if bricks == 1 && (fetch == 2 || shading == 2) {
                         continue;
                     }
@@ -53,7 +54,8 @@ fn main() {
     fs::write(Path::new(&out).join("shaders.rs"), table).expect("OUT_DIR is writable");
 }
 
-/// Keeps the lines that apply to the given constants: `#if NAME == N` or `!=`, `#else`, `#endif`, nested.
+/// Returns the source with only those lines that apply to the given constants. Understands `#if NAME == N`
+/// (or `!=`), `#else` and `#endif`, also nested.
 fn specialize(source: &str, constants: &[(&str, u32)]) -> String {
     let mut kept = String::new();
     let mut open: Vec<bool> = Vec::new();
@@ -95,7 +97,7 @@ fn specialize(source: &str, constants: &[(&str, u32)]) -> String {
     kept
 }
 
-/// One module in SPIR-V 1.3, which Vulkan 1.1 takes.
+/// Returns one module in SPIR-V 1.3, which Vulkan 1.1 accepts.
 fn compile(source: &str) -> Vec<u32> {
     let module = naga::front::wgsl::parse_str(source)
         .unwrap_or_else(|e| panic!("{}", e.emit_to_string_with_path(source, SOURCE)));

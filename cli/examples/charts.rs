@@ -4,7 +4,8 @@
 use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::PathBuf;
 
-/// Frame time in milliseconds of a made-up playback with two abrupt switches.
+/// Returns the frame time, in milliseconds, of an invented playback whose scene changes abruptly at frames 40
+/// and 80.
 fn frame_time(frame: usize, controller: usize) -> f64 {
     let wave = (frame as f64 * 0.21 + controller as f64).sin();
     let switch = if (40..80).contains(&frame) { 2.6 } else { 1.0 };
@@ -121,7 +122,7 @@ fn empty() -> Chart {
     Chart::new("Nothing measured", Axis::log("x"), Axis::linear("y")).size(500.0, 200.0)
 }
 
-/// A name and a chart of each kind.
+/// Returns a chart of each kind, with its name.
 pub fn samples() -> Vec<(&'static str, Chart)> {
     vec![
         ("frames", frames()),
@@ -136,9 +137,9 @@ pub fn samples() -> Vec<(&'static str, Chart)> {
     ]
 }
 
-/// A page with every chart.
+/// Returns a page with every chart.
 pub fn page() -> Page {
-    let mut page = Page::new("Every kind of chart", "The parts of this program's reports.");
+    let mut page = Page::new("Every kind of chart", "The charts and tables that reports may contain.");
     for (name, chart) in samples() {
         page.heading(name);
         page.chart(&chart, "A caption: the content of the chart, and the origin of its numbers.");

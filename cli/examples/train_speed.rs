@@ -1,9 +1,9 @@
 //! Trains a PredNet on synthetic frames and prints the seconds of the training, for comparison with PyTorch
 //! (`lab/scripts/bars_train.py`).
 //!
-//! `train_speed FOLDER PRESET FRAMES BATCH EPOCHS THREADS` writes the frames and the first weights to FOLDER
-//! (`inputs.bin`, `seconds.bin`, `weights.bin`: little-endian f32, standardized and in the order of the
-//! layers), trains, and prints one JSON object.
+//! `train_speed FOLDER PRESET FRAMES BATCH EPOCHS THREADS` writes the frames and the initial weights to
+//! FOLDER, trains, and prints one JSON object. The files contain little-endian f32: `inputs.bin` and
+//! `seconds.bin` standardized values, `weights.bin` the weights in the order of the layers.
 
 use entire_train::gradient::{Network, Samples, Settings, train};
 use std::io::Write;

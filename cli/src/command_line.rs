@@ -8,7 +8,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 /// Predicts the render time of a volume-rendered frame before it is drawn, and picks the ray step that keeps
-/// it within its time budget.
+/// the frame within its time budget.
 #[derive(Debug, Parser)]
 #[command(name = "entire", version, propagate_version = true)]
 struct Cli {
@@ -43,7 +43,7 @@ enum Command {
     Steer(commands::steer::Options),
     /// View a volume in an interactive window that holds a target frame time.
     Explore(commands::explore::Options),
-    /// Assign the tasks of a render farm to its nodes and predict when they end.
+    /// Assign the tasks of a render farm to its nodes and predict when the last task ends.
     Schedule(commands::schedule::Options),
     /// Render an image database on a farm and predict when it is complete.
     Farm(commands::farm::Options),
@@ -56,8 +56,8 @@ enum Command {
     Doctor(commands::doctor::Options),
 }
 
-/// Runs the command line: the program's name, then its arguments. Ends the process with status 2 for wrong
-/// usage.
+/// Runs the command line `args`: the program's name, then its arguments. Ends the process with status 2 for
+/// wrong usage.
 pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
     program::run("entire", move || {

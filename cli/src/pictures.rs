@@ -200,8 +200,8 @@ mod tests {
         Image { width, height, rgba: (0..width * height).flat_map(pixel).collect() }
     }
 
-    /// The right values are those of the crates `image` 0.25 (filter Triangle) and `image-compare` 0.5
-    /// (MSSIMSimple).
+    /// The expected values were computed with the crates `image` 0.25 (filter Triangle) and `image-compare`
+    /// 0.5 (MSSIMSimple).
     #[test]
     fn sizes_and_likeness_are_those_of_the_image_crates() {
         let f = |x: u32, y: u32| (x * x + 3 * y * y + x * y) as u8;

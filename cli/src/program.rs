@@ -20,7 +20,7 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
     let result = std::panic::catch_unwind(command);
     let line = match result {
         Ok(Ok(())) => return ExitCode::SUCCESS,
-        // The reader of our output closed it.
+        // The program that reads the output has closed the pipe.
         Ok(Err(error)) if error.chain().any(is_broken_pipe) => return ExitCode::SUCCESS,
         Ok(Err(error)) => format!("{error:#}"),
         Err(panic) => {

@@ -3,7 +3,7 @@
 use clap::{Arg, Command};
 use std::fmt::Write as _;
 
-/// The page of a program: one section for each of its commands, with a table of its options.
+/// Returns the page of a program: one section for each of its commands, with a table of its options.
 pub fn page(mut program: Command, intro: &str) -> String {
     program.build();
     let name = program.get_name().to_owned();
@@ -12,8 +12,8 @@ pub fn page(mut program: Command, intro: &str) -> String {
     out
 }
 
-/// The example lines in a program's help texts, each with the name of its command; `None` for a command
-/// without examples.
+/// Returns the example lines in a program's help texts, each after the name of its command; `None` for a
+/// command without examples.
 pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
     program.build();
     let name = program.get_name().to_owned();
@@ -36,7 +36,8 @@ pub fn examples(mut program: Command) -> Vec<(String, Option<String>)> {
     found
 }
 
-/// The commands below `command` that have no subcommands, with their full names, such as `entire collect`.
+/// Returns the commands below `command` that have no subcommands, with their full names, such as `entire
+/// collect`.
 fn commands<'a>(command: &'a Command, name: &str) -> Vec<(String, &'a Command)> {
     let mut all = Vec::new();
     for below in command.get_subcommands().filter(|c| !c.is_hide_set() && c.get_name() != "help") {
@@ -92,7 +93,8 @@ fn row(arg: &Arg, out: &mut String) {
         arg.get_default_values().iter().map(|v| v.to_string_lossy().into_owned()).collect();
     let default = match defaults.join(",") {
         _ if !arg.get_action().takes_values() => String::new(),
-        // An option that must know whether it was given has no default in clap; its help text states one.
+        // If the code must know whether an option was given, clap has no default for the option; its help
+        // text states the default.
         none if none.is_empty() => match help.rsplit_once("[default: ") {
             Some((_, said)) => format!("`{}`", said.trim_end_matches(['.', ']'])),
             None if arg.is_required_set() => "required".to_owned(),

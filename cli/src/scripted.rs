@@ -1,9 +1,10 @@
-//! A renderer for tests: its images are uniformly gray, and its times follow a known law.
+//! A renderer for tests: its images are uniformly gray, and its times follow a known formula.
 
 use entire_core::scene::{Frame, TransferTable, VolumeView};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
 
-/// Seconds = `fixed` + pixels · (mean table opacity) · `per_sample` / step, times noise.
+/// Renderer whose frames take `fixed` + pixels · (mean table opacity) · `per_sample` / step seconds, times
+/// noise.
 pub(crate) struct ScriptedRenderer {
     pub(crate) fixed: f64,
     pub(crate) per_sample: f64,
@@ -22,7 +23,7 @@ impl Default for ScriptedRenderer {
 }
 
 impl ScriptedRenderer {
-    /// The law without noise.
+    /// Returns the seconds of a frame without noise; `weight` is the mean opacity of the transfer table.
     pub(crate) fn seconds(&self, weight: f64, frame: &Frame) -> f64 {
         let pixels = f64::from(frame.width) * f64::from(frame.height);
         self.fixed + pixels * weight * self.per_sample / f64::from(frame.step)

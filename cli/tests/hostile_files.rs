@@ -1,7 +1,7 @@
 //! Arbitrary bytes in place of volumes, models, tables, paths and task lists: the committed corpus and
 //! mutations of it. Readers never panic and never allocate more memory than the input justifies.
 
-// The fuzz targets' own checks.
+// These modules contain the checks that the fuzz targets run.
 #[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
 #[path = "../../fuzz/src/checks.rs"]
 mod checks;
@@ -77,8 +77,8 @@ fn peak_of(target: Target, input: &[u8]) -> usize {
     MEMORY.peak_usage().saturating_sub(before)
 }
 
-/// Limit of a reader's memory for an input: buffers, a few times the input's own text and numbers, and the
-/// largest output of a deflate stream of that length.
+/// Returns the limit of a reader's additional memory for an input, in bytes: buffers, a few times the input's
+/// length for its text and numbers, and the largest output of a deflate stream of that length.
 fn bound(input: &[u8]) -> usize {
     let packed = input.windows(2).any(|w| w == [0x1f, 0x8b])
         || [
@@ -92,9 +92,10 @@ fn bound(input: &[u8]) -> usize {
         ]
         .iter()
         .any(|mark| input.windows(mark.len()).any(|w| w == *mark));
-    // A block of bzip2 holds up to 900,000 bytes of run lengths, of which five can stand for 255 equal bytes.
+    // A block of bzip2 holds up to 900,000 bytes of run lengths, of which five can encode 255 equal bytes.
     let blocks = input.windows(6).filter(|w| *w == [0x31, 0x41, 0x59, 0x26, 0x53, 0x59]).count();
-    // A decoder of bzip2 takes four bytes for each of those 900,000 as soon as it has read a stream's header.
+    // A bzip2 decoder allocates four bytes for each of these 900,000 bytes as soon as it has read a stream's
+    // header.
     let decoder = if input.windows(3).any(|w| w == b"BZh") { 4 << 20 } else { 0 };
     (1 << 19)
         + input.len() * if packed { 3 * 1032 } else { 64 }
@@ -169,7 +170,7 @@ fn apply(input: &mut Vec<u8>, change: &Change) {
             input.splice(at..at, part);
         }
         Change::Number(at, word) => {
-            // Runs of digits in the first part, where headers are.
+            // Runs of digits in the first 1500 bytes, where headers are.
             let head = &input[..input.len().min(1500)];
             let starts: Vec<usize> = (0..head.len())
                 .filter(|&i| head[i].is_ascii_digit() && (i == 0 || !head[i - 1].is_ascii_digit()))

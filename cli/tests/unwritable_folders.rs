@@ -1,5 +1,6 @@
 //! Commands in a folder that cannot be written: one line that names the file, status 1, and no file left
-//! behind. Where no folder can be made read-only for this user, that test is reported as ignored.
+//! behind. If no folder can be made read-only for this user, the test in a read-only folder is reported as
+//! ignored.
 
 mod support;
 
@@ -8,8 +9,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 use support::{render, stderr};
 
-/// Shell command that mounts the folder `$1` read-only and runs the other arguments as a command. It binds
-/// root too, whom permissions do not bind.
+/// Shell command that mounts the folder `$1` read-only and runs the other arguments as a command. A read-only
+/// mount also restricts root; permissions do not.
 const MOUNTED: &str = r#"mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" && shift && exec "$@""#;
 
 /// Ways to make a folder read-only.
@@ -48,7 +49,7 @@ fn how() -> Option<How> {
     ran.is_ok_and(|o| o.status.success()).then_some(How::Mount)
 }
 
-/// A volume, and a table of its frames.
+/// Returns a folder with a volume and a table of its frames.
 fn workshop() -> tempfile::TempDir {
     let folder = support::workshop();
     let collect =
@@ -57,7 +58,7 @@ fn workshop() -> tempfile::TempDir {
     folder
 }
 
-/// Every command that writes, with a target folder.
+/// Returns commands that write a file into the folder `into`, each with the path of that file.
 fn commands(into: &str) -> Vec<(String, Vec<String>)> {
     let owned = |words: &[&str]| words.iter().map(|w| (*w).to_owned()).collect::<Vec<_>>();
     let out = |name: &str| format!("{into}/{name}");
@@ -100,7 +101,7 @@ fn commands(into: &str) -> Vec<(String, Vec<String>)> {
     ]
 }
 
-/// Checks for one line about the file, and no more.
+/// Checks that the command ended with status 1 and one line that names the file.
 fn check(output: &Output, file: &str) -> Result<(), Failed> {
     let told = stderr(output);
     let lines: Vec<&str> = told.lines().filter(|l| l.starts_with("entire: ")).collect();
@@ -112,7 +113,7 @@ fn check(output: &Output, file: &str) -> Result<(), Failed> {
     Ok(())
 }
 
-/// Works for every user: the folder's path is a file.
+/// Writes into a path whose folder is a file; this fails for every user.
 fn below_a_file() -> Result<(), Failed> {
     let folder = workshop();
     std::fs::write(folder.path().join("file"), "x")?;
@@ -166,7 +167,7 @@ fn main() {
     let arguments = Arguments::from_args();
     let how = how();
     if how.is_none() {
-        eprintln!("in_a_read_only_folder is ignored: permissions do not bind this user, and it cannot mount");
+        eprintln!("in_a_read_only_folder is ignored: permissions do not bind this user, who cannot mount");
     }
     let closed = move || how.map_or(Ok(()), in_a_read_only_folder);
     let trials = vec![

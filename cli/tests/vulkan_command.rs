@@ -6,7 +6,7 @@ use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
 use support::*;
 
-/// The same frame on Vulkan and on the CPU version: pictures agree, and both report their work.
+/// Checks the same frame on Vulkan and on the CPU version: pictures and numbers of samples agree.
 fn agrees_with_the_twin() -> Result<(), Failed> {
     let folder = workshop();
     let at = folder.path();
@@ -44,7 +44,7 @@ fn agrees_with_the_twin() -> Result<(), Failed> {
     Ok(())
 }
 
-/// The probe's own comparison with the CPU version, and the values that only a device has.
+/// Checks the probe's comparison with the CPU version, and the values that only a device has.
 fn probe_describes_the_device() -> Result<(), Failed> {
     let folder = workshop();
     // While other programs run, the times of short frames may be too noisy, which the command reports. Longer
@@ -69,7 +69,8 @@ fn probe_describes_the_device() -> Result<(), Failed> {
     Ok(())
 }
 
-/// A device that exceeds its time limit: one line, status 1, and the process ends while the device works.
+/// Checks a device that exceeds its time limit: one line, status 1, and the process ends while the device
+/// works.
 fn a_hanging_device_ends_in_one_line() -> Result<(), Failed> {
     let folder = workshop();
     let arguments = [

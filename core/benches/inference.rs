@@ -1,6 +1,6 @@
-//! Times PredNet by network, level and storage, and VolumeNet and resampling by level, on one thread, and
-//! compares the times with the machine's limits, which are measured in the same run. Times in the table are
-//! in microseconds.
+//! Measures the time of PredNet for each network, SIMD level and storage type, and that of VolumeNet and of
+//! resampling for each level, on one thread. Compares the times with the machine's limits (memory bandwidth
+//! and peak arithmetic rate), which are measured in the same run. Times in the table are in microseconds.
 //!
 //! ```text
 //! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
@@ -12,8 +12,9 @@
 //! | warm | minimum, median, 99th percentile and maximum of successive calls |
 //! | cold | median with the weights evicted from the first two cache levels before each call |
 //! | flushed | median with the weights (resampling: the voxels) flushed from every cache before each call; not for VolumeNet |
-//! | bytes | weights (VolumeNet: and voxels; resampling: voxels) read by one call |
-//! | floor | the larger of bytes / bandwidth at that size and FLOP / peak, by the same level's instructions |
+//! | bytes | bytes that one call reads: weights (VolumeNet: weights and voxels; resampling: voxels) |
+//! | floor | lower bound of a call's time: the larger of bytes / bandwidth and FLOP / peak rate |
+//! | ratio | median of the warm times / floor |
 //!
 //! VolumeNet `vol A` has the channels 1-8-16-32-64-128-256, `vol B` 1-16-32-64-128-256-256 (kernel 3, stride
 //! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
@@ -133,7 +134,7 @@ fn volume(edge: usize) -> Vec<u8> {
         .collect()
 }
 
-/// Contents of one line; times in nanoseconds, `warm` sorted.
+/// Contents of one line of the table. Times are in nanoseconds; those in `warm` are sorted.
 struct Row<'a> {
     network: &'a str,
     level: Level,
@@ -177,7 +178,8 @@ impl Row<'_> {
     }
 }
 
-/// The larger of the two floors, in nanoseconds.
+/// Returns the lower bound of a call's time in nanoseconds, and the resource that sets it ("bytes" or
+/// "FLOP").
 fn floor(
     bytes: usize,
     macs: usize,
@@ -192,7 +194,7 @@ fn floor(
     }
 }
 
-/// Measured limits of the machine with one level's instructions.
+/// Measures the machine's peak arithmetic rate and memory bandwidth with one level's instructions.
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code, reason = "peak rates can only be measured with the instructions themselves")]
 mod limits {
@@ -288,7 +290,8 @@ mod limits {
         (rounds * 24 * 64) as f64 / seconds
     }
 
-    /// FLOP per second (integer operations with `int8`); `None` where the level lacks such instructions.
+    /// Returns the peak rate in FLOP per second (with `int8`: integer operations per second), or `None` if
+    /// the level lacks such instructions.
     pub(super) fn peak(level: super::Level, int8: bool) -> Option<f64> {
         // Takes the fastest of many short runs, which is the one least disturbed by other processes.
         let best = |f: &dyn Fn() -> f64| Some((0..600).map(|_| f()).fold(0.0, f64::max));
@@ -306,8 +309,8 @@ mod limits {
 
     /// Bytes per second of repeated reads of `bytes` bytes.
     pub(super) fn bandwidth(level: super::Level, bytes: usize) -> Option<f64> {
-        // Whole cache lines, as in packed weights; written first, since untouched memory is one shared page
-        // of zeros.
+        // The data fills whole cache lines, as packed weights do. It is written first: untouched memory is
+        // one shared page of zeros.
         let all = vec![1f32; bytes.next_multiple_of(256) / 4 + 16];
         let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
         let rounds = (1 << 22) / bytes + 1;
@@ -328,7 +331,7 @@ mod limits {
         Some(bytes as f64 / (0..60).map(time).fold(f64::INFINITY, f64::min))
     }
 
-    /// Evicts memory from every cache.
+    /// Evicts `bytes` from every cache.
     pub(super) fn flush(bytes: &[u8]) {
         for line in bytes.chunks(64) {
             // SAFETY: CLFLUSH is part of SSE2, which x86-64 always has, and the line belongs to a live slice.
@@ -350,7 +353,7 @@ mod limits {
     pub(super) fn flush(_: &[u8]) {}
 }
 
-/// Sorted times of single calls in nanoseconds, the clock's own time subtracted.
+/// Returns the sorted times of single calls in nanoseconds; the time of reading the clock is subtracted.
 fn times(
     calls: usize,
     limit: Duration,
@@ -466,7 +469,7 @@ fn main() {
         let wanted =
             |name: &str, storage: &str| format!("{name} {} {storage}", level.isa()).contains(&options.only);
         let short = Duration::from_millis(150);
-        // Up to a million calls within the time limit; the output states their number.
+        // Time limit of the warm calls of one row. Their number is at most `--calls`; the table states it.
         let long = if level == Level::detect() { Duration::from_millis(2500) } else { short };
         for (network, inputs, hidden) in NETWORKS {
             let parts = self::network(inputs, hidden);
@@ -525,7 +528,7 @@ fn main() {
                     floor: floor(bytes, macs, bandwidth, peak),
                 };
                 line.report(&mut csv);
-                // The floor of a batch depends on the arithmetic's peak; without it there is none.
+                // The floor of a batch is unknown if the peak rate of the arithmetic is unknown.
                 let floor = peak.and_then(|peak| floor(bytes, macs * rows, bandwidth, Some(peak)));
                 Row { rows, setup: None, warm: many, cold: None, flushed: None, floor, ..line }
                     .report(&mut csv);

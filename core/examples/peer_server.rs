@@ -1,15 +1,19 @@
-//! Serves this crate's inference by the protocol of the peer benchmark, a line `NAME BATCH SECONDS` in, a
-//! line `@@{json}` out, so that it is timed interleaved with other libraries.
+//! Runs this crate's inference for `make bars-inference`, which compares it with other libraries. For each
+//! line `NAME BATCH SECONDS` of its input, the program prints one line `@@{json}`, so that calls of this
+//! crate and of other libraries alternate.
 //!
 //! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
 //!
-//! `MODELS` is a folder of networks in the peers' format (`NAME.safetensors` with `l0.weight`, …,
+//! `MODELS` is a folder of networks in the format of `lab/peers` (`NAME.safetensors` with `l0.weight`, …,
 //! `inputs.safetensors`). The environment variable `PEER_THREADS` sets the number of threads (1 or 2).
-//! Special names: `accuracy/NAME` returns the largest relative error against a float64 evaluation, the output
-//! taken as the logarithm of seconds; `small/warm` and `small/cold` return the times of a 2×64 network on 24
-//! inputs, cold with its weights evicted from the first two cache levels before each call; `vol_…` runs a
-//! VolumeNet on a byte volume (`vol_…:f32` on the peers' floats); `resample/N` resamples N³ bytes to 128³ and
-//! returns the time of reading them once as `read`.
+//! Special names:
+//!
+//! - `accuracy/NAME` returns the largest relative error of the seconds against a float64 evaluation. The
+//!   network's output is taken as the logarithm of seconds.
+//! - `small/warm` and `small/cold` return the times of a 2×64 network on 24 inputs. Before each cold call,
+//!   the weights are evicted from the first two cache levels.
+//! - `vol_…` runs a VolumeNet on a byte volume, `vol_…:f32` on the float volume of the other libraries.
+//! - `resample/N` resamples N³ bytes to 128³; `read` in its result is the time of reading the bytes once.
 
 use entire_core::kernels::Level;
 use entire_core::kernels::{Executor, Helper, SELU_ALPHA, SELU_SCALE, Storage};
@@ -114,7 +118,7 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
     }))
 }
 
-/// A VolumeNet in the peers' format, batch normalization folded in.
+/// Reads a VolumeNet in the format of `lab/peers`; batch normalization is folded into weights and biases.
 fn volumenet(path: &Path) -> Result<VolumeNetParts, Problem> {
     let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
     let file = SafeTensors::deserialize(&bytes)?;
@@ -162,7 +166,8 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
     let (mut scratch, mut features) = (net.scratch(), vec![0.0; net.feature_len()]);
     Ok(Box::new(move || {
         let view = if from_floats {
-            // The network maps this range to [-1, 1], so the floats stay unchanged, as in the peers.
+            // The network maps this range to [-1, 1], so the floats stay unchanged, as in the other
+            // libraries.
             VolumeView::with(
                 Scalars::F32(&volume),
                 [128; 3],
@@ -177,7 +182,8 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
     }))
 }
 
-/// Times of resampling `n`³ bytes to 128³, and the minimum time in which the same threads read them once.
+/// Returns, as JSON, the times of resampling `n`³ bytes to 128³, and the minimum time in which the same
+/// threads read the bytes once.
 fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Result<String, Problem> {
     let bytes: Vec<u8> = (0..n * n * n).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&bytes), [n; 3])?;
@@ -240,7 +246,7 @@ fn float64(parts: &PredNetParts, row: &[f32]) -> f64 {
     x[0]
 }
 
-/// Largest relative error of single and batched predictions in seconds.
+/// Returns the largest relative error of the predicted seconds, over single and batched predictions.
 fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> {
     let mut parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
     parts.target = Target::LogSeconds;
@@ -258,7 +264,8 @@ fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> 
     Ok(error(&single).max(error(&batch)))
 }
 
-/// Times of whole `predict` calls of a 2×64 network on 24 inputs with normalization, target log-seconds.
+/// Returns, as JSON, the times of `predict` calls of a 2×64 network with 24 normalized inputs. Its output is
+/// the logarithm of seconds.
 fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem> {
     let number = |i: usize| ((i * 2_654_435_761) % 2000) as f32 / 10_000.0 - 0.1;
     let layer = |inputs: usize, outputs: usize| DenseParts {
@@ -281,9 +288,10 @@ fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem>
             Box::new(move || f64::from(net.predict(std::hint::black_box(&x), &mut scratch)));
         return Ok(measure(&mut case, seconds));
     }
-    // Twice the second-level cache of any current core: evicts the weights to the third level.
+    // More than twice the second-level cache of a current core: writing it evicts the weights from the first
+    // two levels.
     let mut eviction = vec![1u8; 8 << 20];
-    // The clock's own time, subtracted from each call.
+    // Time of reading the clock, in nanoseconds; it is subtracted from each call's time.
     let clock = (0..1000).map(|_| Instant::now().elapsed().as_nanos()).min().unwrap_or(0);
     let end = Instant::now() + Duration::from_secs_f64(seconds);
     let mut times = Vec::new();

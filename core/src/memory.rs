@@ -3,7 +3,7 @@
 use crate::{Error, ErrorKind, Result};
 use alloc::vec::Vec;
 
-/// The error of a failed allocation. Its message is static, because a formatted one would need memory.
+/// Returns the error of a failed allocation. Its message is static, because formatting needs memory.
 #[cold]
 pub(crate) fn no_memory() -> Error {
     Error::new(
@@ -13,7 +13,7 @@ pub(crate) fn no_memory() -> Error {
     )
 }
 
-/// An empty vector with room for `len` elements.
+/// Returns an empty vector with capacity for `len` elements.
 pub fn room<T>(len: usize) -> Result<Vec<T>> {
     let mut out = Vec::new();
     match out.try_reserve_exact(len) {
@@ -55,7 +55,7 @@ pub fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Opti
     if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
 }
 
-/// Replaces `vector` by `longer` if that is a vector; otherwise resizes `vector` to `len`.
+/// Replaces `vector` by `longer` if `longer` is `Some`; otherwise resizes `vector` to `len`.
 pub fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
     match longer {
         Some(longer) => *vector = longer,
@@ -99,7 +99,8 @@ pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
 }
 
-/// Mixes a number into a fingerprint; different sequences of numbers are very unlikely to collide.
+/// Returns `fingerprint` with `number` mixed in. Different sequences of numbers are very unlikely to give the
+/// same fingerprint.
 pub fn mixed(fingerprint: u64, number: u64) -> u64 {
     let mut z = (fingerprint ^ number).wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -3,7 +3,7 @@
 use entire_core::scene::{ColorNode, Nodes, OpacityNode, TABLE_LEN, TransferFunction};
 use serde_json::Value;
 
-/// Bound on the difference of a color or opacity from VTK's.
+/// Upper bound of the difference between a color or opacity and VTK's value.
 const TOLERANCE: f64 = 1e-6;
 
 fn number(v: &Value) -> f64 {

@@ -1,4 +1,4 @@
-/* Reads a model file, says what it takes, and predicts a frame's time for several ray steps: one at a time, then all in
+/* Reads a model file, prints its inputs, and predicts a frame's time for several ray steps: one at a time, then all in
  * one call.
  *
  *   01_predict MODEL.safetensors

@@ -1,5 +1,5 @@
-/* Hands over a volume of 16-bit voxels and encodes it into the features that the model's predictions take. The features
- * depend on the volume alone: compute them once, keep them, and hand them over again later.
+/* Makes a volume of 16-bit voxels and encodes it into the features that are inputs of the model's predictions. The
+ * features depend on the volume alone: compute them once, store them, and set them in later runs.
  *
  *   02_encode_volume MODEL.safetensors
  */
@@ -64,7 +64,7 @@ int main(int argc, char **argv) {
     for (size_t i = 0; i < count; ++i) printf(" %.6g", features[i]);
     printf("\n");
 
-    /* In a later run, a session with this volume does not read voxels again. */
+    /* With features set, as in a later run, a session does not encode the volume again. */
     check(entire_volume_set_features(volume, features, count));
 
     free(features);

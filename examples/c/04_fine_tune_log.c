@@ -42,7 +42,7 @@ int main(int argc, char **argv) {
         frame.arcball[1] = 360.0f * (float)i / FRAMES;
         frame.arcball[2] = i % 2 ? 2.5f : 4.0f;
         frame.step = (float)(1 << (i % 4));
-        for (int repeat = 0; repeat < REPEATS; ++repeat) { /* the median of the repeats is what counts */
+        for (int repeat = 0; repeat < REPEATS; ++repeat) { /* training uses the median of the repeats */
             double wall = draw(&frame);
             fprintf(log, "%d,%d,%s,,,%s,%s,%s,%.9g,%.9g,%.9g,%.9g,%u,%u,%.9g,%s,%s,%.9g,%.9g %.9g %.9g,,%.9g,,,,,\n", i,
                     repeat, argv[1], argv[2], argv[3], argv[4], frame.arcball[0], frame.arcball[1], frame.arcball[2],

@@ -1,5 +1,5 @@
-/* A host that makes a model of its own renderer without leaving its render loop: it records what it draws, fits a model
- * to it, steers by that model, and keeps it for the next run. The "renderer" is a formula here.
+/* A host that makes a model of its own renderer in its render loop: it records frames, fits a model to them, steers by
+ * this model, and saves it for the next run. The "renderer" is a formula here.
  *
  *   05_calibrate OUT.safetensors
  */
@@ -23,7 +23,7 @@ static float draw(const entire_frame *frame, float step) {
     return 1e-3f + (float)(frame->width * frame->height) * (2e-8f + 1.5e-7f / (step * frame->arcball[2]));
 }
 
-/* Balls of another size in every volume. */
+/* Sets a volume with one ball, whose size depends on `which`, and its transfer function. */
 static void show(entire_session *session, int which) {
     for (int i = 0; i < N * N * N; ++i) {
         const float x = (float)(i % N) - N / 2, y = (float)(i / N % N) - N / 2, z = (float)(i / N / N) - N / 2;
@@ -55,7 +55,7 @@ int main(int argc, char **argv) {
     check(entire_frame_init(&frame, sizeof frame));
     for (int v = 0; v < VOLUMES; ++v) {
         show(session, v);
-        for (int i = 0; i < FRAMES; ++i) { /* as users will look at it: sizes, sides, distances */
+        for (int i = 0; i < FRAMES; ++i) { /* image sizes, directions and distances as users will choose them */
             frame.width = 64 + 97u * (unsigned)i % 500, frame.height = 64 + 61u * (unsigned)i % 400;
             frame.arcball[1] = 47.0f * (float)i;
             frame.arcball[2] = 1.5f + (float)(i % 5) / 2;
@@ -67,7 +67,7 @@ int main(int argc, char **argv) {
     entire_model *mine = NULL;
     entire_calibration_report report = {.struct_size = sizeof report};
     check(entire_session_calibrate(session, &mine, &report));
-    printf("%zu frames, median error on volumes left out %.1f %%\n", report.frames, 100 * report.median_error);
+    printf("%zu frames, median error on held-out volumes %.1f %%\n", report.frames, 100 * report.median_error);
     check(entire_session_set_model(session, mine));
     check(entire_model_save(mine, argv[1]));
 

@@ -1,5 +1,5 @@
 // A closed loop around a real, if tiny, ray caster on the CPU: every frame is planned, drawn with the plan's step, timed,
-// and observed. Half way the transfer function changes from fog to surface.
+// and observed. After half of the frames, the transfer function changes from fog to a surface.
 //
 //   closed_loop [TARGET_MILLISECONDS [FRAMES]]
 #include <entire/entire.hpp>

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Renders tasks of `entire farm` with ParaView: `[renderer] kind = "pvbatch"`, `script = "render_paraview.py"`.
 
-A task comes per line of standard input, as JSON; the answer goes to standard output, as JSON. The volume stays as long as
-tasks are of the same file. A camera is what the project's arcball makes of it: turned about x, then about y, at a distance in
-radii of the volume's bounding sphere."""
+Reads one task per line of standard input and writes one answer per line to standard output, both as JSON. The volume
+stays loaded while tasks name the same file. A camera is an arcball pose: a rotation about x, then about y, in degrees,
+and a distance in radii of the volume's bounding sphere."""
 
 import json
 import math
@@ -17,7 +17,7 @@ VTK_UNSIGNED_CHAR = 3
 
 
 def opacity(transfer):
-    """Points (position, red, green, blue, opacity) of a transfer function."""
+    """Returns points (position, red, green, blue, opacity) of a transfer function."""
     if "points" in transfer:
         return [(p["position"], *p["color"], p["opacity"]) for p in transfer["points"]]
     out = []
@@ -51,7 +51,7 @@ class Scene:
         self.path = path
 
     def scalar_range(self, text):
-        """Scalars that map to 0 and 1: `auto`, `data`, or two numbers."""
+        """Returns the scalar values that map to 0 and 1; `text` is `auto`, `data`, or two numbers."""
         if text == "auto" and self.array.GetDataType() == VTK_UNSIGNED_CHAR:
             return 0.0, 255.0
         return self.array.GetRange() if text in ("auto", "data") else map(float, text.split(","))

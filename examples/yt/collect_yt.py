@@ -5,10 +5,11 @@
     venv/bin/python collect_yt.py --out yt.csv --max-size 128 VOLUME.nrrd...
     entire train --data yt.csv --clock cpu --out yt.safetensors
 
-yt's ColorTransferFunction uses the same formula for Gaussian lobes. yt takes a whole number of samples in every cell
-that a ray crosses: the random steps are 1 / that number, and the table contains the resulting mean distance between
-samples, which depends on the view direction and the spacing. yt neither skips empty space nor stops opaque
-rays. It runs on one thread, since waiting threads would count as processor time; OMP_NUM_THREADS overrides that.
+yt's ColorTransferFunction uses the same formula for Gaussian lobes as `entire collect`. yt takes a whole number of
+samples in every cell that a ray crosses. A step of --steps must be 1 / a whole number, which becomes the number of
+samples per cell. The table contains the resulting mean distance between samples, which depends on the view direction
+and the spacing. yt neither skips empty space nor stops opaque rays. It runs on one thread, since waiting threads would
+count as processor time; OMP_NUM_THREADS overrides that.
 """
 import math
 import os

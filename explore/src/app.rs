@@ -28,12 +28,12 @@ use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
 use winit::window::{Window, WindowId};
 
-/// Placeholders in the interface for the texture ids of the two pictures: that of the last planned frame, and
-/// that at full quality.
+/// Texture ids that the interface uses until they are replaced by the ids of the pictures: [`STEERED`] for
+/// the picture of the last planned frame, [`FULL`] for the picture at full quality.
 pub(crate) const STEERED: TextureId = TextureId::User(u64::MAX);
 pub(crate) const FULL: TextureId = TextureId::User(u64::MAX - 1);
 
-/// Time within which a second loss of the device is fatal.
+/// Time after a loss of the device within which another loss is fatal.
 const LOST_AGAIN: Duration = Duration::from_secs(10);
 
 /// The pictures on the device.
@@ -57,7 +57,7 @@ enum Waiting {
     Screenshot,
 }
 
-// Fields are dropped in this order: objects of the device before the device, all of it before the window.
+// Rust drops the fields in this order: objects of the device, then the device, then the window.
 struct App {
     loading: Option<Loading>,
     scene: Option<Scene>,
@@ -74,16 +74,16 @@ struct App {
     proxy: EventLoopProxy<Wake>,
     state: State,
     refinement: Option<Refinement>,
-    /// True if the picture of the view is at full quality.
+    /// True if the picture of the view is at full quality, or if its refinement failed.
     refined: bool,
     screenshot: Option<Screenshot>,
     script: Option<Script>,
     waiting: Waiting,
     log: Option<Log>,
-    /// Numbers of drawn frames, and of pictures that the window has shown.
+    /// Number of drawn frames, and number of pictures that the window has shown.
     number: u64,
     shown: u64,
-    /// Number of pictures shown before the oldest event that no picture includes yet.
+    /// Value of `shown` at the oldest input event that no shown picture includes yet.
     event_at: Option<u64>,
     last_change: Instant,
     last_paint: Instant,
@@ -100,7 +100,7 @@ struct App {
 /// Opens the window and returns once it is closed.
 ///
 /// # Errors
-/// Without a display or a device that shows pictures on it; when a script fails.
+/// When there is no display, no device can show pictures on it, or a script fails.
 pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
     let controllers = host.controllers();
     let controller = controllers.iter().position(|c| c.0 == options.controller).with_context(|| {
@@ -115,7 +115,7 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
     let log = options.log.as_deref().map(Log::create).transpose()?;
     let event_loop = EventLoop::<Wake>::with_user_event().build().map_err(|e| {
         anyhow!(
-            "no window can be opened: {e}; set DISPLAY (X11) or WAYLAND_DISPLAY, or start it on a virtual \
+            "no window can be opened: {e}; set DISPLAY (X11) or WAYLAND_DISPLAY, or use a virtual \
              display: `xvfb-run -s '-screen 0 1280x900x24' entire explore …`; `entire render` and `entire \
              steer` need no display"
         )
@@ -204,7 +204,7 @@ impl App {
         Ok(())
     }
 
-    /// Opens everything again after the device was lost; the volume is still in memory.
+    /// Opens the device and all its objects again after the device was lost. The volume is still in memory.
     fn recover(&mut self) -> Result<()> {
         if self.lost.is_some_and(|at| at.elapsed() < LOST_AGAIN) {
             bail!(
@@ -239,7 +239,8 @@ impl App {
         Ok(())
     }
 
-    /// A load of a whole volume file in the current modes, with a preset as its transfer function.
+    /// Returns the job that loads a whole volume file in the current modes, with a preset as transfer
+    /// function.
     fn job(&self, path: PathBuf, index: usize) -> Job {
         let (shading, skipping) = (self.state.shading, self.state.skipping);
         Job { path, index, source: None, crop: None, curve: None, shading, skipping }
@@ -268,8 +269,8 @@ impl App {
         self.script.is_some() && self.waiting == Waiting::Nothing
     }
 
-    /// Handles an error: reopens a lost device, shows other errors; ends the window if that is not possible
-    /// or a script plays.
+    /// Handles an error: reopens a lost device, shows other errors. Closes the window if the device cannot be
+    /// reopened or a script plays.
     fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
         let Err(error) = result else { return };
         let is_lost = self.device.as_ref().is_some_and(SharedDevice::is_lost);
@@ -293,7 +294,7 @@ impl App {
     }
 }
 
-/// Input of a window for its interface, which gets the dark theme.
+/// Returns the input state of a window, and sets the dark theme of its interface.
 fn input(egui: &egui::Context, window: &Window) -> egui_winit::State {
     egui.set_theme(egui::Theme::Dark);
     let scale = window.scale_factor() as f32;

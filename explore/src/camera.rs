@@ -7,15 +7,15 @@ use glam::{Mat3, Mat4, Vec3};
 /// Nearest and farthest distance from the target point, bounding-sphere radii.
 pub(crate) const DISTANCES: std::ops::RangeInclusive<f32> = 0.02..=200.0;
 
-/// Distance of an orthographic view's eye from the volume's center, increased by the pan, so that the volume
-/// lies before it. The picture does not depend on it.
+/// Distance of an orthographic view's eye from the target point, bounding-sphere radii. The length of the pan
+/// is added, so that the volume lies in front of the eye. The picture does not depend on this distance.
 const ORTHOGRAPHIC_DISTANCE: f32 = 2.0;
 
 /// Position and size of a part of a volume, in the scene space of the whole volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Placement {
     pub(crate) center: Vec3,
-    /// Bounding-sphere radius of the part over that of the whole.
+    /// Bounding-sphere radius of the part, divided by the radius of the whole volume.
     pub(crate) radius: f32,
 }
 
@@ -86,7 +86,7 @@ impl Viewpoint {
         Mat4::from_rotation_x(radians(self.rx)) * Mat4::from_rotation_y(-radians(self.ry))
     }
 
-    /// Right, up and backward of the eye in scene space.
+    /// Unit vectors of the eye in scene space: right, up and backward.
     fn axes(&self) -> [Vec3; 3] {
         let r = Mat3::from_mat4(self.rotation()).transpose();
         [r.x_axis, r.y_axis, r.z_axis]
@@ -117,7 +117,7 @@ impl Viewpoint {
         *self = Self { fov_y: self.fov_y, orthographic: self.orthographic, ..Self::default() };
     }
 
-    /// The camera of a part of the volume.
+    /// Returns the camera of a part of the volume.
     pub(crate) fn camera(&self, placement: Placement) -> Result<Camera> {
         let camera = if self.target == Vec3::ZERO && placement == Placement::WHOLE {
             Camera::from_arcball(self.arcball())?
@@ -170,7 +170,7 @@ impl Viewpoint {
         self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
     }
 
-    /// Multiplies the distance, and so the scale of an orthographic view.
+    /// Multiplies the distance by `factor`, and so the scale of an orthographic view.
     pub(crate) fn zoom(&mut self, factor: f32) {
         if factor.is_finite() && factor > 0.0 {
             self.distance = (self.distance * factor).clamp(*DISTANCES.start(), *DISTANCES.end());
@@ -256,7 +256,7 @@ mod tests {
         let mut view = Viewpoint::default();
         let eye = view.eye();
         view.look(12.0, -7.0);
-        assert!((view.eye() - eye).length() < 1e-5, "the head turns, the eye stays");
+        assert!((view.eye() - eye).length() < 1e-5, "only the view direction changes, not the eye");
         view.walk(0.5, 0.0, 0.0);
         assert!(((view.eye() - eye).length() - 0.5).abs() < 1e-5);
         let mut view = Viewpoint::default();
@@ -286,7 +286,7 @@ mod tests {
         view.orthographic = true;
         let after = view.project(across, 1.5).unwrap();
         assert!((before[1] - after[1]).abs() < 1e-5, "{before:?} {after:?}");
-        // Points at any depth are seen at the same size.
+        // A point at another depth has the same height in the image.
         assert!((view.project(across + 0.7 * view.axes()[2], 1.5).unwrap()[1] - after[1]).abs() < 1e-5);
         let scale = view.parallel_scale().unwrap();
         view.zoom(0.5);
@@ -306,7 +306,7 @@ mod tests {
         for placement in [Placement::WHOLE, part] {
             let camera = view.camera(placement).unwrap();
             let (origin, direction) = camera.ray_basis(300, 200);
-            // The ray through a point of the image meets the projected point of the scene there.
+            // Checks that the ray through the projection of a point passes through the point.
             for point in [Vec3::new(0.35, 0.0, -0.1), Vec3::new(0.2, 0.3, -0.4)] {
                 let [u, v] = view.project(point, 1.5).unwrap();
                 let from = origin[0] + u * origin[1] + v * origin[2];

@@ -41,7 +41,7 @@ enum FileOpacity {
 /// Reads a file of either format. `range`: the scalars that map to 0 and 1.
 ///
 /// # Errors
-/// When the file cannot be read or is no transfer function; names the file.
+/// When the file cannot be read or is no transfer function. The message names the file.
 pub(crate) fn load(path: &Path, range: (f32, f32)) -> Result<Curve> {
     let shown = path.display();
     let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
@@ -60,7 +60,7 @@ fn parse(text: &str, range: (f32, f32)) -> Result<Curve> {
         Value::Object(fields) if fields.contains_key("RGBPoints") => from_paraview(&value, range)?,
         _ => from_own(serde_json::from_value(value)?)?,
     };
-    // Curves that the core refuses are refused here.
+    // Refuses curves of which no table can be made.
     curve.table()?;
     Ok(curve)
 }
@@ -77,7 +77,7 @@ fn from_own(file: File) -> Result<Curve> {
     Ok(Curve { opacity, colors: file.colors.into_iter().map(|[s, r, g, b]| (s, [r, g, b])).collect() })
 }
 
-/// The curve as this program's JSON.
+/// Returns the curve as this program's JSON.
 pub(crate) fn to_own(curve: &Curve) -> Result<String> {
     let opacity = match &curve.opacity {
         Opacity::Points(points) => FileOpacity::Points(points.clone()),
@@ -90,7 +90,8 @@ pub(crate) fn to_own(curve: &Curve) -> Result<String> {
     Ok(serde_json::to_string_pretty(&file)? + "\n")
 }
 
-/// The curve as a preset of ParaView; lobes become points. `range`: the scalars that map to 0 and 1.
+/// Returns the curve as a preset of ParaView, in which lobes become points. `range`: the scalars that map to
+/// 0 and 1.
 pub(crate) fn to_paraview(curve: &Curve, range: (f32, f32)) -> Result<String> {
     let scalar = |s: f32| f64::from(range.0) + f64::from(s) * (f64::from(range.1) - f64::from(range.0));
     let Opacity::Points(points) = curve.to_points().opacity else { bail!("lobes did not become points") };
@@ -119,7 +120,8 @@ fn numbers(value: &Value, key: &str) -> Result<Option<Vec<[f64; 4]>>> {
 
 fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
     let colors = numbers(preset, "RGBPoints")?.ok_or_else(|| anyhow!("there are no RGBPoints"))?;
-    // A preset without opacity becomes a ramp; presets over 0…1 are stretched to the data's range.
+    // A preset without opacity becomes a ramp. Presets over the range 0 to 1 are stretched to the data's
+    // range.
     let opacity = numbers(preset, "Points")?;
     let (low, high) = (f64::from(range.0), f64::from(range.1));
     let ends = |list: &[[f64; 4]]| (list[0][0], list[list.len() - 1][0]);
@@ -201,7 +203,7 @@ mod tests {
             "Points": [10, 0, 0.5, 0, 20, 0.5, 0.5, 1, 30, 1, 0.5, 0]}]"#;
         let curve = parse(text, (10.0, 30.0)).unwrap();
         assert!((curve.opacity_at(0.25) - 0.25).abs() < 1e-3);
-        // Sharpness 1 is nearly a step half way.
+        // With sharpness 1, the segment is nearly a step at its middle.
         assert!(curve.opacity_at(0.65) < 0.55 && curve.opacity_at(0.85) > 0.95);
         assert_eq!(curve.color_at(0.5), [0.5, 0.0, 0.5]);
     }

@@ -2,10 +2,10 @@
 
 use entire_core::scene::VolumeView;
 
-/// Bins over the normalized scalars.
+/// Number of bins of the normalized scalars.
 pub(crate) const BINS: usize = 256;
 
-/// Approximate number of voxels that are read; of a larger volume, up to twice as many.
+/// Approximate number of voxels that are read; up to twice as many in a larger volume.
 const SAMPLED: u64 = 4_000_000;
 
 /// Counts of normalized values.
@@ -33,15 +33,15 @@ impl Histogram {
         Self { counts }
     }
 
-    /// Heights of the bars, 0 to 1, by the logarithm of the counts.
+    /// Returns the heights of the bars, 0 to 1, by the logarithm of the counts.
     pub(crate) fn heights(&self) -> Vec<f32> {
         let log = |n: u64| (n as f32 + 1.0).ln();
         let most = self.counts.iter().copied().map(log).fold(f32::MIN_POSITIVE, f32::max);
         self.counts.iter().map(|&n| log(n) / most).collect()
     }
 
-    /// The normalized value at quantile `share` of the voxels. The ten lowest bins are left out as background
-    /// if more than 0.5 % of the voxels are above them.
+    /// Returns the normalized value at quantile `share` of the voxels. The ten lowest bins are left out as
+    /// background if more than 0.5 % of the voxels are in higher bins.
     pub(crate) fn quantile(&self, share: f32) -> f32 {
         let background = BINS / 25;
         let all: u64 = self.counts.iter().sum();

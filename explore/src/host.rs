@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// A volume in memory.
 pub trait VolumeSource: Send + Sync {
-    /// Its voxels.
+    /// Voxels of the volume.
     fn view(&self) -> VolumeView<'_>;
 
     /// Notes on how the file was read, one sentence each.
@@ -24,13 +24,14 @@ pub trait Steering: Send + Sync {
     /// Name of the predictor, for display.
     fn title(&self) -> String;
 
-    /// Hash of the model. Sessions continue on a later volume if its predictor has the same hash.
+    /// Hash of the model. A session continues with the next volume if the predictors of both volumes have the
+    /// same hash.
     fn identity(&self) -> u32;
 
     /// VolumeNet's output for the volume, if the predictor uses it.
     fn volume_features(&self) -> Option<&[f32]>;
 
-    /// A new session with one of the [`Host::controllers`].
+    /// Returns a new session with one of the [`Host::controllers`].
     ///
     /// # Errors
     /// When the predictor cannot be made.
@@ -42,10 +43,10 @@ pub trait Host: Send + Sync {
     /// Reads a volume file, reports its progress, and stops once it is cancelled.
     ///
     /// # Errors
-    /// The error in the file; an error if it was cancelled.
+    /// When the file cannot be read, or reading was canceled.
     fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>>;
 
-    /// The predictor for a volume and shading mode.
+    /// Returns the predictor for a volume and shading mode.
     ///
     /// # Errors
     /// When a model file is invalid.
@@ -57,13 +58,13 @@ pub trait Host: Send + Sync {
     /// Writes a file completely or not at all: an existing file stays until the new one is complete.
     ///
     /// # Errors
-    /// Names the file that cannot be written.
+    /// When the file cannot be written; the message names the file.
     fn write_whole(&self, file: &Path, bytes: &[u8]) -> Result<()>;
 
     /// Writes a recorded session as a path file.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the file cannot be written.
     fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()>;
 
     /// The command line that calibrates a model to this machine.
@@ -89,7 +90,7 @@ impl Progress {
         self.done.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Asks the reader to stop.
+    /// Requests that the reader stops.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
     }
@@ -102,7 +103,7 @@ impl Progress {
     /// Fails if the reader was asked to stop.
     ///
     /// # Errors
-    /// When it was cancelled.
+    /// When reading was canceled.
     pub(crate) fn check(&self) -> Result<()> {
         if self.is_cancelled() {
             bail!("cancelled");
@@ -120,11 +121,11 @@ impl Progress {
 /// Options of the window.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// The volume, or those of a time series in order; none for an empty window.
+    /// Volume files: one, or the time steps of a series in order; none for an empty window.
     pub volumes: Vec<PathBuf>,
     /// Target frame time, seconds.
     pub target: f64,
-    /// One of [`Host::controllers`].
+    /// Name of one of the [`Host::controllers`].
     pub controller: String,
     /// Shading of each sample.
     pub shading: Shading,

@@ -1,5 +1,5 @@
 //! Volumes are loaded in the background: read, summarized, uploaded to the device by a separate raycaster,
-//! and drawn once in small size, so that the frame in which they appear takes no longer than others.
+//! and drawn once in small size, so that the frame in which they appear takes no longer than other frames.
 
 use crate::camera::Placement;
 use crate::histogram::Histogram;
@@ -45,7 +45,7 @@ pub(crate) struct Loaded {
     pub(crate) summary: VolumeSummary,
     pub(crate) steering: [Arc<dyn Steering>; 3],
     pub(crate) curve: Curve,
-    /// Seconds since the request.
+    /// Seconds from the request to the end of the load.
     pub(crate) seconds: f64,
 }
 
@@ -101,13 +101,13 @@ impl Loading {
         self.progress.cancel();
     }
 
-    /// The stage, and the share of the file that was read.
+    /// Returns the current stage, and the share of the file that was read.
     pub(crate) fn state(&self) -> (&'static str, f32) {
         let stage = self.stage.load(Ordering::Relaxed) as usize;
         (STAGES[stage.min(STAGES.len() - 1)], self.progress.share())
     }
 
-    /// The loaded volume or the error, once the load has ended.
+    /// Returns the loaded volume or the error once the load has ended.
     pub(crate) fn poll(&self) -> Option<Result<Box<Loaded>>> {
         self.result.try_recv().ok()
     }
@@ -143,7 +143,8 @@ impl Worker {
         };
         let view = part.as_ref().map_or_else(|| whole.view(), VolumeSource::view);
         let mut raycaster = VulkanRaycaster::on_device(&self.device, self.options.clone())?;
-        // The processor summarizes while the device takes the voxels, each with its own threads.
+        // The processor summarizes the volume while its voxels are uploaded to the device, in separate
+        // threads.
         let (summed, uploaded) = std::thread::scope(|scope| {
             let summed = scope.spawn(|| -> Result<_> {
                 let summary = VolumeSummary::new(&view)?;
@@ -184,7 +185,7 @@ impl Worker {
 /// Draws a few pixels, so that the shader of these modes is compiled.
 ///
 /// # Errors
-/// Those of the raycaster.
+/// When the raycaster fails.
 pub(crate) fn warm(raycaster: &mut VulkanRaycaster, shading: Shading, skipping: Skipping) -> Result<()> {
     let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.6 })?;
     let frame = Frame { step: 8.0, shading, skipping, ..Frame::new(camera, 16, 16)? }.checked()?;

@@ -15,7 +15,7 @@ pub(crate) struct Beside<'a> {
     pub(crate) input_frames: u64,
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Seconds of the frame before its plan.
+    /// Seconds from the beginning of the frame to its plan.
     pub(crate) before: f64,
     /// Seconds of drawing and presenting the interface, until the device has finished.
     pub(crate) shown: f64,
@@ -49,7 +49,7 @@ impl Log {
     /// Writes the row of a frame.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the row cannot be written.
     pub(crate) fn frame(&mut self, r: &FrameRecord, b: &Beside<'_>) -> Result<()> {
         writeln!(
             self.out,
@@ -82,7 +82,7 @@ impl Log {
     /// of the longest slice.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the row cannot be written.
     pub(crate) fn event(
         &mut self,
         frame: u64,

@@ -14,7 +14,7 @@ pub(crate) struct Recent {
 }
 
 impl Recent {
-    /// The saved list; empty if there is none.
+    /// Reads the saved list; the list is empty if there is none.
     pub(crate) fn load() -> Self {
         let variable = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let folder = variable("XDG_STATE_HOME")
@@ -30,7 +30,7 @@ impl Recent {
         Self { file, paths }
     }
 
-    /// Puts a file first and stores the list by `write`. A failure is ignored, since the list is only a
+    /// Puts a file first and stores the list by `write`. Errors are ignored, since the list is only a
     /// convenience.
     pub(crate) fn add(&mut self, path: &Path, write: impl FnOnce(&Path, &[u8]) -> Result<()>) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());

@@ -13,11 +13,12 @@ const MOST_FRAMES: usize = 1_000_000;
 pub struct RecordedFrame {
     /// The pose of the eye about the volume's center.
     pub camera: Arcball,
-    /// Half of the visible height of an orthographic view, bounding-sphere radii; none for a perspective one.
+    /// Half of the visible height of an orthographic view, bounding-sphere radii; `None` for a perspective
+    /// view.
     pub parallel_scale: Option<f32>,
-    /// True if the camera jumped here.
+    /// True if the camera jumped between the previous frame and this one.
     pub camera_switched: bool,
-    /// The transfer function, if it differs from the frame before.
+    /// The transfer function, if it differs from that of the previous frame.
     pub transfer: Option<RecordedTransfer>,
     /// True if the transfer function was replaced at once, not dragged.
     pub transfer_switched: bool,
@@ -37,7 +38,7 @@ pub struct Recording {
 pub(crate) struct Recorder {
     recording: Recording,
     last: Option<(Arcball, Option<f32>, Curve)>,
-    /// True if a frame was panned, which path files cannot hold.
+    /// True if a frame was panned. Path files cannot contain pans.
     pub(crate) panned: bool,
 }
 
@@ -92,10 +93,10 @@ impl Recorder {
         self.recording.frames.len()
     }
 
-    /// Writes a recording by `write` and ends it. It continues if it cannot be written.
+    /// Writes a recording by `write` and ends it. If the file cannot be written, the recording continues.
     ///
     /// # Errors
-    /// When no frame was recorded; those of `write`.
+    /// When no frame was recorded, or `write` fails.
     pub(crate) fn save(
         recorder: &mut Option<Self>,
         write: impl FnOnce(&Recording) -> Result<()>,
@@ -125,7 +126,7 @@ mod tests {
         recorder.note(&view, &curve("shell"), true).unwrap();
         view.ry = 60.0;
         recorder.note(&view, &curve("core"), true).unwrap();
-        // Orthographic from here on, and zoomed.
+        // From here on, the view is orthographic; then it is zoomed.
         view.orthographic = true;
         recorder.note(&view, &curve("core"), true).unwrap();
         view.zoom(0.9);

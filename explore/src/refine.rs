@@ -28,7 +28,7 @@ pub(crate) struct Cursor {
 }
 
 impl Cursor {
-    /// A cursor at the beginning. `expected`: seconds of the whole picture.
+    /// Returns a cursor at the beginning. `expected`: seconds of the whole picture.
     pub(crate) fn new(width: u32, height: u32, expected: f64) -> Self {
         let pieces = f64::from(width.div_ceil(PIECE)) * f64::from(height.div_ceil(BAND));
         let piece = if expected.is_finite() && expected > 0.0 { expected / pieces } else { 1e-3 };
@@ -58,7 +58,8 @@ impl Cursor {
     pub(crate) fn remaining(&self) -> f64 {
         let pieces = f64::from(self.width.div_ceil(PIECE)) * f64::from(self.height.div_ceil(BAND));
         let share = self.share();
-        // The finished part's mean time is weighted by its share, the last region's time by the remainder.
+        // The mean time of the finished part is weighted by its share, the time of the last region by the
+        // unfinished share.
         let whole = share * (self.spent / share.max(1e-6)) + (1.0 - share) * self.piece * pieces;
         (1.0 - share) * whole
     }
@@ -67,7 +68,7 @@ impl Cursor {
     /// its seconds.
     ///
     /// # Errors
-    /// Those of `work`.
+    /// When `work` fails.
     pub(crate) fn slice(&mut self, budget: f64, mut work: impl FnMut(Region) -> Result<f64>) -> Result<()> {
         let begin = Instant::now();
         let mut spent = 0.0;
@@ -98,7 +99,7 @@ impl Cursor {
 pub(crate) struct Refinement {
     pub(crate) frame: Frame,
     pub(crate) cursor: Cursor,
-    /// Time of its start.
+    /// Time at which the refinement began.
     pub(crate) begin: Instant,
     /// The longest slice so far, seconds.
     pub(crate) longest: f64,
@@ -113,10 +114,10 @@ impl Refinement {
         Self { frame, cursor, begin: Instant::now(), longest: 0.0, cast: 0.0 }
     }
 
-    /// Continues for about `budget` seconds.
+    /// Continues to draw for about `budget` seconds.
     ///
     /// # Errors
-    /// Those of the raycaster.
+    /// When the raycaster fails.
     pub(crate) fn slice(
         &mut self,
         raycaster: &mut VulkanRaycaster,

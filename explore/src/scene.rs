@@ -32,10 +32,10 @@ pub(crate) struct Facts {
     pub(crate) dims: [usize; 3],
     pub(crate) kind: &'static str,
     pub(crate) range: (f32, f32),
-    /// The minimum and maximum of its voxels.
+    /// Minimum and maximum of the volume's voxels.
     pub(crate) own_range: (f32, f32),
     pub(crate) spacing: Vec3,
-    /// Half extents of the whole volume's box, in its scene space.
+    /// Half extents of the box of the whole volume, in the scene space of this volume.
     pub(crate) half_extent: Vec3,
 }
 
@@ -51,7 +51,8 @@ impl Facts {
         }
     }
 
-    /// The corners of a part, or of the whole volume, in the scene space of the whole volume.
+    /// Returns the lowest and the highest corner of a part, or of the whole volume, in the scene space of the
+    /// whole volume.
     pub(crate) fn corners(&self, crop: Option<Crop>) -> [Vec3; 2] {
         let end =
             |a: usize, voxel: usize| self.half_extent[a] * (2.0 * voxel as f32 / self.dims[a] as f32 - 1.0);
@@ -112,7 +113,7 @@ impl Part {
     /// Copies the voxels of a part; the value range stays that of the whole volume.
     ///
     /// # Errors
-    /// For a part that is empty or reaches beyond the volume.
+    /// When the part is empty or reaches beyond the volume.
     pub(crate) fn new(view: &VolumeView<'_>, crop: Crop) -> Result<(Self, Placement)> {
         for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(view.shape().dims)) {
             ensure!(

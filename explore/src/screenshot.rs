@@ -26,10 +26,10 @@ impl Screenshot {
         self.cursor.share()
     }
 
-    /// Continues for about `budget` seconds; true once the file is written.
+    /// Continues to draw for about `budget` seconds. Returns true once the file is written.
     ///
     /// # Errors
-    /// Those of the raycaster, and when the file cannot be written.
+    /// When the raycaster fails or the file cannot be written.
     pub(crate) fn slice(
         &mut self,
         raycaster: &mut VulkanRaycaster,

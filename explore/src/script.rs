@@ -12,7 +12,7 @@
 //! | `preset` | the name of a preset |
 //! | `lobes` | `[[center, width, height], …]` |
 //! | `drag` | `[center, height]`, added to the first lobe in every frame from here on |
-//! | `controller` | its name |
+//! | `controller` | the name of a controller |
 //! | `steering` | true or false |
 //! | `target` | seconds |
 //! | `shading`, `skipping` | a mode's name |
@@ -102,7 +102,8 @@ impl Script {
     /// Reads a script.
     ///
     /// # Errors
-    /// Names the file, the line and its error.
+    /// When the script cannot be read or a line is invalid. The message names the file, the line and its
+    /// error.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let shown = path.display();
         let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
@@ -119,7 +120,7 @@ impl Script {
                 serde_json::from_str(line).with_context(|| format!("line {}", i + 1))?;
             ensure!(
                 frame >= last,
-                "line {} is for frame {frame}, after one for frame {last}; order them by frame",
+                "line {} is for frame {frame}, after a line for frame {last}; order the lines by frame",
                 i + 1
             );
             last = frame;

@@ -14,7 +14,7 @@ use entire_core::scene::{COLOR_RAMP, Shading, Skipping};
 use entire_vk_raycaster::Region;
 use std::path::PathBuf;
 
-/// Requests of the user that the application carries out, not the interface.
+/// Requests of the user that are carried out by the application, not by the interface.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Command {
     Open(PathBuf),
@@ -34,7 +34,7 @@ pub(crate) enum Command {
         size: [u32; 2],
     },
     SaveRecording(PathBuf),
-    /// Counts the samples of the view by cell.
+    /// Counts the samples in each cell of the view.
     MapWork,
     Forget,
 }
@@ -43,12 +43,12 @@ pub(crate) enum Command {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Changed {
     pub(crate) camera: bool,
-    /// The camera jumped to another view.
+    /// True if the camera jumped to another view.
     pub(crate) cut: bool,
     pub(crate) transfer: bool,
-    /// The transfer function was replaced.
+    /// True if the transfer function was replaced.
     pub(crate) replaced: bool,
-    /// Modes, sizes, target or controller changed.
+    /// True if modes, sizes, target or controller changed.
     pub(crate) settings: bool,
 }
 
@@ -126,7 +126,7 @@ pub(crate) struct State {
     pub(crate) series: Vec<PathBuf>,
     pub(crate) index: usize,
     pub(crate) playing: bool,
-    /// Seconds per volume.
+    /// Seconds for which a playing series shows each volume.
     pub(crate) hold: f32,
 
     pub(crate) fly: bool,
@@ -220,7 +220,7 @@ impl State {
         self.said = Some((format!("{error:#}"), true));
     }
 
-    /// Applies a preset. Returns false without a volume or for an unknown name.
+    /// Applies a preset. Returns false if there is no volume or no preset of this name.
     pub(crate) fn preset(&mut self, name: &str) -> bool {
         let Some(mut curve) = self.histogram.as_ref().and_then(|h| Curve::preset(name, h)) else {
             return false;

@@ -14,23 +14,24 @@ use std::sync::Arc;
 /// Number of frames in the graph.
 pub(crate) const REMEMBERED: usize = 300;
 
-/// Number of recent frames from which the next frame's seconds besides ray casting are estimated.
+/// Number of recent frames from which the time of a frame besides ray casting is estimated.
 const OTHER_WORK: usize = 15;
 
 /// Smallest share of the target that is planned for ray casting, however long the other work takes.
 const LEAST_SHARE: f64 = 0.15;
 
-/// Ray step, in finest steps, up to which only the step is coarsened; beyond it, step and image size.
+/// Ray step up to which only the step is coarsened, in multiples of the finest step. Beyond it, the image
+/// size shrinks too.
 const STEP_ALONE: f32 = 2.0;
 
 /// A drawn frame. Times are seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FrameRecord {
     pub(crate) number: u64,
-    /// From the beginning of the frame to the end of its presentation, without a wait for the display's
+    /// Time from the beginning of the frame to the end of its presentation, without a wait for the display's
     /// refresh.
     pub(crate) seconds: f64,
-    /// Ray casting, a part of `seconds`.
+    /// Time of ray casting, a part of `seconds`.
     pub(crate) cast: f64,
     /// Processor time of the thread that lays out and records the interface.
     pub(crate) interface: f64,
@@ -71,9 +72,9 @@ struct Known {
     table: Option<(TransferTable, Option<Vec<GaussianLobe>>)>,
 }
 
-/// Every controller's render loop; one of them steers.
+/// The render loops of all controllers. One of them steers.
 pub(crate) struct Steer {
-    /// Name and title.
+    /// Name and title of each controller.
     pub(crate) controllers: Vec<(&'static str, &'static str)>,
     /// Index of the controller that steers.
     pub(crate) controller: usize,
@@ -85,7 +86,7 @@ pub(crate) struct Steer {
     /// The largest allowed number of pixels between rays.
     pub(crate) distance: f32,
     pub(crate) history: VecDeque<FrameRecord>,
-    /// Prediction for the current frame at full quality, seconds: expected and bound.
+    /// Prediction for the current frame at full quality, seconds: expected time and upper bound.
     pub(crate) full: Option<(f64, f64)>,
     loops: HashMap<(usize, usize), Loop>,
     known: Option<Known>,
@@ -168,7 +169,7 @@ impl Steer {
         Some((features.probe_side(), features.probe_rays()))
     }
 
-    /// The steering session with its current inputs.
+    /// Returns the session that steers, with the current volume and transfer function.
     fn session(&mut self, shading: Shading) -> Result<&mut Session> {
         let known = self.known.as_ref().context("no volume is open")?;
         let key = (self.controller, shading_index(shading));
@@ -194,15 +195,16 @@ impl Steer {
         Ok(&mut running.session)
     }
 
-    /// Expected seconds of a frame's other work after its plan: the 75 % quantile of the last frames, since
-    /// the plan's bound is of ray casting only.
+    /// Returns the expected seconds of a frame's work after its plan, except ray casting: the 75 % quantile
+    /// of the last frames. A quantile above the median is taken because the plan's bound covers ray casting
+    /// only.
     fn other_work(&self) -> f64 {
         let mut all: Vec<f64> = self.other.iter().copied().collect();
         all.sort_by(f64::total_cmp);
         all.get(all.len() * 3 / 4).copied().unwrap_or(0.0)
     }
 
-    /// Expected seconds of a frame, and their bound.
+    /// Returns the expected seconds of ray casting for a frame, and their upper bound.
     pub(crate) fn predict(&mut self, frame: &Frame) -> Result<(f64, f64)> {
         let p = self.session(frame.shading)?.predict(frame)?;
         Ok((f64::from(p.seconds), f64::from(p.upper)))
@@ -214,8 +216,8 @@ impl Steer {
         Ok(())
     }
 
-    /// Plans a frame, which is given with the size of the view and the reference step. `spent`: seconds of
-    /// the frame so far.
+    /// Plans a frame. `frame` has the size of the view and the reference step; `spent`: seconds of the frame
+    /// so far.
     pub(crate) fn plan(&mut self, frame: &Frame, spent: f64) -> Result<Planned> {
         let rest = self.other_work();
         let other = spent + rest;
@@ -261,7 +263,7 @@ impl Steer {
     }
 }
 
-/// A sentence on a frame's plan, its reason, and its expected and measured time.
+/// Returns a sentence on a frame's plan, its reason, and its expected and measured time.
 pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
     let ms = |seconds: f64| format!("{:.1} ms", seconds * 1e3);
     let drawn = if record.image_sample_distance > 1.01 {
@@ -279,26 +281,26 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
     };
     let target = ms(record.target);
     let why = match record.reason {
-        Reason::Fits => format!("the finest that is expected to fit {target}"),
+        Reason::Fits => format!("the finest setting that is expected to fit {target}"),
         Reason::Damped => {
             format!("approaches the step that fits {target} gradually, because nothing changed abruptly")
         }
         Reason::Held => {
-            format!("kept from the last frame: it still fits {target} and is close to the best")
+            format!("the setting of the last frame, which still fits {target} and is close to the best")
         }
         Reason::FinestAllowed => format!("full quality fits {target}"),
         Reason::TargetUnreachable => {
-            format!("the coarsest that the quality floor allows; even that is not expected to fit {target}")
+            format!("the coarsest setting allowed, but even this is not expected to fit {target}")
         }
-        Reason::History => "the prediction was not trusted (out of range, or large recent errors): recent \
-                            frames decided"
+        Reason::History => "the prediction was not trusted (out of range, or large recent errors), so \
+                            recent frame times were used"
             .to_owned(),
-        Reason::NoInformation => "the coarsest allowed: nothing is known yet".to_owned(),
+        Reason::NoInformation => "the coarsest setting allowed, because nothing is known yet".to_owned(),
         Reason::Off => "steering is off".to_owned(),
-        Reason::Reactive => "a rule that knows past frames only".to_owned(),
+        Reason::Reactive => "a rule that uses past frames only".to_owned(),
         _ => record.reason.to_string(),
     };
-    format!("{controller}: {drawn}; {why}. {expected}; it took {}.", ms(record.seconds))
+    format!("{controller}: {drawn}; {why}. {expected}; the frame took {}.", ms(record.seconds))
 }
 
 #[cfg(test)]
@@ -345,7 +347,7 @@ mod tests {
         (steer, Frame::new(camera, 640, 480).unwrap())
     }
 
-    /// Seconds of a frame with given costs per ray and sample.
+    /// Returns the seconds of a frame with fixed costs per ray and per sample.
     fn cost(frame: &Frame) -> f64 {
         f64::from(frame.width) * f64::from(frame.height) * (2e-8 + 4e-7 / f64::from(frame.step))
     }

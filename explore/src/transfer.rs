@@ -5,7 +5,7 @@ use anyhow::Result;
 use entire_core::GaussianLobe;
 use entire_core::scene::{COLOR_RAMP, ControlPoint, TABLE_LEN, TransferFunction, TransferTable};
 
-/// A transfer function as recordings hold it.
+/// A transfer function in the form in which recordings contain it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RecordedTransfer {
     /// Gaussian lobes in the color ramp of the core.
@@ -65,7 +65,7 @@ pub(crate) const COLOR_MAPS: [(&str, &[ColorPoint]); 5] = [
 pub(crate) const PRESETS: [&str; 6] = ["ramp", "shell", "haze", "core", "layers", "solid"];
 
 impl Curve {
-    /// A preset for a volume's values; `None` for a name that is not in [`PRESETS`].
+    /// Returns a preset for a volume's values; `None` for a name that is not in [`PRESETS`].
     pub(crate) fn preset(name: &str, histogram: &Histogram) -> Option<Self> {
         let q = |share| histogram.quantile(share);
         let lobe = |center: f32, width: f32, height| GaussianLobe { center, width: width * width, height };
@@ -130,7 +130,7 @@ impl Curve {
         }
     }
 
-    /// The table for renderer and session.
+    /// Returns the transfer table for renderer and session.
     ///
     /// # Errors
     /// When the core refuses a lobe or point.
@@ -160,11 +160,11 @@ impl Curve {
         Ok(TransferTable::new(rgba)?)
     }
 
-    /// The curve for recordings: lobes if it consists of lobes in the core's color ramp, else a point for
-    /// each entry of the table.
+    /// Returns the transfer function for recordings: lobes if the curve consists of lobes in the core's color
+    /// ramp, else a point for each entry of the table.
     ///
     /// # Errors
-    /// As [`Curve::table`].
+    /// When the core refuses a lobe or point.
     pub(crate) fn recorded(&self) -> Result<RecordedTransfer> {
         if let (Some(lobes), true) = (self.lobes(), self.has_ramp()) {
             return Ok(RecordedTransfer::Lobes(lobes.to_vec()));
@@ -192,7 +192,7 @@ impl Curve {
         }
     }
 
-    /// The curve as points, so that it can be edited point by point. Points approximate lobes.
+    /// Returns the curve as points, so that it can be edited point by point. Lobes are approximated.
     pub(crate) fn to_points(&self) -> Self {
         let Opacity::Lobes(lobes) = &self.opacity else { return self.clone() };
         let mut at = vec![0.0, 1.0];
@@ -324,7 +324,7 @@ mod tests {
         assert!(edited.undo() && edited.curve == curve(0.1) && !edited.undo());
         assert!(edited.redo() && edited.curve == curve(0.5));
         edited.replace(curve(0.2));
-        assert!(!edited.can_redo() && !edited.redo(), "an edit ends what was taken back");
+        assert!(!edited.can_redo() && !edited.redo(), "a new edit removes the undone edits");
         assert!(edited.undo() && edited.curve == curve(0.5));
     }
 }

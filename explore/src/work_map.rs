@@ -1,10 +1,10 @@
-//! Map of the samples per ray by cell of the image, counted by the raycaster.
+//! Map of the mean number of samples per ray in each cell of the image, counted by the raycaster.
 
 use anyhow::Result;
 use entire_core::scene::Frame;
 use entire_vk_raycaster::{Region, Renderer, VulkanRaycaster};
 
-/// Cells along x and y.
+/// Number of cells along x and y.
 pub(crate) const CELLS: [u32; 2] = [24, 18];
 
 /// Mean number of pixels along the edge of a cell.
@@ -20,7 +20,7 @@ pub(crate) struct WorkMap {
 }
 
 impl WorkMap {
-    /// An empty map for the camera, aspect ratio and modes of a frame, at the reference step.
+    /// Returns an empty map for the camera, aspect ratio and modes of a frame, at the reference step.
     ///
     /// # Errors
     /// When the frame is invalid.
@@ -58,7 +58,7 @@ impl WorkMap {
     /// Counts the samples of at least one cell, and of further cells for about `budget` seconds.
     ///
     /// # Errors
-    /// Those of the raycaster.
+    /// When the raycaster fails.
     pub(crate) fn slice(&mut self, raycaster: &mut VulkanRaycaster, budget: f64) -> Result<()> {
         let begin = std::time::Instant::now();
         raycaster.count_work(true);

@@ -29,7 +29,7 @@ EVENTS = [
     (260, {"preset": "layers"}),
     (330, {"spin": [0, 0]}),
     (331, {"rest": True}),
-    # The window stays until it is ended from outside.
+    # The window stays open until it is ended from outside.
     (10_000_000, {"quit": True}),
 ]
 

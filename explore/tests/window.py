@@ -204,10 +204,10 @@ def a_person_explores(command, display, folder):
     log = person.close()
     frames = log["frame"]
     widths = {int(float(f["width"]) * float(f["image_sample_distance"]) + 0.5) // 20 for f in frames}
-    assert len(widths) > 2, f"the picture did not follow the window: {widths}"
+    assert len(widths) > 2, f"the picture did not change its size with the window: {widths}"
     late = max(int(f["input_frames"]) for f in frames)
     assert late <= 1, f"an event's picture came {late} frames late"
-    assert any(int(f["input_frames"]) == 1 for f in frames), "no frame knows of an event"
+    assert any(int(f["input_frames"]) == 1 for f in frames), "no frame reports an input event"
     assert "rest" in log, "the picture was never refined"
 
 
@@ -230,7 +230,7 @@ def screenshots_are_those_of_render(command, display, folder):
         arguments = ["--camera", ",".join(map(str, camera)), "--tf", tf, "--size", "x".join(map(str, size))]
         if parallel:
             # The height that the window's field of view of 45° shows at this distance. A parallel projection does not
-            # depend on the distance itself, so another one is passed.
+            # depend on the distance itself, so another distance is passed.
             scale = camera[2] * math.tan(math.radians(22.5))
             arguments[1] = "20,35,3.7"
             arguments += ["--parallel-scale", repr(scale)]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 
 def missing():
-    """Reason why the window cannot be tested here, with the remedy; None if it can."""
+    """Returns the reason why the window cannot be tested here, with the remedy; None if it can be tested."""
     packages = [name.lower() for name in ("Xvfb", "xdotool") if not shutil.which(name)]
     if packages:
         return f"{' and '.join(packages)} not installed (apt-get install xvfb xdotool)"
@@ -66,7 +66,7 @@ class Display:
         return done.stdout.strip()
 
     def window(self, title, seconds=60):
-        """The window with a title, once it exists."""
+        """Waits for a window with this title and returns its id."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             found = self.xdotool("search", "--name", title).split()
@@ -76,7 +76,7 @@ class Display:
         raise RuntimeError(f"no window {title!r} within {seconds} s")
 
     def pixels(self, box=None):
-        """The screen, or a box of it (x, y, width, height): width, height, RGB bytes."""
+        """Returns width, height and RGB bytes of the screen, or of a box (x, y, width, height) of it."""
         data = (Path(self.folder) / "Xvfb_screen0").read_bytes()
         header = struct.unpack(">25I", data[:100])
         start = header[0] + 12 * header[19]
@@ -167,7 +167,7 @@ def mean_difference(a, b):
 
 
 def where_different(a, b):
-    """Text: number of different pixels of two pictures, and their bounding box."""
+    """Returns a text: the number of different pixels of two pictures, and their bounding box."""
     width = a[0]
     places = [i // 3 for i, (x, y) in enumerate(zip(a[2], b[2])) if abs(x - y) > 2]
     if not places:
@@ -193,7 +193,7 @@ def write_volume(path, edge):
 
 
 def read_log(path):
-    """The rows of a frame log, by kind."""
+    """Returns the rows of a frame log, by kind."""
     rows = {}
     with open(path, newline="") as file:
         for row in csv.DictReader(file):

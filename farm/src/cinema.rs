@@ -12,7 +12,8 @@ use std::collections::HashMap;
 pub(crate) struct Row {
     /// Measured times and result.
     pub(crate) answer: Answer,
-    /// Expected seconds when its task was sent.
+    /// Rendering seconds that were expected when the image's task was sent. If this prediction was lost, the
+    /// measured seconds.
     pub(crate) predicted_s: f64,
 }
 
@@ -38,7 +39,7 @@ const COLUMNS: [&str; 15] = [
 /// Writes the table of a job's images, in the order of the job's tasks.
 ///
 /// # Errors
-/// When it cannot be written.
+/// When the table cannot be written.
 pub(crate) fn write(job: &Job, done: &HashMap<u32, Row>) -> Result<()> {
     let mut tasks: Vec<u32> = done.keys().copied().collect();
     tasks.sort_unstable();

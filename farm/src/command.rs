@@ -31,7 +31,7 @@ impl Placeholders {
     }
 }
 
-/// Parts of an argument.
+/// Part of an argument: text, a brace that was written twice, or the name of a placeholder.
 enum Part<'a> {
     Text(&'a str),
     Brace(char),
@@ -60,10 +60,10 @@ fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
     Ok(out)
 }
 
-/// Checks the placeholders of an argument.
+/// Checks that every placeholder of an argument is one of `names`.
 ///
 /// # Errors
-/// Names the unknown placeholder and the accepted ones, or the single brace.
+/// When a placeholder is not one of `names`, or a brace is neither doubled nor part of a placeholder.
 pub(crate) fn check(argument: &str, names: &[&str]) -> Result<()> {
     for part in parts(argument)? {
         if let Part::Name(name) = part
@@ -75,10 +75,10 @@ pub(crate) fn check(argument: &str, names: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// An argument with its placeholders filled in. Inserted text is not expanded again.
+/// Returns an argument with its placeholders replaced by `values`. Inserted text is not expanded again.
 ///
 /// # Errors
-/// As [`check`].
+/// When a placeholder has no value, or a brace is neither doubled nor part of a placeholder.
 pub(crate) fn fill(argument: &str, values: &Placeholders) -> Result<String> {
     let mut out = String::new();
     for part in parts(argument)? {
@@ -94,7 +94,7 @@ pub(crate) fn fill(argument: &str, values: &Placeholders) -> Result<String> {
     Ok(out)
 }
 
-/// A word quoted for a POSIX shell, for the scripts of batch systems.
+/// Returns a word quoted for a POSIX shell, for the scripts of batch systems.
 pub(crate) fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }

@@ -1,4 +1,5 @@
-//! A job's database on the disk: finished tasks, from the journal and from later answers of workers.
+//! A job's database on the disk: finished tasks, from the journal and from answers of workers that the
+//! journal lacks.
 
 use super::cinema::{self, Row};
 use super::job::Job;
@@ -30,7 +31,7 @@ impl<'a> Database<'a> {
     /// workers have finished since the last driver ended.
     ///
     /// # Errors
-    /// When the database was begun before and `resume` is not set, another driver is running, or a file
+    /// When the database has an earlier run and `resume` is not set, another driver is running, or a file
     /// cannot be read or written.
     pub fn open(job: &'a Job, options: &Options) -> Result<Self> {
         let state = job.state();
@@ -58,7 +59,8 @@ impl<'a> Database<'a> {
                 Entry::Done { answer, predicted_s } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
-                        // A task whose picture was missing was rendered again, so its last entry is valid.
+                        // A task whose picture was missing has been rendered again: its last entry replaces
+                        // earlier entries.
                         done.insert(task, Row { answer, predicted_s });
                     } else {
                         gone.extend(parse_id(&answer.task));
@@ -75,11 +77,11 @@ impl<'a> Database<'a> {
         })?;
         ensure!(
             options.resume || !begun,
-            "{} was begun before; go on with --resume, or give another output",
+            "{} has an earlier run; continue it with --resume, or give another output",
             job.output.display()
         );
         let run = run_number(&state).unwrap_or(0) + 1;
-        // From here on, workers of the previous run begin no further task.
+        // Workers with a bundle of the previous run find the new number before their next task, and end.
         write_whole(&state.join("run"), run.to_string().as_bytes())?;
         let renderer = serde_json::to_vec(&job.renderer)?;
         write_whole(&state.join("renderer.json"), &renderer)?;
@@ -96,9 +98,9 @@ impl<'a> Database<'a> {
         Ok(new)
     }
 
-    /// Compares the input files with those of the last run. Removes the pictures of changed files, prints a
-    /// note on these files and one on pictures that belong to no task, and stores the files' identities in
-    /// the journal. `then`: the identities of the last run, keyed by [`Job::shown`]; `gone`: ids in the
+    /// Compares the input files with those of the last run, and removes the pictures of changed files. Prints
+    /// a note on changed files and a note on pictures that belong to no task. Stores the identities of the
+    /// files in the journal. `then`: identities of the last run, keyed by [`Job::shown`]; `gone`: ids in the
     /// journal that belong to no task of the job.
     fn compare_inputs(
         &mut self,
@@ -160,8 +162,9 @@ impl<'a> Database<'a> {
         self.run
     }
 
-    /// Adds the answers in the spool to the journal if their tasks are not finished and their images are
-    /// complete. Then empties the folders of spool, orders, cancellations and images in progress.
+    /// Adds answers in the spool to the journal if their tasks are not finished and their images are
+    /// complete. Then empties the spool folder and the folders of orders, of cancellations and of images in
+    /// progress.
     ///
     /// # Errors
     /// When a file cannot be read or written.
@@ -213,8 +216,8 @@ impl<'a> Database<'a> {
         !whole || std::fs::read(&path).is_ok_and(|bytes| crc32fast::hash(&bytes) == answer.crc32)
     }
 
-    /// Removes tasks with missing or damaged images from the finished ones, so that they are rendered again.
-    /// Compares the sizes of the files, with `whole` also their checksums.
+    /// Removes tasks with missing or damaged images from the finished tasks, so that they are rendered again.
+    /// Compares the sizes of the image files with the journal; if `whole` is true, also their checksums.
     fn check_images(&mut self, whole: bool) -> Result<()> {
         let missing: Vec<u32> =
             self.done.iter().filter(|(_, row)| !self.is_there(&row.answer, whole)).map(|(t, _)| *t).collect();
@@ -230,8 +233,8 @@ impl<'a> Database<'a> {
         Ok(())
     }
 
-    /// The plan of the remaining tasks, corrected by the times of the finished ones. No task is queued in it
-    /// yet. `base`: ln of the base seconds of every task.
+    /// Returns a plan of the job in which no task is queued yet. Expected times are corrected by the times of
+    /// finished tasks. `base`: ln of the base seconds of every task.
     pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
         let mut planner = planner(self.job, base, setting);
         for (task, row) in &self.done {
@@ -241,7 +244,7 @@ impl<'a> Database<'a> {
         planner
     }
 
-    /// The order of a task for a worker.
+    /// Returns the work order of a task: all data that a worker needs to render it.
     pub fn order(&self, task: u32, predicted_s: f64) -> Order {
         let job = self.job;
         let at = job.place(task as usize);
@@ -268,7 +271,7 @@ impl<'a> Database<'a> {
     /// Writes the database's table.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the table cannot be written.
     pub(crate) fn write_table(&self) -> Result<()> {
         cinema::write(self.job, &self.done)
     }
@@ -277,7 +280,7 @@ impl<'a> Database<'a> {
 /// The tasks that a job's journal lists as finished and whose pictures exist, with their seconds.
 ///
 /// # Errors
-/// When its journal cannot be read.
+/// When the journal cannot be read.
 pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
     if !job.state().join("journal.jsonl").exists() {
         return Ok(Vec::new());
@@ -295,12 +298,12 @@ pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
     Ok(out.into_iter().collect())
 }
 
-/// True if volumes are loaded separately from rendering.
+/// True if the renderer can report the loading times of volumes separately from its rendering times.
 fn tells_loads(job: &Job) -> bool {
     !matches!(job.renderer, super::job::Renderer::Command { .. })
 }
 
-/// A plan of a job, without queued tasks. `base`: ln of the base seconds of every task.
+/// Returns a plan of a job in which no task is queued. `base`: ln of the base seconds of every task.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
     let has_model = job.predict.model.is_some() || job.predict.list.is_some();

@@ -14,7 +14,7 @@ fn the_longest_is_first_and_every_task_comes_once() {
         assert_eq!(bundle.len(), 1);
         out.extend(bundle);
         if out.len() == 100 {
-            // A returned task finds its place again; a waiting task is not queued twice.
+            // A task that was sent is queued again in its place. A task that waits is not queued twice.
             d.add_again(out[3]);
             d.add_again(*d.lanes[0].last().unwrap());
         }
@@ -47,8 +47,8 @@ fn bundles_are_as_large_as_their_sending_is_worth_and_shrink_at_the_end() {
     while let Some(bundle) = d.next(&Ask { overhead: 0.5, ..ask(None, &load, 4) }) {
         sizes.push(bundle.len());
     }
-    // A bundle takes at most 50 times its overhead, 25 s (249 tasks and a rounding error); at the end its
-    // size depends on the remaining work.
+    // The first bundle takes at most 50 times its overhead, which is 25 s: 250 tasks, or 249 because of
+    // rounding. The last bundles are limited by the remaining work.
     assert!((249..=250).contains(&sizes[0]) && sizes.iter().sum::<usize>() == 10_000, "{sizes:?}");
     assert!(*sizes.last().unwrap() <= 15 && sizes[sizes.len() - 2] >= 4, "{sizes:?}");
     assert!(sizes.windows(2).all(|w| w[1] <= w[0]), "{sizes:?}");
@@ -87,8 +87,9 @@ fn a_node_stays_with_its_volume_where_loading_costs() {
 
 #[test]
 fn orders_are_those_of_a_plain_search() {
-    // With many equal times, corrections and returned tasks, each request is answered with the longest
-    // waiting task, among equal ones that of the first volume and the first number.
+    // Compares each answer with a search through all tasks: it is the longest waiting task; of several
+    // equally long ones, the one with the first volume and then the first number. Many times are equal, and
+    // times are corrected and tasks are queued again in between.
     let n = 900u32;
     let seconds =
         |round: u32| (0..n).map(|t| 0.5 + ((t * 7919 + round * 31) % 97) as f32 / 8.0).collect::<Vec<_>>();
@@ -100,7 +101,7 @@ fn orders_are_those_of_a_plain_search() {
     for step in 0..n {
         if step % 60 == 59 {
             known = seconds(step);
-            // A sent task is queued again, in the order of the others.
+            // Queues a task again that was sent before.
             let back = (0..n).find(|t| !waits[*t as usize]).unwrap();
             waits[back as usize] = true;
             d.add_again(back);

@@ -1,4 +1,4 @@
-//! The driver: sends bundles, records their results, and predicts the end.
+//! The driver: sends bundles, records their results, and predicts the end of the job.
 
 use super::database::{Database, planner};
 use super::engine::{self, Bundle, Engine, Event};
@@ -16,7 +16,7 @@ use std::collections::{HashMap, HashSet};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-/// Interval between estimates of the end.
+/// Minimum interval between estimates of the job's end.
 const ETA_EVERY: Duration = Duration::from_millis(1000);
 /// Interval between writings of the database's table during a run.
 const TABLE_EVERY: Duration = Duration::from_secs(30);
@@ -30,13 +30,13 @@ const PREVIEW: usize = 8;
 /// Result of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
-    /// Images of the database.
+    /// Number of images in the database.
     pub done: usize,
-    /// Tasks of the job.
+    /// Number of tasks of the job.
     pub tasks: usize,
     /// Ids of the tasks that were given up.
     pub quarantined: Vec<String>,
-    /// Tasks finished in this run.
+    /// Number of tasks that were finished in this run.
     pub now: usize,
     /// Seconds of this run.
     pub seconds: f64,
@@ -45,8 +45,8 @@ pub struct Summary {
     pub said: Vec<(f64, f64, [f64; 3])>,
 }
 
-/// The wanted tasks, in stages that run one after another. With `preview`, the first stage has every eighth
-/// view at the smallest size and the coarsest step; else all tasks are one stage.
+/// Returns the wanted tasks in stages, which run one after another. With `preview`, the first stage has every
+/// eighth view at the smallest size and the coarsest step. Otherwise all tasks are one stage.
 pub fn stages(job: &Job, preview: bool, wanted: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
     let all = (0..job.len() as u32).filter(|t| wanted(*t));
     if !preview {
@@ -97,7 +97,7 @@ pub fn run(
     let job = database.job;
     let engine = start(database.run)?;
     if !engine.bound() {
-        // Workers of the previous run may have finished images while its queue was cleared.
+        // Workers of the previous run may have finished images while `start` cleared their queue.
         database.take_over()?;
     }
     let setting = Setting {
@@ -191,7 +191,8 @@ impl Drive<'_, '_> {
             let events = self.engine.poll(Duration::from_millis(100))?;
             self.take(events)?;
             let reordered = self.planner.refresh();
-            // Sends new bundles before it flushes the journal: until then the spool keeps the finished tasks.
+            // Sends new bundles before the journal is flushed, so that slots do not wait for the disk. Until
+            // the flush, the spool keeps the finished tasks.
             self.send()?;
             self.database.journal.flush()?;
             if reordered {
@@ -206,7 +207,7 @@ impl Drive<'_, '_> {
                 if restarts > RESTARTS {
                     bail!("{why}; {RESTARTS} restarts failed");
                 }
-                entire_io::files::note(&format!("{why}; it is started again"));
+                entire_io::files::note(&format!("{why}; the engine is started again"));
                 self.restart(start)?;
             }
             if eta_at.is_none_or(|t| t.elapsed() >= ETA_EVERY.max(8 * show.cost)) {
@@ -249,10 +250,10 @@ impl Drive<'_, '_> {
         show.finish();
         let (done, tasks) = (self.database.done.len(), self.database.job.len());
         if let Some(why) = &self.full {
-            bail!("{why}; {done} of {tasks} images are done; make room and go on with --resume");
+            bail!("{why}; {done} of {tasks} images are done; free disk space and continue with --resume");
         }
         if interrupted {
-            bail!("interrupted: {done} of {tasks} images are done; go on with --resume");
+            bail!("interrupted: {done} of {tasks} images are done; continue with --resume");
         }
         let quarantined = self.database.quarantined.keys();
         Ok(Summary {
@@ -302,12 +303,13 @@ impl Drive<'_, '_> {
                     self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead();
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
-            // An assumed time excludes no task: the engine ends a bundle that takes longer than the limit.
+            // Times that are only assumed exclude no task: the engine ends a bundle that takes longer than
+            // the limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
                 // Several tasks are bundled only if together they are expected to take at most half of the
                 // limit, so this bundle has one task.
                 let why = format!(
-                    "it is expected to take {:.0} s, and the engine runs nothing longer than {limit:.0} s",
+                    "the task is expected to take {:.0} s; the engine runs nothing longer than {limit:.0} s",
                     sent.expected_s
                 );
                 for task in sent.tasks.clone() {
@@ -334,7 +336,7 @@ impl Drive<'_, '_> {
         waits
     }
 
-    /// Processes events.
+    /// Processes events of the engine.
     fn take(&mut self, events: Vec<Event>) -> Result<()> {
         for event in events {
             match event {
@@ -464,8 +466,8 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// Starts an engine in place of one that has ended. Its bundles are lost, except for the answers in the
-    /// spool.
+    /// Starts an engine in place of one that has ended. The bundles of the ended engine are lost, except for
+    /// the answers in the spool.
     fn restart(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<()> {
         let open: Vec<u64> = self.predicted.keys().copied().collect();
         for bundle in open {
@@ -491,8 +493,8 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// Measures the overhead per bundle if bundles are not bound to slots: the time in which slots were not
-    /// busy.
+    /// Measures the overhead per bundle if bundles are not bound to slots: the time in which slots were idle,
+    /// divided by the number of ended bundles.
     fn measure_overhead(&mut self, now: f64) {
         let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
         if self.planner.pending() == 0 {
@@ -502,7 +504,8 @@ impl Drive<'_, '_> {
         if self.idle_from.is_some() || self.over < 2 * slots {
             return;
         }
-        // Seconds that the running bundles have worked so far: on average half of their time.
+        // Estimate of the slot seconds that went into the running bundles: half of a bundle's mean time per
+        // slot.
         let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
         let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
         self.planner.set_overhead((idle / self.over as f64).clamp(0.001, 60.0));
@@ -526,7 +529,7 @@ impl Drive<'_, '_> {
 
     fn name_straggler(&self, s: &Straggler) -> String {
         format!(
-            "{}{}: {:.1} s, {:.1} s were expected",
+            "{}{}: {:.1} s so far, {:.1} s expected",
             self.id(s.task),
             s.slot.map_or(String::new(), |s| format!(" on slot {s}")),
             s.elapsed_s,

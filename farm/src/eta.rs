@@ -1,4 +1,5 @@
-//! Predicted end of a plan: random draws of the model's uncertainty, each simulated as a queue.
+//! Predicted end of a plan, from random draws of the model: the task times of each draw are simulated as a
+//! queue.
 
 use super::{Order, Planner, Running, Time};
 use crate::learn::Draw;
@@ -23,21 +24,21 @@ struct UnderWay<'a> {
     running: &'a Running,
     slot: Option<usize>,
     speed: f64,
-    /// Remaining seconds of loading.
+    /// Expected seconds of loading before the first task; 0 once a task of the bundle is done.
     load: f64,
-    /// Seconds that its first unfinished task has run.
+    /// Seconds since the bundle's last finished task, or since its beginning if no task is done.
     elapsed: f64,
 }
 
 impl Planner {
     /// Seconds until all tasks are done: quantiles 0.05, 0.5 and 0.95 of the draws.
     ///
-    /// A running task takes at least the time it has run: its time is drawn from longer ones, and a draw of
+    /// A running task takes at least the time that it has run: its time is drawn from longer times. A draw of
     /// the model is weighted by the probability that all running tasks still run. Otherwise the estimate
-    /// would rely on finished tasks only, and the first finished tasks are short ones.
+    /// would rely on finished tasks only, and tasks that finish first tend to be short.
     pub fn eta(&self, now: f64) -> [f64; 3] {
-        // Times measured since the last fit tend to be those of long tasks. A fit without them would predict
-        // too early an end.
+        // Tasks whose times were measured since the last fit tend to be long. A fit without them would
+        // predict an end that is too early.
         if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
             let mut copy = self.clone();
             copy.learner.refit();
@@ -50,7 +51,7 @@ impl Planner {
         if self.setting.order == Order::Arrival {
             tasks.sort_unstable();
         } else {
-            // Longest first, then by number. The bits of positive floats have the order of the floats.
+            // Longest first, then by number. The bits of positive floats are ordered like the floats.
             let key = |t: u32| u64::from(!self.dispatcher.seconds(t).to_bits()) << 32 | u64::from(t);
             let mut keys: Vec<u64> = tasks.iter().map(|t| key(*t)).collect();
             keys.par_sort_unstable();
@@ -63,10 +64,11 @@ impl Planner {
         let speeds: Vec<f64> = (0..self.slots.len())
             .map(|s| if self.setting.bound { self.learner.speed(s) } else { 1.0 })
             .collect();
-        // The dispatcher's times may be older than the learner's until the next request.
+        // Until the next request, the dispatcher's times may be older than those of the learner.
         let expected: Vec<f64> = drawn.iter().map(|t| self.learner.seconds(*t as usize)).collect();
         let sampled = stride > 1;
-        // With all tasks, a queue is simulated; with a sample, the end is all work divided by all speeds.
+        // If all tasks are drawn, a queue is simulated. If they are a sample, the end is all work divided by
+        // all speeds.
         let end = |times: &[f64], busy: &[f64]| {
             if sampled {
                 let work = scale * times.iter().sum::<f64>();
@@ -106,7 +108,7 @@ impl Planner {
         let whole: f64 = r.sent.predicted_s.iter().map(|s| f64::from(*s)).sum();
         let slot = r.sent.slot;
         let sent_speed = slot.map_or(1.0, |s| self.learner.speed(s));
-        // Loading comes before the first task; no load is left once a task is done.
+        // Loading comes before the first task, so it is finished once a task is done.
         let load = if r.busy > 0.0 { 0.0 } else { (r.sent.expected_s - whole / sent_speed).max(0.0) };
         UnderWay {
             running: r,
@@ -117,7 +119,8 @@ impl Planner {
         }
     }
 
-    /// Remaining seconds of a bundle in a draw, and the draw's probability that it still runs.
+    /// Returns the remaining seconds of a bundle in a draw, and the draw's probability that the bundle's
+    /// current task still runs.
     fn drawn_rest(&self, u: &UnderWay<'_>, draw: &Draw, rng: &mut ChaCha8Rng) -> (f64, f64) {
         let Some((first, others)) = u.running.open.split_first() else { return (0.0, 1.0) };
         let others: f64 =
@@ -131,8 +134,9 @@ impl Planner {
         ((first / u.speed - run).max(0.0) + others, probable)
     }
 
-    /// Seconds by which loading and dispatch delay the end `plain` of a plain queue. Simulates the plan with
-    /// expected times, or estimates the delay for more than [`PLAYED`] tasks.
+    /// Returns the seconds by which loading and dispatch delay the end. `plain`: seconds until the end of a
+    /// queue without them. Simulates the plan with expected times, or estimates the delay for more than
+    /// [`PLAYED`] tasks.
     fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
         if all == 0 {
             return 0.0;
@@ -163,7 +167,7 @@ impl Planner {
     }
 }
 
-/// Seconds until each slot is free.
+/// Returns the seconds until each slot is free. `rest` returns the remaining seconds of a bundle.
 fn busy(under_way: &[UnderWay<'_>], slots: usize, mut rest: impl FnMut(&UnderWay<'_>) -> f64) -> Vec<f64> {
     let mut busy = vec![0.0; slots];
     for (k, u) in under_way.iter().enumerate() {
@@ -171,14 +175,14 @@ fn busy(under_way: &[UnderWay<'_>], slots: usize, mut rest: impl FnMut(&UnderWay
         if let Some(slot) = busy.get_mut(u.slot.unwrap_or(k)) {
             *slot += rest;
         } else if let Some(least) = busy.iter_mut().min_by(|a, b| f64::total_cmp(a, b)) {
-            // More bundles than slots: this one runs on the slot that is free first.
+            // There are more bundles than slots: this bundle runs on the slot that is free first.
             *least += rest;
         }
     }
     busy
 }
 
-/// Quantiles 0.05, 0.5 and 0.95 of the ends in `ends`, each given with its log weight. If the effective
+/// Returns the quantiles 0.05, 0.5 and 0.95 of ends, which are given with their log weights. If the effective
 /// number of draws is below [`COUNTING`], the log weights are scaled towards 0.
 fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     let most = ends.iter().map(|e| e.1).fold(f64::NEG_INFINITY, f64::max);
@@ -205,8 +209,8 @@ fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     })
 }
 
-/// Seconds until a queue is done: tasks in order, each to the first free slot. `times`: seconds at speed 1;
-/// `busy`: seconds until each slot is free.
+/// Returns the seconds until a queue is done, in which each task goes to the first free slot. `times`:
+/// seconds of the tasks at speed 1, in order; `busy`: seconds until each slot is free.
 pub(crate) fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
     let mut last = busy.iter().copied().fold(0.0, f64::max);
     let mut free: BinaryHeap<Reverse<(Time, usize)>> =

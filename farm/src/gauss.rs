@@ -3,14 +3,14 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::Rng;
 
-/// A random number from the standard normal distribution (Box and Muller 1958).
+/// Returns a random number from the standard normal distribution (Box and Muller 1958).
 pub(crate) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
     (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
 }
 
-/// The standard normal distribution function at `x`: by a continued fraction beyond ±3, else by a power
-/// series.
+/// Returns the probability that a standard normal number is below `x`: by a continued fraction beyond ±3,
+/// else by a power series.
 pub(super) fn normal_below(x: f64) -> f64 {
     let density = (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
     if x.abs() > 3.0 {

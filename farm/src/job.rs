@@ -84,7 +84,7 @@ pub struct Job {
     pub transfers: Vec<NamedTransfer>,
     /// Image sizes.
     pub sizes: Vec<[u32; 2]>,
-    /// Steps.
+    /// Ray steps, in reference steps.
     pub steps: Vec<f32>,
     /// The renderer.
     pub renderer: Renderer,
@@ -101,7 +101,8 @@ impl Job {
     /// Reads and checks a job file.
     ///
     /// # Errors
-    /// Names the file, the entry, the value and the accepted ones.
+    /// When the file cannot be read or an entry is invalid. The message names the file, the entry, its value
+    /// and the accepted values.
     pub fn open(path: &Path) -> Result<Self> {
         let text = read_text(path, MAX_JOB_BYTES)
             .with_context(|| format!("cannot read the job file {}", path.display()))?;
@@ -115,10 +116,11 @@ impl Job {
         Self::new(file, &folder).with_context(|| format!("{}", path.display()))
     }
 
-    /// Checks a job file whose relative paths start at `folder`.
+    /// Checks the contents of a job file, and finds its volume files. Relative paths start at `folder`.
     ///
     /// # Errors
-    /// As [`Job::open`].
+    /// When an entry is invalid or a file cannot be read. The message names the entry, its value and the
+    /// accepted values.
     pub fn new(file: JobFile, folder: &Path) -> Result<Self> {
         check_name("name", &file.name)?;
         let output = folder.join(file.output.unwrap_or_else(|| format!("{}.cdb", file.name).into()));
@@ -175,7 +177,7 @@ impl Job {
             );
         }
         let told = Told::by(&renderer);
-        // Ids are hashes of these texts.
+        // Task ids are computed from hashes of the following texts.
         let hash = |text: String| fnv1a(text.as_bytes());
         let transfer_text =
             |t: &NamedTransfer| serde_json::to_string(&t.transfer).unwrap_or_default() + &t.name;
@@ -214,7 +216,7 @@ impl Job {
         for (what, hashes) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(&job.hashes) {
             let mut seen = HashSet::new();
             if let Some(i) = hashes.iter().position(|h| !seen.insert(h)) {
-                bail!("{what}: entry {i} is there twice; give each once");
+                bail!("{what}: entry {i} is there twice; give each entry once");
             }
         }
         Ok(job)
@@ -259,7 +261,7 @@ impl Job {
         for (part, place) in parts.iter().zip(bytes.chunks_exact_mut(8)) {
             place.copy_from_slice(&part.to_le_bytes());
         }
-        // FNV-1a leaves its last bytes in the low bits; the finalizer of SplitMix64 spreads them.
+        // FNV-1a mixes the last bytes into the low bits only. The finalizer of SplitMix64 mixes all bits.
         let mut x = fnv1a(&bytes);
         x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -292,7 +294,7 @@ impl Job {
         path.strip_prefix(&self.folder).unwrap_or(path).display().to_string()
     }
 
-    /// The order of the volumes: number, time step, name and file, one line each.
+    /// Returns the list of volumes in their order, one line each: number, time step, name and file.
     pub fn listing(&self) -> String {
         let mut table = Table::new(vec![
             Column::number("index"),
@@ -329,7 +331,7 @@ impl Job {
     }
 }
 
-/// True for each parameter that the renderer gets besides the path of the volume file.
+/// Parameters of a volume file, each true if the renderer gets it besides the path of the file.
 struct Told {
     name: bool,
     time: bool,
@@ -348,8 +350,8 @@ impl Told {
     }
 }
 
-/// Hashes of the volumes, for the ids of their tasks. Volumes with equal inputs have the same pictures; a
-/// count of the equal volumes before each one makes their hashes different.
+/// Returns a hash of each volume, for the ids of its tasks. Volumes with equal inputs have equal pictures;
+/// the hash includes a counter of equal volumes, so that their tasks have different ids.
 fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     let mut same: HashMap<String, usize> = HashMap::new();
     let text = |v: &VolumeFile| {
@@ -365,7 +367,7 @@ fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
     volumes.iter().map(text).map(number).collect()
 }
 
-/// Settings of a renderer that change pictures.
+/// Returns the settings of a renderer that affect pictures, as text.
 fn settings(renderer: &Renderer) -> Result<String> {
     let mut renderer = renderer.clone();
     let mut script_key = String::new();

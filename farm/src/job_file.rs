@@ -49,11 +49,11 @@ fn default_steps() -> Vec<f32> {
     vec![1.0]
 }
 
-/// One volume, or several as a time series.
+/// One or several volume files: separate volumes, or the time steps of one volume.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VolumesEntry {
-    /// Its name; default: the first file's stem, or each file's own stem if `series` is false.
+    /// Name of the volume; default: the stem of the first file, or of each file if `series` is false.
     pub name: Option<String>,
     /// Files or glob patterns. The files are sorted by name; numbers in names are compared by value.
     pub files: Vec<String>,
@@ -95,14 +95,14 @@ impl VolumesEntry {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum CamerasEntry {
-    /// Turns about the y axis.
+    /// Views on a turn about the y axis, for each distance.
     Orbit {
-        /// Views on the turn.
+        /// Number of views on each turn.
         views: u32,
         /// Rotation about x, degrees.
         #[serde(default)]
         elevation_deg: f32,
-        /// Distances, bounding-sphere radii.
+        /// Distances of the camera, bounding-sphere radii.
         distances_radii: Vec<f32>,
         /// Start of the turn, degrees.
         #[serde(default)]
@@ -113,9 +113,9 @@ pub enum CamerasEntry {
     },
     /// Evenly spread directions on the upper half of spheres (Fibonacci lattice).
     SemiSphere {
-        /// Views on each sphere.
+        /// Number of views on each sphere.
         views: u32,
-        /// Distances, bounding-sphere radii.
+        /// Distances of the camera, bounding-sphere radii.
         distances_radii: Vec<f32>,
     },
     /// Poses one by one: rotation about x and y in degrees, distance in bounding-sphere radii.
@@ -165,7 +165,7 @@ pub enum Renderer {
     Command {
         /// Program and arguments.
         command: Vec<String>,
-        /// Time limit in seconds; then the program is ended and the task counts as failed.
+        /// Time limit of a task, seconds. Then the program is ended, and the task counts as failed.
         timeout_s: Option<f64>,
     },
     /// A persistent program: it reads a task per line of its standard input (JSON) and answers each with a
@@ -173,7 +173,7 @@ pub enum Renderer {
     Session {
         /// Program and arguments.
         command: Vec<String>,
-        /// Time limit in seconds; then the program is ended and the task counts as failed.
+        /// Time limit of a task, seconds. Then the program is ended, and the task counts as failed.
         timeout_s: Option<f64>,
     },
     /// A persistent ParaView script, run by `pvbatch`. It uses the protocol of `session`.
@@ -186,7 +186,7 @@ pub enum Renderer {
         /// The program.
         #[serde(default = "default_pvbatch")]
         program: String,
-        /// Time limit in seconds; then the program is ended and the task counts as failed.
+        /// Time limit of a task, seconds. Then the program is ended, and the task counts as failed.
         timeout_s: Option<f64>,
     },
 }
@@ -219,11 +219,11 @@ pub struct Predict {
     pub model: Option<PathBuf>,
     /// A task list with `task` (an id) and `predicted_s`.
     pub list: Option<PathBuf>,
-    /// True if the analytic model predicts the times if no model or list is given; default: true for the
+    /// True if the analytic model predicts the times, unless a model or list is given. Default: true for the
     /// project's raycaster. If false, expected times are proportional to pixels / step until tasks have been
     /// measured.
     pub analytic: Option<bool>,
-    /// Rays along each side of the probe of the analytic model.
+    /// Number of rays along each side of the analytic model's probe.
     pub probe_side: Option<usize>,
 }
 
@@ -243,10 +243,11 @@ impl Default for Retry {
     }
 }
 
-/// Draw settings of the raycaster: shading, skipping, termination, device.
+/// Returns the draw settings of the raycaster: shading, skipping, termination, device.
 ///
 /// # Errors
-/// Names the unknown word and the accepted ones.
+/// When the renderer is another program, a word is unknown (the message names the accepted words), or
+/// `termination` is outside 0 to 1.
 pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
         bail!("the renderer is another program")

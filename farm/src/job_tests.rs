@@ -56,12 +56,12 @@ fn a_job_is_all_combinations_and_ids_survive_its_growth() {
     assert_eq!(ids.len(), job.len());
     let places: HashSet<String> = (0..job.len()).map(|t| format!("{:?}", job.place(t))).collect();
     assert_eq!(places.len(), job.len());
-    // More views, another output: every existing task keeps its id.
+    // With more views and another output, every existing task keeps its id.
     let grown = JOB.replace("poses = [[1, 2, 3]]", "poses = [[7, 8, 9], [1, 2, 3]]");
     let grown = open(&grown.replace("name = \"t\"", "name = \"u\""), dir.path()).unwrap();
     let more: HashSet<u64> = (0..grown.len()).map(|t| grown.id(t)).collect();
     assert!(ids.is_subset(&more) && more.len() > ids.len());
-    // Another renderer draws other images.
+    // The command's arguments may affect the images, so with other arguments all ids differ.
     let other = open(&JOB.replace("--out=", "-o="), dir.path()).unwrap();
     assert!((0..other.len()).all(|t| !ids.contains(&other.id(t))));
 }
@@ -70,7 +70,7 @@ fn a_job_is_all_combinations_and_ids_survive_its_growth() {
 fn semi_spheres_are_even_and_above() {
     let poses = cameras(&[CamerasEntry::SemiSphere { views: 200, distances_radii: vec![2.0] }]).unwrap();
     assert!(poses.iter().all(|p| (0.0..=90.0).contains(&p.rx)));
-    // Equal areas: as many views above 30 degrees (half of the height) as below.
+    // Views cover equal areas: as many are above 30 degrees (half of the height) as below.
     assert_eq!(poses.iter().filter(|p| p.rx > 30.0).count(), 100);
     let half = poses.iter().filter(|p| p.ry < 180.0).count();
     assert!((95..=105).contains(&half), "{half}");

@@ -1,5 +1,5 @@
-//! The journal: results line by line, appended and flushed to the disk before anything relies on them. Its
-//! one writer holds a lock on a file beside it.
+//! The journal: results line by line, appended and flushed to the disk before anything relies on them. The
+//! only writer of the journal holds a lock on a file beside it.
 
 use super::record::Entry;
 use anyhow::{Context, Result, bail};
@@ -49,7 +49,7 @@ impl Journal {
         Ok(Self { file, path, waiting: Vec::new(), _lock: lock })
     }
 
-    /// Adds an entry; it is durable after [`Journal::flush`].
+    /// Adds an entry. It is on the disk after [`Journal::flush`].
     pub(crate) fn add(&mut self, entry: &Entry) {
         serde_json::to_writer(&mut self.waiting, entry)
             .expect("every entry is valid JSON, written to memory");
@@ -70,7 +70,10 @@ impl Journal {
             // Removes a partly written line.
             let _ = self.file.set_len(before);
             return Err(error).with_context(|| {
-                format!("cannot write the journal {}; make room and go on with --resume", self.path.display())
+                format!(
+                    "cannot write the journal {}; free disk space and continue with --resume",
+                    self.path.display()
+                )
             });
         }
         self.waiting.clear();
@@ -99,7 +102,7 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
 /// Reads the journal of a state folder without locking it.
 ///
 /// # Errors
-/// When it cannot be read or is damaged.
+/// When the journal cannot be read or a line is damaged.
 pub(crate) fn entries(state: &Path) -> Result<Vec<Entry>> {
     let path = state.join("journal.jsonl");
     let mut out = Vec::new();

@@ -1,11 +1,12 @@
 //! Expected times of tasks, corrected by measured ones.
 //!
 //! ln(seconds / base) of a task is modeled as x·β + u + ε: x are features of the task (logarithms of base,
-//! pixels, step and distance, the view direction, its transfer function), u is a volume effect, ε an error of
-//! the task. β and u have normal priors; the variances of u and ε are estimated from the data by updates
-//! similar to REML. This is a mixed-effects model (Laird and Ware 1982). The posterior is exact for given
-//! variances. Volumes are eliminated by a Schur complement, so a job may have any number of them. Nodes have
-//! speeds, which are shrunk means of the residuals.
+//! pixels, step and distance, the view direction, its transfer function), β are their coefficients, u is an
+//! effect of the task's volume, ε an error of the task. β and u have normal priors. The variances of u and ε
+//! are estimated from the data by updates similar to REML. This is a mixed-effects model (Laird and Ware
+//! 1982). The posterior is exact for given variances. Volumes are eliminated by a Schur complement, so a job
+//! may have any number of them. The speed of a node is estimated from the mean residual of its tasks, which
+//! is shrunk towards 0.
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
@@ -18,21 +19,22 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-/// Number of features of a task before its transfer function: a constant, ln base, ln pixels, ln step, ln
-/// distance, shares of the view direction along x and y and their squares.
+/// Number of features of a task without its transfer function: a constant, ln base, ln pixels, ln step, ln
+/// distance, absolute x and y components of the view direction, and the squares of both.
 const FIXED: usize = 9;
-/// Prior standard deviations of the coefficients of these features.
+/// Prior standard deviations of the coefficients of the [`FIXED`] features.
 const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
-/// Prior standard deviation of the constant without a model or list of base times.
+/// Prior standard deviation of the constant if neither a model nor a list gives base times. The constant is
+/// ln of a common factor of all base times.
 pub(crate) const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
-/// Prior standard deviation of the constant with a model or list, which may be of another machine.
+/// Prior standard deviation of the constant if a model or list, perhaps of another machine, gives base times.
 pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
 /// Prior standard deviation of the coefficient of each transfer function.
 const PRIOR_TRANSFER: f64 = 0.3;
 /// Maximum number of transfer functions; with more of them, none has a coefficient.
 const MAX_TRANSFERS: usize = 64;
-/// Prior standard deviation of the residual and of the volume effects, and the weight of these priors as a
-/// number of observations.
+/// Prior standard deviation of the residual and of the volume effects, in units of ln seconds; and the weight
+/// of these priors, as a number of observations.
 const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
 /// Prior standard deviation of the volume effects when a model or a list is given: the largest value of a
 /// shipped model on held-out volumes. `entire evaluate` gave 0.03 to 0.07 on the tables local-timestep,
@@ -50,7 +52,7 @@ const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
 
-/// Features of the tasks, by dimension.
+/// Features of a job's tasks.
 #[derive(Clone, Debug)]
 pub struct Shape {
     /// ln of the base seconds, by task.
@@ -76,7 +78,7 @@ impl Shape {
         self.constant < CONSTANT_SD_WITHOUT_MODEL
     }
 
-    /// The tasks of a job.
+    /// Returns the features of a job's tasks. `base`: ln of the base seconds of every task.
     pub(crate) fn of_job(job: &Job, base: Vec<f32>) -> Self {
         let (sizes, steps) = (job.sizes.len(), job.steps.len());
         let mean = |values: &mut dyn Iterator<Item = f64>, n: usize| values.sum::<f64>() / n as f64;
@@ -112,7 +114,7 @@ impl Shape {
         let n = job.len();
         let (mut volume, mut row, mut transfer) =
             (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
-        // In the order of `Job::place`.
+        // Tasks are in the order of `Job::place`.
         let per_camera = sizes * steps;
         for v in 0..job.volumes.len() {
             volume.resize(volume.len() + n / job.volumes.len(), v as u32);
@@ -126,7 +128,7 @@ impl Shape {
         Self::new(base, volume, row, transfer, terms, job.volumes.len(), job.transfers.len())
     }
 
-    /// Tasks whose volume is the only known feature.
+    /// Returns the features of tasks of which only base seconds and volume are known.
     pub fn of_volumes(base_seconds: &[f64], volume: &[usize]) -> Self {
         let base = base_seconds.iter().map(|s| s.max(1e-9).ln() as f32).collect();
         let volumes = volume.iter().max().map_or(1, |v| v + 1);
@@ -185,13 +187,14 @@ pub struct Learner {
     /// Number of observations in the fit.
     fitted: usize,
     beta: Vec<f64>,
-    /// Lower triangular factor L of the precision of β: L·Lᵀ.
+    /// Lower triangular factor L of the precision of β, which is L·Lᵀ.
     factor: Vec<f64>,
     effects: Vec<f64>,
     /// Effective degrees of freedom of the nodes' speeds.
     used_nodes: f64,
-    /// Precision of each volume's effect for a given β, and Σx over its observations.
+    /// Precision of each volume's effect for a given β.
     precisions: Vec<f64>,
+    /// Weighted sum of the features x over each volume's observations.
     sums: Vec<Vec<f64>>,
     sigma2: f64,
     tau2: f64,
@@ -237,7 +240,7 @@ impl Learner {
         new
     }
 
-    /// The tasks.
+    /// Features of the tasks.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
@@ -252,7 +255,7 @@ impl Learner {
         self.sigma2.sqrt()
     }
 
-    /// Speed of a node, 1 where it is unknown.
+    /// Speed of a node; 1 if it is unknown.
     pub(crate) fn speed(&self, node: usize) -> f64 {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
@@ -454,8 +457,8 @@ impl Learner {
         if self.nodes.len() < 2 {
             return;
         }
-        // Variance of the nodes' speeds beyond the errors of their tasks. One time per node is not enough to
-        // separate the two.
+        // Variance of the nodes' residuals beyond the errors of their tasks. The variance cannot be estimated
+        // from one time per node.
         let of_nodes: f64 =
             sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
         let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);
@@ -500,8 +503,9 @@ impl Learner {
                 .collect();
             let variance = means.iter().map(|m| m * m).sum::<f64>() / (PARTS - 1) as f64;
             let expected = self.sigma2 / size as f64;
-            // For independent tasks, the sum of the squared means over their variance has a χ² distribution
-            // with 7 degrees of freedom: there is drift only if it exceeds the 95 % quantile.
+            // For independent tasks, the sum of the squared means divided by their variance has a χ²
+            // distribution with 7 degrees of freedom. Drift is assumed only if this sum exceeds its 0.95
+            // quantile, 14.07.
             const LIKELY: f64 = 14.07 / (PARTS - 1) as f64;
             if variance > LIKELY * expected {
                 self.drift = (variance - expected).sqrt();
@@ -569,7 +573,7 @@ impl Learner {
                 return (drawn, probable.max(LEAST));
             }
         }
-        // No draw was longer than `seconds`: half a standard deviation is added to it.
+        // No draw was longer than `seconds`: the time exceeds `seconds` by half a standard deviation.
         (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 

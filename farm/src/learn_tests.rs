@@ -4,7 +4,8 @@ fn rng() -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(3)
 }
 
-/// Tasks of 12 volumes, and their true seconds: base · 2.5 · e^(effect of the volume + noise).
+/// Returns a model for tasks of 12 volumes, and the true seconds of the tasks: base · 2.5 · e^(effect of the
+/// volume + noise).
 fn world(noise: f64) -> (Learner, Vec<f64>) {
     let mut rng = rng();
     let effects: Vec<f64> = (0..12).map(|_| 0.2 * normal(&mut rng)).collect();
@@ -42,7 +43,7 @@ fn a_volume_that_was_never_seen_is_uncertain_and_bounds_hold() {
     let spread = |tasks: &[u32]| learner.upper(tasks, 0.95) / learner.upper(tasks, 0.5);
     let (seen, unseen): (Vec<u32>, Vec<u32>) = ((400..500).collect(), (500..600).collect());
     assert!(spread(&unseen) > 1.15 && spread(&seen) < 1.06, "{} {}", spread(&unseen), spread(&seen));
-    // The bound of 99 percent holds for groups of every volume.
+    // The total of each volume's tasks is below 1.1 times the 99 % bound.
     for v in 0..12u32 {
         let tasks: Vec<u32> = (v * 100..v * 100 + 100).collect();
         let sum: f64 = tasks.iter().map(|t| truth[*t as usize]).sum();
@@ -65,14 +66,15 @@ fn slow_nodes_are_told_from_long_tasks_and_a_hung_task_spoils_nothing() {
     assert!((learner.speed(0) / learner.speed(1) - 1.0).abs() < 0.05);
     let error =
         (700..800).map(|t| truth[t]).sum::<f64>() / (700..800).map(|t| learner.seconds(t)).sum::<f64>();
-    // Volume 7 has no observation.
+    // Volume 7 has no observation, so the ratio of its true to its expected seconds may be up to e^0.7.
     assert!(error.ln().abs() < 0.7, "{error}");
     assert!(learner.log_sd() < 0.12, "{}", learner.log_sd());
 }
 
 #[test]
 fn the_posterior_is_that_of_the_whole_system() {
-    // Elimination of volumes by a Schur complement gives the solution of the dense system of all unknowns.
+    // Compares with the solution of the dense system of all unknowns: elimination of volumes by a Schur
+    // complement must give the same values.
     let (mut learner, truth) = world(0.1);
     for t in (0..1200).step_by(11).take(60) {
         learner.observe(t, 0, truth[t]);
@@ -101,7 +103,7 @@ fn the_posterior_is_that_of_the_whole_system() {
         a[k * n + k] += if k < d { PRIOR[k].powi(-2) } else { 1.0 / learner.tau2 };
     }
     let solved = solve(&mut a, b).unwrap();
-    // The variances changed a little after β was solved for.
+    // The variances were updated after β was computed, so the two solutions differ slightly.
     for k in 0..n {
         let own = if k < d { learner.beta[k] } else { learner.effects[k - d] };
         assert!((own - solved[k]).abs() < 0.01, "{k}: {own} {}", solved[k]);
@@ -114,7 +116,7 @@ fn the_normal_distribution_is_that_of_tables() {
         assert!((normal_below(x) - share).abs() < 1e-8, "{x}: {}", normal_below(x));
     }
     assert!((normal_below(-6.0) / 9.865_876e-10 - 1.0).abs() < 1e-5, "{}", normal_below(-6.0));
-    // The series and the continued fraction agree where they meet.
+    // The power series and the continued fraction agree at the border between them, −3.
     assert!((normal_below(-3.0) / normal_below(-3.000_000_1) - 1.0).abs() < 1e-5);
 }
 

@@ -1,5 +1,5 @@
-//! Loading times of volumes: an affine function of their size, for a node's first reading (cold) and later
-//! ones (warm), combined with the measured times of each volume.
+//! Loading times of volumes: an affine function of the volume's size, one for a node's first reading (cold)
+//! and one for later readings (warm), combined with the measured times of each volume.
 
 /// Assumed rates of loading before any measurement, cold and warm, bytes per second.
 const BEFORE: [f64; 2] = [200e6, 1000e6];
@@ -8,7 +8,7 @@ const BEFORE: [f64; 2] = [200e6, 1000e6];
 #[derive(Clone, Debug, PartialEq)]
 pub struct Loads {
     bytes: Vec<f64>,
-    /// Per volume: sum and count, cold and warm.
+    /// Sum of the measured seconds and number of measurements of each volume, cold and warm.
     seen: Vec<[(f64, u32); 2]>,
     /// Offset in seconds and slope in seconds per byte, cold and warm.
     laws: [(f64, f64); 2],
@@ -69,7 +69,7 @@ impl Loads {
         let kind = usize::from(warm);
         let (offset, slope) = self.laws[kind];
         let law = offset + slope * self.bytes[volume];
-        // The mean of the volume's own measurements and the affine function's value, which counts as one
+        // Mean of the volume's own measurements and the value of the affine function, which counts as one
         // measurement.
         let (sum, n) = self.seen[volume][kind];
         (sum + law) / f64::from(n + 1)

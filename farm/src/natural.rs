@@ -12,7 +12,7 @@ use std::path::PathBuf;
 ///   sign is recognized only if neither is padded with zeros: `s01e02` is two numbers.
 /// - The sign `+` before it.
 /// - The sign `-` before it, after any character except a letter or a digit (`t_-1`), and after a letter if
-///   another name has a number there without it (`t-1` and `t0`). Otherwise `-` is a hyphen (`run-1`,
+///   another name has a number without a sign there (`t-1` and `t0`). Otherwise `-` is a hyphen (`run-1`,
 ///   `2024-01-05`).
 ///
 /// Equal numbers (`1`, `01`, `1.0`) are ordered by the rest of the name, then by text.
@@ -37,7 +37,7 @@ pub(crate) fn sort(paths: &mut Vec<PathBuf>) {
     paths.extend(order.into_iter().map(|(_, path)| path));
 }
 
-/// A text and the number after it; the last text has none.
+/// A text and the number after it; the last token of a name has no number.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Token {
     text: String,
@@ -68,7 +68,7 @@ impl Token {
     }
 }
 
-/// A number as 0.DIGITS · 10^point, exact.
+/// A number as 0.DIGITS · 10^point, without rounding.
 #[derive(Debug, PartialEq, Eq)]
 struct Number {
     negative: bool,
@@ -115,9 +115,9 @@ fn fraction(text: &str) -> &str {
     text.strip_prefix('.').map_or("", digits)
 }
 
-/// Length and value of an exponent at the start of a text. `fraction`: true if the number before it has a
-/// fraction. Otherwise, an exponent without a sign counts only if neither it nor the number (`padded`) is
-/// padded with zeros.
+/// Returns length and value of an exponent at the start of a text. `fraction`: true if the number before it
+/// has a fraction; `padded`: true if this number is padded with zeros. Without a fraction, an exponent
+/// without a sign counts only if neither the number nor the exponent is padded.
 fn exponent(text: &str, fraction: bool, padded: bool) -> Option<(usize, i64)> {
     let rest = text.strip_prefix(['e', 'E'])?;
     let unsigned = rest.strip_prefix(['+', '-']);
@@ -136,7 +136,7 @@ fn exponent(text: &str, fraction: bool, padded: bool) -> Option<(usize, i64)> {
 fn tokens(text: &str) -> Vec<Token> {
     let mut out = Vec::new();
     let (mut rest, mut before) = (text, String::new());
-    // Remaining parts of a version like 1.2.3.
+    // Number of parts that remain of a version such as 1.2.3.
     let mut parts = 0usize;
     while let Some(c) = rest.chars().next() {
         if !c.is_ascii_digit() {
@@ -179,7 +179,7 @@ fn tokens(text: &str) -> Vec<Token> {
 mod tests {
     use super::*;
 
-    /// Checks that names in reversed order are sorted into the given order.
+    /// Checks that the names, if they are given in reversed order, are sorted into this order.
     fn stays(names: &[&str]) {
         let want: Vec<PathBuf> = names.iter().map(PathBuf::from).collect();
         let mut paths: Vec<PathBuf> = want.iter().rev().cloned().collect();
@@ -191,7 +191,7 @@ mod tests {
     fn numbers_sort_by_value() {
         stays(&["a/step1.nrrd", "a/step2.nrrd", "a/step10.nrrd", "a/step100.nrrd"]);
         stays(&["t0.25.vti", "t0.5.vti", "t1.vti", "t1.05.vti", "t1.5.vti", "t10.vti"]);
-        // Longer than any integer type.
+        // These numbers exceed every integer type.
         stays(&[
             "t9",
             "t99999999999999999999999999999999999999999999",
@@ -201,7 +201,7 @@ mod tests {
         stays(&["s01e02.mha", "s01e10.mha", "s02e01.mha"]);
         stays(&["v1.2.9", "v1.2.10", "v1.10.1"]);
         stays(&["m1_t2.mha", "m1_t10.mha", "m2_t1.mha", "m10_t1.mha"]);
-        // Equal numbers are ordered by the rest, then by text.
+        // Equal numbers are ordered by the rest of the name, then by text.
         stays(&["t01.a", "t1.a", "t01.b", "t1.b"]);
         stays(&["1e3f", "1e20f"]);
     }
@@ -212,7 +212,7 @@ mod tests {
         stays(&["t-0.5.vti", "t+0.25.vti", "t+1.vti"]);
         stays(&["t_-2.vti", "t_-1.vti", "t_1.vti"]);
         stays(&["-2", "-1", "0", "1"]);
-        // A hyphen.
+        // Here the character `-` is a hyphen.
         stays(&["run-1.vti", "run-2.vti", "run-10.vti"]);
         stays(&["2023-12-31", "2024-01-05", "2024-02-01"]);
     }

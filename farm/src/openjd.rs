@@ -1,6 +1,6 @@
-//! Export as an OpenJD job template (Open Job Description, `jobtemplate-2023-09`): one task per bundle, for
-//! farms that read such templates. `entire farm --resume` adds the images that their workers have rendered to
-//! the database.
+//! Export as an OpenJD job template (Open Job Description, `jobtemplate-2023-09`) with one task per bundle,
+//! for farms that read such templates. After such a farm has run, `entire farm --resume` adds the rendered
+//! images to the database.
 
 use super::engine::{Bundle, Places};
 use super::job::Job;

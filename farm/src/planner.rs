@@ -10,8 +10,8 @@ use std::collections::{BTreeMap, HashSet, VecDeque};
 mod eta;
 pub(crate) use eta::queue_end;
 
-/// Share of finished tasks up to which some requests are answered with a task for learning, and the interval
-/// of these answers in requests.
+/// Share of finished tasks up to which some requests are answered with a task that is chosen for its
+/// information about the model, and the interval of these answers in requests.
 const EXPLORED: (f64, u32) = (0.1, 4);
 
 /// State of a task.
@@ -32,7 +32,7 @@ pub enum State {
 /// Settings of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
-    /// Slots that work at once.
+    /// Number of slots that work at once.
     pub slots: usize,
     /// True if each bundle is sent to a given slot, which keeps its volume; else a bundle runs on any free
     /// slot and loads its volume.
@@ -57,17 +57,17 @@ struct Slot {
 /// A bundle that was sent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sent {
-    /// Its number.
+    /// Number of the bundle.
     pub bundle: u64,
-    /// Its tasks.
+    /// Tasks of the bundle.
     pub tasks: Vec<u32>,
-    /// Its slot, if it has one.
+    /// Slot of the bundle, if it is bound to one.
     pub slot: Option<usize>,
-    /// The volume of its tasks.
+    /// The volume of all these tasks.
     pub volume: usize,
-    /// Expected seconds with loading, on that slot.
+    /// Expected seconds of the bundle on its slot, with loading.
     pub expected_s: f64,
-    /// Expected seconds of its tasks, on a node of speed 1.
+    /// Expected seconds of each task on a node of speed 1.
     pub predicted_s: Vec<f32>,
 }
 
@@ -76,7 +76,7 @@ struct Running {
     sent: Sent,
     open: Vec<u32>,
     at: f64,
-    /// Start of its first task, if known.
+    /// Start of the bundle's first task, if known.
     begun: Option<f64>,
     busy: f64,
 }
@@ -103,18 +103,18 @@ pub struct Planner {
 /// A bundle that is slower than expected.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Straggler {
-    /// Its current task, probably.
+    /// The task that probably runs: the first unfinished task of the bundle.
     pub(crate) task: u32,
-    /// The slot, if known.
+    /// The slot of the bundle, if known.
     pub(crate) slot: Option<usize>,
-    /// Seconds since its first task began, or since it was sent if that is not known.
+    /// Seconds since the bundle's first task began, or, if that is not known, since the bundle was sent.
     pub(crate) elapsed_s: f64,
-    /// Expected seconds.
+    /// Expected seconds of the bundle.
     pub(crate) expected_s: f64,
 }
 
 impl Planner {
-    /// A plan for tasks with the base seconds of `shape`.
+    /// Returns a plan for tasks with the base seconds of `shape`.
     pub fn new(shape: Shape, loads: Loads, setting: Setting) -> Self {
         let learner = Learner::new(shape);
         let shape = learner.shape();
@@ -145,7 +145,7 @@ impl Planner {
         self.dispatcher.set_uniform();
     }
 
-    /// Adds tasks, which are sent after those of earlier stages.
+    /// Adds a stage of tasks, which are sent after the tasks of earlier stages.
     pub fn add_stage(&mut self, tasks: Vec<u32>) {
         for &t in &tasks {
             self.states[t as usize] = State::Waits;
@@ -163,7 +163,7 @@ impl Planner {
         }
     }
 
-    /// Records a task of an earlier run: the model learns its time.
+    /// Records a task that an earlier run has finished, and adds its time to the model.
     pub fn done_before(&mut self, task: u32, node: usize, seconds: f64) {
         if self.states[task as usize] != State::Done {
             self.states[task as usize] = State::Done;
@@ -175,7 +175,7 @@ impl Planner {
         }
     }
 
-    /// Records that a task was given up.
+    /// Records that a task was quarantined.
     pub(crate) fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
         if let Some(r) = bundle.and_then(|b| self.running.get_mut(&b)) {
             r.open.retain(|t| *t != task);
@@ -223,7 +223,7 @@ impl Planner {
         self.pending() == 0 && self.running.is_empty()
     }
 
-    /// Overhead of a bundle as measured, seconds.
+    /// Measured overhead of a bundle, seconds.
     pub(crate) fn overhead(&self) -> f64 {
         self.overhead
     }
@@ -238,7 +238,7 @@ impl Planner {
         f64::from(self.dispatcher.seconds(task))
     }
 
-    /// Sorts the queue by the corrected times, if they have changed. Returns true if they have.
+    /// Sorts the queue by the corrected times if they have changed. Returns true if they have changed.
     pub fn refresh(&mut self) -> bool {
         let changed = std::mem::take(&mut self.stale);
         if changed {
@@ -252,7 +252,7 @@ impl Planner {
         self.setting.learn && self.learner.observed() < 8 && !self.learner.shape().has_model()
     }
 
-    /// The next bundle for a slot, or for any free slot; `now`: seconds.
+    /// Returns the next bundle for a slot, or for any free slot if `slot` is `None`. `now`: time in seconds.
     pub fn next(&mut self, slot: Option<usize>, now: f64) -> Option<Sent> {
         self.refresh();
         self.next_stage();
@@ -363,8 +363,8 @@ impl Planner {
         self.running.get(&bundle).and_then(|r| r.sent.slot)
     }
 
-    /// Bundles that take more than one second longer than the 99.9 % quantile of their expected time, the
-    /// longest first.
+    /// Bundles that take more than one second longer than the 99.9 % quantile of their expected time, sorted
+    /// by their time so far, the longest first.
     pub(crate) fn stragglers(&self, now: f64) -> Vec<Straggler> {
         let spread = 3.0 * self.learner.log_sd().hypot(0.05);
         let mut out: Vec<Straggler> = self

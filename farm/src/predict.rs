@@ -1,4 +1,4 @@
-//! Base seconds of tasks before anything was measured: from a model file, a list, the analytic model, or the
+//! Base seconds of tasks before any measurement: from a model file, a list, the analytic model, or the
 //! quotient pixels / step.
 
 use super::job::{Job, Renderer, draw_settings};
@@ -16,7 +16,7 @@ use entire_steer::predict::{AnalyticModel, Inputs, Predictor, load};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Assumed time per pixel at a step of one reference step before any measurement, nanoseconds.
+/// Assumed time per pixel at a step of one reference step, before any measurement, in nanoseconds.
 const NANOSECONDS: f64 = 1000.0;
 
 /// Source of base seconds, for display.
@@ -37,7 +37,7 @@ fn looks(job: &Job) -> bool {
     job.predict.analytic.unwrap_or(matches!(job.renderer, Renderer::Entire { .. }))
 }
 
-/// ln of the base seconds of every task.
+/// Returns ln of the base seconds of every task.
 ///
 /// # Errors
 /// When a model, list or volume cannot be read, or an input of a model is missing.
@@ -74,15 +74,16 @@ fn of_list(job: &Job, list: &Path) -> Result<Vec<f32>> {
     let missing = out.iter().filter(|v| v.is_nan()).count();
     ensure!(
         missing == 0,
-        "{}: {missing} of the job's {} tasks are not in it; `entire farm JOB --save-tasks FILE` writes a \
-         list with all ids",
+        "{}: {missing} of the job's {} tasks are not in the list; `entire farm JOB --save-tasks FILE` writes \
+         a list with all ids",
         list.display(),
         job.len()
     );
     Ok(out)
 }
 
-/// Prints a note if a model predicts seconds of another clock than wall time, by which tasks are measured.
+/// Prints a note if a model predicts seconds of another clock than wall time. Tasks are measured by wall
+/// time.
 fn note_clock(path: &Path, model: &Model) {
     if let Some(clock) = entire_io::clock::of(model).filter(|c| *c != Clock::Wall) {
         note(&format!(
@@ -94,7 +95,7 @@ fn note_clock(path: &Path, model: &Model) {
     }
 }
 
-/// ln of the base seconds of every task, predicted from volumes, transfer functions and views.
+/// Returns ln of the base seconds of every task, predicted from volumes, transfer functions and views.
 fn of_views(job: &Job) -> Result<Vec<f32>> {
     let (shade, skip, termination) = match &job.renderer {
         own @ Renderer::Entire { .. } => {

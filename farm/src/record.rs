@@ -7,12 +7,13 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The number of the current run of a database with the state folder `state`; `None` before the first run.
+/// Returns the number of the current run of the database whose state folder is `state`; `None` before the
+/// first run.
 pub(crate) fn run_number(state: &Path) -> Option<u64> {
     std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
 }
 
-/// A task with all data that a worker needs.
+/// Work order of a task: all data that a worker needs to render it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Order {
     /// The task's id, 16 hexadecimal digits.
@@ -40,7 +41,7 @@ pub struct Order {
     pub step: f32,
     /// Path of the image, relative to the database.
     pub image: String,
-    /// Expected seconds.
+    /// Expected rendering time, seconds.
     pub predicted_s: f64,
     /// Identities of the volume's files. If the files differ after the picture was drawn, the task fails.
     #[serde(default)]
@@ -52,7 +53,7 @@ pub struct Order {
 pub(crate) struct BundleOrder {
     /// The bundle's number in this run.
     pub(crate) bundle: u64,
-    /// The run that it belongs to: when another run has begun, the worker stops.
+    /// Number of the run that sent the bundle. If another run has begun, the worker stops.
     pub(crate) run: u64,
     /// The tasks.
     pub(crate) tasks: Vec<Order>,
@@ -63,29 +64,29 @@ pub(crate) struct BundleOrder {
 pub struct Answer {
     /// The task's id.
     pub task: String,
-    /// Its bundle.
+    /// Number of the task's bundle.
     pub bundle: u64,
-    /// Its node.
+    /// Name of the node that rendered the task.
     pub node: String,
     /// Seconds without loading: rendering, and writing the image.
     pub seconds: f64,
     /// Seconds of the frame only, if the renderer reports them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub render_s: Option<f64>,
-    /// Seconds to load the volume; zero if it was loaded.
+    /// Seconds to load the volume; zero if the worker already had it in memory.
     pub load_s: f64,
     /// Start, seconds since 1970.
     pub begin: f64,
     /// End, seconds since 1970.
     pub end: f64,
-    /// Size of the image file.
+    /// Size of the image file, bytes.
     pub bytes: u64,
     /// CRC-32 of the image file.
     pub crc32: u32,
     /// Reason for a missing image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// True if the cause was a full disk.
+    /// True if the task failed because the disk was full.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub disk_full: bool,
 }
@@ -98,12 +99,12 @@ pub enum Line {
     Answer(Answer),
     /// A bundle has ended.
     End {
-        /// Its number.
+        /// Number of the bundle.
         end: u64,
     },
     /// A worker has started a task.
     Begin {
-        /// Its id.
+        /// Id of the task.
         begins: String,
     },
 }
@@ -127,16 +128,16 @@ pub(crate) enum Entry {
         /// Time of the start, seconds since 1970.
         at: f64,
     },
-    /// Identities of the volumes' files, by path. They hold until the next such line.
+    /// Identities of the files of all volumes, by path. They are valid until the next line of this kind.
     Inputs {
         /// The files.
         files: BTreeMap<String, Vec<Identity>>,
     },
-    /// A task is finished, its image in place.
+    /// A task is finished, and its image is complete.
     Done {
         /// Measured times and result.
         answer: Answer,
-        /// Expected seconds when it was sent.
+        /// Rendering seconds that were expected when the task was sent.
         predicted_s: f64,
     },
     /// A task failed.
@@ -157,9 +158,9 @@ pub(crate) enum Entry {
     Quarantined {
         /// Its id.
         task: String,
-        /// Reason, such as its last failure.
+        /// Reason, such as the last failure of the task.
         error: String,
-        /// Path of its log, relative to the database.
+        /// Path of the task's log, relative to the database.
         log: String,
     },
     /// Estimate of the end, for the report.
@@ -184,7 +185,7 @@ pub(crate) fn unix_now() -> f64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
 }
 
-/// Parses a task's id.
+/// Parses a task's id; `None` if the text is no id.
 pub(crate) fn parse_id(text: &str) -> Option<u64> {
     (text.len() == 16).then(|| u64::from_str_radix(text, 16).ok())?
 }

@@ -1,5 +1,5 @@
 //! The report of a farm, from its journal: Gantt chart by node, predicted against measured times, the
-//! expected end over time, gain of the order.
+//! expected end over time, time saved by the order of tasks.
 
 use super::job::Job;
 use super::planner::queue_end;
@@ -17,7 +17,7 @@ const LANES: usize = 48;
 /// Maximum number of points of the chart of predictions.
 const POINTS: usize = 3000;
 
-/// A run of the journal.
+/// A run, as recorded in the journal.
 struct Run {
     at: f64,
     engine: String,
@@ -100,8 +100,8 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
 }
 
 /// Assigns each task to a lane of the Gantt chart: the first lane of its node that is free when the task
-/// begins. Returns the lane of each task, and the names of the lanes: the node's name, with a dot added for
-/// all lanes but the node's first.
+/// begins. Returns the lane of each task, and the names of the lanes. A lane has the name of its node; a dot
+/// is added except for the node's first lane.
 fn lanes(done: &[(Answer, f64)]) -> (Vec<usize>, Vec<String>) {
     let mut order: Vec<usize> = (0..done.len()).collect();
     order.sort_by(|a, b| done[*a].0.begin.total_cmp(&done[*b].0.begin));
@@ -167,8 +167,8 @@ fn accuracy(page: &mut Page, all: &[&(Answer, f64)]) {
     let mut errors: Vec<f64> = all.iter().map(|(a, p)| (p / a.seconds - 1.0).abs()).collect();
     let middle = entire_io::metrics::median(&mut errors).unwrap_or(f64::NAN);
     let text = format!(
-        "Expected seconds when a task was sent, and its measured seconds without loading. Median error {:.1} \
-         %.",
+        "Seconds that were expected when a task was sent, and its measured seconds without loading. Median \
+         error {:.1} %.",
         100.0 * middle
     );
     page.chart(&chart, &text);
@@ -193,7 +193,7 @@ fn ends(page: &mut Page, run: &Run) {
 }
 
 fn gains(page: &mut Page, run: &Run) -> Result<()> {
-    page.heading("Gain of the order");
+    page.heading("Time saved by the order of tasks");
     let mut tasks: Vec<&(Answer, f64)> = run.done.iter().collect();
     tasks.sort_by(|a, b| a.0.task.cmp(&b.0.task));
     let slots = run.slots.max(1);
@@ -201,7 +201,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let busy = vec![0.0; slots];
     let seconds: Vec<f64> = tasks.iter().map(|(a, _)| a.seconds).collect();
     let mut order: Vec<usize> = (0..tasks.len()).collect();
-    // Without predictions no order is better than another: the mean of 32 random orders.
+    // Without predictions no order is better than another, so this is the mean of 32 random orders.
     let any: f64 = (0..32u64)
         .map(|seed| {
             let mut order = order.clone();
@@ -225,14 +225,14 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
         ("lower bound: no order is faster", bound),
         ("queue, longest predicted first", longest),
         ("queue, random order (mean of 32)", any),
-        ("assigned beforehand, all tasks taken as equal", dealt),
+        ("assigned beforehand, all tasks assumed equally long", dealt),
         ("this run, with loading, bundles and corrections", took),
     ] {
         table.row(vec![name.into(), format!("{end:.2}").into(), format!("{:.3}", end / bound).into()]);
     }
     let text = format!(
         "Measured seconds of the tasks of this run, without loading, replayed on {slots} equal slots; the \
-         last line is the run itself."
+         last line is the time of the run itself."
     );
     page.table(&table, &text);
     Ok(())

@@ -12,7 +12,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// Time limit of the wait for the last lines of a program that reads no more tasks.
+/// Time limit for the last lines of a program that has closed its input.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
 /// The line that answers a task.
@@ -28,7 +28,7 @@ pub(super) struct Reply {
     pub(super) error: Option<String>,
 }
 
-/// A persistent renderer, started with the first task and again after a failure.
+/// A persistent renderer, started for the first task and again after a failure.
 pub(super) struct Session {
     command: Vec<String>,
     limit: Option<Duration>,
@@ -53,7 +53,8 @@ impl Drop for Running {
 }
 
 impl Session {
-    /// A program with its arguments, and the time limit of a task.
+    /// Returns a renderer that is not started yet. `command`: program and arguments; `limit`: time limit of a
+    /// task.
     pub(super) fn new(command: Vec<String>, limit: Option<Duration>) -> Self {
         Self { command, limit, running: None, fresh: false, ended: false }
     }
@@ -78,11 +79,11 @@ impl Session {
     }
 
     /// Renders a task to `out`. If the program was started for this task and reports the seconds of the
-    /// frame, its start counts as loading. If a program that has answered other tasks ends during this one,
+    /// frame, its start counts as loading. If a program that has answered other tasks ends during this task,
     /// it may have run out of memory: a new process gets the task once more.
     ///
     /// # Errors
-    /// When the program cannot be started, ends, answers with an error or not in time.
+    /// When the program cannot be started, ends, answers with an error or does not answer in time.
     pub(super) fn ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
         let mut clock = Instant::now();
         let mut result = self.try_ask(order, out, log);
@@ -95,12 +96,12 @@ impl Session {
             *load_s = Some((clock.elapsed().as_secs_f64() - *seconds).max(load_s.unwrap_or(0.0)));
         }
         if result.is_err() {
-            // The program's state is unknown: the next task gets a new one.
+            // The program's state is unknown, so the next task gets a new process.
             self.running = None;
         }
         let reply = result?;
         match &reply.error {
-            Some(error) => bail!("the renderer says: {error}"),
+            Some(error) => bail!("the renderer reported an error: {error}"),
             None => Ok(reply),
         }
     }
@@ -173,7 +174,8 @@ mod tests {
     #[test]
     fn a_program_that_reads_no_more_is_heard_to_its_last_line() {
         let dir = tempfile::tempdir().unwrap();
-        // The script closes its input before the task, which is longer than a pipe's buffer, is written.
+        // The script closes its input before the task is written completely, since the task is longer than a
+        // pipe's buffer.
         let script = "printf 'one\ntwo\n{\"task\": \"7\"}\n'; exec 0<&-";
         let command = ["sh", "-c", script].map(str::to_owned).to_vec();
         let order = Order {

@@ -14,11 +14,11 @@ const NODES: usize = 8;
 /// Contents of the display.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct View {
-    /// Finished tasks.
+    /// Number of finished tasks.
     pub(crate) done: usize,
-    /// All tasks.
+    /// Number of all tasks.
     pub(crate) all: usize,
-    /// Tasks that were given up.
+    /// Number of quarantined tasks.
     pub(crate) quarantined: usize,
     /// Tasks per second of this run.
     pub(crate) rate: f64,
@@ -38,7 +38,7 @@ pub(crate) struct Show {
     lines: bool,
     line_at: Instant,
     named: Vec<String>,
-    /// Time to compute the contents of the display; it limits the update rate.
+    /// Time that it takes to compute the contents of the display. It limits the update rate.
     pub(crate) cost: Duration,
 }
 
@@ -111,7 +111,7 @@ fn text(view: &View) -> String {
     out
 }
 
-/// Text of a duration in seconds: `8.5 s`, `3:07 min`, `2:05 h`, `3.5 days`.
+/// Returns the text of a duration in seconds: `8.5 s`, `3:07 min`, `2:05 h`, `3.5 days`.
 pub fn duration(seconds: f64) -> String {
     let s = seconds.round() as u64;
     match seconds {
@@ -123,10 +123,10 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Seconds of a duration such as `90s`, `30m`, `2h` or `1.5d`.
+/// Parses a duration such as `90s`, `30m`, `2h` or `1.5d`. Returns its seconds.
 ///
 /// # Errors
-/// When the text is no such duration, or not positive.
+/// When the text is no such duration, or the duration is not positive.
 pub fn parse_duration(text: &str) -> Result<f64, String> {
     let wrong = || format!("{text:?} is no duration; accepted are 90s, 30m, 2h or 1.5d");
     let unit = text.chars().last().ok_or_else(wrong)?;

@@ -1,5 +1,5 @@
-//! A discrete-event simulator of farms: the planner of real engines, on tasks with given true times. Bundles
-//! have latency, volumes are loaded, nodes differ in speed and fail.
+//! A discrete-event simulator of farms. It runs the planner of real engines on tasks with given true times.
+//! Bundles have latency, volumes are loaded, nodes differ in speed and fail.
 
 use super::planner::{Planner, Time};
 use rand_chacha::ChaCha8Rng;
@@ -20,13 +20,13 @@ pub struct World {
     pub load_warm: Vec<f64>,
     /// Speed of each slot.
     pub speeds: Vec<f64>,
-    /// Slot seconds per bundle.
+    /// Latency of each bundle on its slot, seconds.
     pub latency: f64,
-    /// Engine seconds per bundle; bundles are sent one after another.
+    /// Time in which the engine sends a bundle, seconds. Bundles are sent one after another.
     pub dispatch: f64,
     /// True if each bundle is sent to a given slot, which keeps its volume.
     pub bound: bool,
-    /// Failures of a slot per hour; its bundle is lost.
+    /// Mean number of failures of a slot per hour. At a failure, the slot's bundle is lost.
     pub failures_per_hour: f64,
     /// Seconds until a failed slot is back, without its volume.
     pub repair: f64,
@@ -63,11 +63,11 @@ pub struct Outcome {
     pub makespan: f64,
     /// Tasks in the order in which they ended.
     pub ran: Vec<Ran>,
-    /// Bundles that were sent.
+    /// Number of bundles that were sent.
     pub bundles: usize,
-    /// Volumes that were loaded.
+    /// Number of times that a volume was loaded.
     pub loads: usize,
-    /// Bundles that were lost.
+    /// Number of bundles that were lost.
     pub lost: usize,
     /// Estimates of the end, one for each share of `ask_at` of [`simulate`].
     pub said: Vec<Said>,
@@ -80,7 +80,8 @@ enum Event {
     Lost { bundle: u64, slot: usize },
 }
 
-/// Runs a plan to its end. `ask_at` are shares of the true work at which the planner estimates the end.
+/// Simulates a plan to its end. `ask_at`: ascending shares of the true work after which the planner estimates
+/// the end.
 pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome {
     let slots = world.speeds.len();
     let mut rng = ChaCha8Rng::seed_from_u64(world.seed);

@@ -12,7 +12,7 @@ const MOST: usize = 4096;
 /// A number of nodes, with its end and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Offer {
-    /// Nodes.
+    /// Number of nodes.
     nodes: usize,
     /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds.
     end: [f64; 3],
@@ -20,14 +20,14 @@ struct Offer {
     node_hours: f64,
 }
 
-/// Forecast for a number of nodes. `plan` makes a plan for a number of nodes.
+/// Returns the forecast for a number of nodes. `plan` returns a plan for a number of nodes.
 fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
     let end = plan(nodes).eta(0.0);
     Offer { nodes, end, node_hours: nodes as f64 * end[1] / 3600.0 }
 }
 
-/// The smallest number of nodes that meets a deadline in 95 of 100 cases: since more nodes never cost fewer
-/// node hours, it is the cheapest. `None` if no number is enough.
+/// Returns the smallest number of nodes that meets a deadline in 95 of 100 cases; `None` if no number is
+/// enough. More nodes never cost fewer node hours, so this number is the cheapest.
 fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
     let (mut low, mut high) = (1, MOST.min(tasks.max(1)));
     let enough = |o: &Offer| o.end[2] <= deadline;
@@ -47,7 +47,7 @@ fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Opt
     Some(best)
 }
 
-/// The text that a dry run prints. `deadline`: in seconds; `price`: price of a node hour.
+/// Returns the text that a dry run prints. `deadline`: in seconds; `price`: price of a node hour.
 pub fn text(
     job: &Job,
     plan: &dyn Fn(usize) -> Planner,

@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 enum Painter {
     /// The raycaster, with its loaded volume.
     Own(Box<Own>),
-    /// A program per image.
+    /// A program that is started for each image, and its time limit.
     Program(Vec<String>, Option<Duration>),
     /// A persistent program.
     Stays(Session),
@@ -55,7 +55,7 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// A worker of the database with the state folder `state`.
+    /// Returns a worker of the database whose state folder is `state`.
     ///
     /// # Errors
     /// When the renderer's description cannot be read, or no renderer can be opened.
@@ -85,8 +85,9 @@ impl Worker {
         Ok(Self { state: state.to_owned(), output, node, painter })
     }
 
-    /// Reads bundles from standard input, a JSON object per line, until it is closed; answers on standard
-    /// output. When the input is closed, the current task is finished and no other is begun.
+    /// Reads bundles from standard input, one JSON object per line, until the input is closed. Writes the
+    /// answers to standard output and to the spool. If the input is closed, the current task is finished and
+    /// no other task is begun.
     ///
     /// # Errors
     /// When a line is no bundle, or the spool cannot be written.
@@ -150,7 +151,7 @@ impl Worker {
         append(&mut spool, &Line::End { end: number })
     }
 
-    /// Renders a task; a failure is also an answer.
+    /// Renders a task and returns the result. A failure is a result too.
     fn answer(&mut self, order: &Order, bundle: u64) -> Answer {
         let begin = unix_now();
         let clock = Instant::now();
@@ -196,7 +197,7 @@ impl Worker {
                         let found = session.ask(order, &part, &log)?;
                         Painted { load_s: found.load_s.unwrap_or(0.0), render_s: found.seconds }
                     }
-                    Painter::Own(_) => unreachable!("it is handled above"),
+                    Painter::Own(_) => unreachable!("the raycaster is handled above"),
                 };
                 let png = std::fs::read(&part).with_context(|| {
                     format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
@@ -208,7 +209,7 @@ impl Worker {
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
             bail!(
-                "{} changed while the farm was running: {what}; go on with --resume when it is complete",
+                "{} changed while the farm was running: {what}; continue with --resume once it is complete",
                 order.volume.display()
             );
         }
@@ -335,7 +336,7 @@ fn open_spool(path: &Path) -> Result<File> {
 fn append(spool: &mut File, line: &Line) -> Result<()> {
     let mut text = serde_json::to_vec(line)?;
     text.push(b'\n');
-    spool.write_all(&text).context("cannot write the spool; make room and go on with --resume")
+    spool.write_all(&text).context("cannot write the spool; free disk space and continue with --resume")
 }
 
 /// Writes a line to standard output. A closed output is no error, since the spool has the answers.

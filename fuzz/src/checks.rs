@@ -1,4 +1,4 @@
-//! Invariants of all readers' results.
+//! Invariants of the volumes and models that the readers return.
 
 use crate::volume::Volume;
 use entire_core::kernels::Executor;
@@ -6,7 +6,7 @@ use entire_core::model::Model;
 use entire_core::nn::{PredNet, VolumeNet};
 use entire_core::scene::{Scalars, VolumeView};
 
-/// An accepted volume has all its voxels and finite geometry; an error has a message.
+/// Checks that an accepted volume has all its voxels and finite geometry, and that an error has a message.
 pub fn check_volume<E: std::fmt::Display>(read: Result<Volume, E>) {
     match read {
         Ok(volume) => {
@@ -20,7 +20,7 @@ pub fn check_volume<E: std::fmt::Display>(read: Result<Volume, E>) {
     }
 }
 
-/// An accepted model can be built and run.
+/// Checks that the networks of an accepted model can be built and run, and that an error has a message.
 pub fn check_model<E: std::fmt::Display>(read: Result<Model, E>) {
     let model = match read {
         Ok(model) => model,

@@ -32,12 +32,12 @@ const WORDS: [&str; 22] = [
     "",
 ];
 
-/// The stream of random numbers of a seed.
+/// Returns the random number generator of a seed.
 pub fn random(seed: u32) -> Random {
     Random::new((u64::from(seed) << 1 | 1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
 }
 
-/// A mutated number: near the old one, a limit, or random.
+/// Returns a mutation of the number `own`: a number near it, a limit, or a random number.
 pub fn number(random: &mut Random, own: f64) -> f64 {
     let unit = random.bits() as f64 / u64::MAX as f64;
     let edges = [

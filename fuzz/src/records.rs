@@ -8,12 +8,12 @@ use std::fmt::Display;
 /// Largest number of frames of a path whose frames are computed here; a million frames take a second.
 const MOST_PATH_FRAMES: u32 = 4096;
 
-/// An error has a message.
+/// Checks that an error has a message.
 fn refused(error: impl Display) {
     assert!(!format!("{error:#}").is_empty());
 }
 
-/// Every frame of an accepted table can be drawn, and its seconds are numbers.
+/// Checks that every frame of an accepted table can be drawn and that its seconds are finite and positive.
 pub fn check_table(input: &[u8]) {
     let frames = match parse_table(input, 3) {
         Ok(frames) => frames,
@@ -30,7 +30,8 @@ pub fn check_table(input: &[u8]) {
     let _ = noise_floor(&frames, Clock::Auto, |_| 1);
 }
 
-/// Every value of an accepted feature table is finite and can be found.
+/// Checks that every column of an accepted feature table is found by its name, and that the row of frame 1
+/// has a finite value in every column.
 pub fn check_features(input: &[u8]) {
     let table = match FeatureTable::parse(input) {
         Ok(table) => table,
@@ -44,7 +45,7 @@ pub fn check_features(input: &[u8]) {
     }
 }
 
-/// An accepted manifest can be written and read again.
+/// Checks that an accepted manifest can be written and read again.
 pub fn check_manifest(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     match Manifest::parse(text) {
@@ -56,7 +57,8 @@ pub fn check_manifest(input: &[u8]) {
     }
 }
 
-/// At least 16 frames of an accepted path (all of a shorter one) can be drawn and have a transfer table.
+/// Checks that at least 16 frames of an accepted path (all frames of a shorter path) have a camera and a
+/// transfer table.
 pub fn check_path(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let file = match PathFile::parse(text) {
@@ -77,7 +79,7 @@ pub fn check_path(input: &[u8]) {
     }
 }
 
-/// Tasks of an accepted list can be planned by any method, and every plan contains each task once.
+/// Checks that every plan for the tasks of an accepted list, by any method, contains each task once.
 pub fn check_tasks(input: &[u8]) {
     let (json, input) = match input.split_first() {
         Some((b'j', rest)) => (true, rest),

@@ -56,7 +56,8 @@ pub fn seal(bytes: &mut Vec<u8>) {
 pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = random(seed);
     let mut body = data[..size.saturating_sub(SEAL)].to_vec();
-    // A state with at least one number after its first 32 bytes.
+    // A state without a number after its first 32 bytes, and one state in 200, is replaced by a learned
+    // state.
     if body.len() < 40 || random.below(200) == 0 {
         body = learned();
         body.truncate(body.len() - SEAL);
@@ -92,8 +93,8 @@ thread_local! {
     });
 }
 
-/// A refused state changes nothing. An accepted one loads again as saved, gives plans with finite numbers,
-/// and the session continues to learn.
+/// Checks that a refused state changes nothing, and that an accepted state can be saved and loaded again,
+/// gives plans with finite numbers, and lets the session continue to learn.
 pub fn check_state(input: &[u8]) {
     SESSION.with_borrow_mut(|(session, fresh)| {
         session.load_state(fresh).expect("the state of a new session");

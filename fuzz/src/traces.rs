@@ -2,7 +2,8 @@
 
 use crate::trace::Trace;
 
-/// An accepted trace has at least two steps at full size in every frame, positive seconds, and known modes.
+/// Checks that an accepted trace has at least two steps at full size in every frame, positive seconds, and
+/// known modes.
 pub fn check_trace(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let trace = match Trace::parse(text) {

@@ -11,7 +11,7 @@ const LOOK: Duration = Duration::from_millis(5);
 /// Waits for a process and kills it after the limit; `None` if it was killed.
 ///
 /// # Errors
-/// When the system refuses to wait for it.
+/// When the system refuses to wait for the process.
 pub fn wait_at_most(child: &mut Child, limit: Duration) -> Result<Option<ExitStatus>> {
     let clock = Instant::now();
     loop {

@@ -1,5 +1,5 @@
-//! The clock whose seconds a model predicts. Model, timing table and steered renderer must use the same one:
-//! seconds of two clocks can differ by a large factor.
+//! The clock whose seconds a model predicts. Model, timing table and steered renderer must use the same
+//! clock: seconds of two clocks can differ by a large factor.
 
 use crate::dataset::{Clock, TimedFrame};
 use crate::device;
@@ -9,8 +9,8 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_vk_raycaster::Renderer;
 
-/// The clock that a model file states: under [`Key::Clock`], else in its provenance. `None` where it states
-/// none.
+/// Returns the clock that a model states: under [`Key::Clock`], else in its provenance. `None` if it states
+/// no clock.
 pub fn of(model: &Model) -> Option<Clock> {
     let of_provenance = || {
         let provenance: serde_json::Value =
@@ -26,15 +26,16 @@ pub fn set(file: &mut ModelFile, clock: Clock) {
     file.metadata.insert(Key::Clock.into(), clock.name().into());
 }
 
-/// Parser of an option for the clocks that a model can state: all but `auto`, which depends on the device.
+/// Returns the parser of an option for the clocks that a model can state: all but `auto`, which depends on
+/// the device.
 pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
     let fixed = Clock::value_variants().iter().filter(|c| **c != Clock::Auto);
     PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
         .try_map(|name| Clock::from_str(&name, false))
 }
 
-/// The clock that [`Clock::Auto`] means for these frames: the device's where every repeat has it, wall time
-/// where none does. Other clocks are returned unchanged.
+/// Returns the clock that [`Clock::Auto`] means for these frames: device time if every repeat has it, wall
+/// time if no repeat has it. Other clocks are returned unchanged.
 ///
 /// # Errors
 /// When only some repeats have device timestamps: their times are not comparable.
@@ -55,8 +56,8 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
 }
 
-/// The clock that `auto` means for a renderer: device timestamps on a GPU that has them, else wall time.
-/// Other clocks are returned unchanged.
+/// Returns the clock that `auto` means for a renderer: device timestamps on a GPU that has them, else wall
+/// time. Other clocks are returned unchanged.
 pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
     match clock {
@@ -66,12 +67,12 @@ pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
     }
 }
 
-/// The clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and clock of
-/// the model that training starts from), else CPU time. If some frames lack a clock that was not asked for,
-/// [`Clock::Auto`] chooses another and a note is printed.
+/// Returns the clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and
+/// clock of the model that training starts from), else CPU time. If `asked` is not given and some frames have
+/// no time by that clock, it is replaced as by [`Clock::Auto`], and a note is printed.
 ///
 /// # Errors
-/// As [`concrete`].
+/// Those of [`concrete`].
 pub fn for_training<'a>(
     asked: Option<Clock>,
     base: Option<(&str, Clock)>,
@@ -100,8 +101,8 @@ pub fn for_training<'a>(
     Ok(clock)
 }
 
-/// Note for training that starts from a model of another clock; `None` where that model states the same clock
-/// or none.
+/// Returns a note for training that starts from a model of another clock; `None` if that model states the
+/// same clock or no clock.
 pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
     let theirs = theirs.filter(|c| *c != clock)?;
     Some(format!(
@@ -112,8 +113,8 @@ pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<S
     ))
 }
 
-/// Note that names the models that state no clock; their predictions count as seconds of `clock`. `None` if
-/// every model states a clock, or if `clock` is [`Clock::Auto`].
+/// Returns a note that names the models that state no clock; their predictions count as seconds of `clock`.
+/// `None` if every model states a clock, or if `clock` is [`Clock::Auto`].
 pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
     if clock == Clock::Auto {
         return None;
@@ -128,11 +129,11 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
     })
 }
 
-/// The clock of an evaluation or a steered run: the clock that the models state, or `asked` if no model
-/// states a clock. All stated clocks must be equal and agree with `asked`.
+/// Returns the clock of an evaluation or a steered run: the clock that the models state, or `asked` if no
+/// model states a clock. All stated clocks must be equal and agree with `asked`.
 ///
 /// # Errors
-/// When models and the requested clock disagree; names the remedy.
+/// When models and the requested clock disagree; the error names the remedy.
 pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Result<Clock> {
     let mut found: Option<(&str, Clock)> = None;
     for (name, model) in models {

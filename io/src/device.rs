@@ -22,7 +22,7 @@ pub fn is_software(renderer: &dyn Renderer) -> bool {
     names_software(renderer.backend(), &renderer.device())
 }
 
-/// As [`is_software`], from the names of the backend and the device.
+/// True if a renderer with this backend and this device runs on the CPU (see [`is_software`]).
 pub fn names_software(backend: &str, device: &str) -> bool {
     let device = device.to_ascii_lowercase();
     backend == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
@@ -32,8 +32,8 @@ pub fn names_software(backend: &str, device: &str) -> bool {
 /// on standard error says when the CPU version is used instead.
 ///
 /// # Errors
-/// When Vulkan or one of its devices was requested and there is none; says how to get a driver. When an
-/// environment variable has an invalid value.
+/// When Vulkan or one of its devices was requested and there is none; the error says how to get a driver.
+/// When an environment variable has an invalid value.
 pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
     if device == Device::Cpu {
         return Ok(Box::new(CpuRaycaster::new()));

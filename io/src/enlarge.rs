@@ -6,13 +6,13 @@ use anyhow::{Result, ensure};
 use entire_core::scene::VolumeView;
 use rayon::prelude::*;
 
-/// Largest enlargement that is accepted, per axis.
+/// Maximum enlargement factor along each axis.
 pub const MAX_FACTOR: usize = 8;
 
 /// Enlarges a volume by a whole factor along every axis, by trilinear interpolation. Voxel centers lie at
-/// half-integer positions; positions outside the outermost centers take the value at the edge. The spacing
-/// shrinks by the same factor, so that the box stays the same. Whole-number types round to the nearest value.
-/// The scalar range is that of the source.
+/// half-integer positions; positions outside the outermost centers get the value of the nearest center. The
+/// spacing shrinks by the same factor, so that the box stays the same. Whole-number types round to the
+/// nearest value. The scalar range is that of the source.
 ///
 /// # Errors
 /// When `factor` is 0 or over [`MAX_FACTOR`].
@@ -99,7 +99,8 @@ mod tests {
         assert_eq!(e.dims(), [4, 4, 2]);
         assert_eq!(e.spacing(), [0.5, 1.0, 1.5]);
         let VolumeData::U8(d) = e.data() else { panic!("the type changed") };
-        // Along x at y = 0: 0, a quarter, three quarters, 100; both slices alike.
+        // Along x at y = 0, the values are 0, a quarter of 100, three quarters of 100, and 100; both slices
+        // are equal.
         assert_eq!(d[..4], [0, 25, 75, 100]);
         assert_eq!(d[..16], d[16..]);
         assert_eq!(e.view().shape().half_extent, v.view().shape().half_extent);
@@ -116,7 +117,7 @@ mod tests {
         assert_eq!(r.view().shape().half_extent, v.view().shape().half_extent);
         assert!((r.view().shape().bounding_radius / v.view().shape().bounding_radius - 1.0).abs() < 1e-6);
         assert_eq!(r.view().range(), (0.0, 255.0));
-        // The mean of the eight voxels around the new one's center.
+        // The value is the mean of the eight voxels around the new voxel's center.
         let VolumeData::U8(d) = r.data() else { panic!("the type changed") };
         assert_eq!(d[0], ((1 + 4 + 5 + 16 + 17 + 20 + 21) as f32 / 8.0).round() as u8);
         assert!(resample(&v, 0).is_err() && resample(&v, 513).is_err());

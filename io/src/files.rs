@@ -12,16 +12,16 @@ use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// Largest model file that is read, in bytes.
+/// Maximum size of a model file, in bytes.
 const MAX_MODEL_BYTES: u64 = 4 << 30;
 
-/// Most bytes that a compressed table may decompress to.
+/// Maximum size of a file that is read whole, in bytes; for a compressed file, also after decompression.
 const MAX_TABLE_BYTES: u64 = 4 << 30;
 
-/// The bytes of a model file.
+/// Returns the bytes of a model file.
 ///
 /// # Errors
-/// When it cannot be read, or is larger than 4 GiB.
+/// When the file cannot be read, or is larger than 4 GiB.
 pub fn read_model_bytes(path: &Path) -> Result<Vec<u8>> {
     let shown = path.display();
     ensure!(
@@ -31,10 +31,11 @@ pub fn read_model_bytes(path: &Path) -> Result<Vec<u8>> {
     Stream::open(path)?.all(MAX_MODEL_BYTES).with_context(|| format!("{shown}"))
 }
 
-/// The model in the bytes of a file.
+/// Returns the model in the bytes of a file.
 ///
 /// # Errors
-/// One line that names the file and the wrong tensor or metadata key, if any.
+/// When the bytes are no valid model: one line that names the file and the wrong tensor or metadata key, if
+/// any.
 pub fn parse_model(path: &Path, bytes: &[u8]) -> Result<Model> {
     Model::from_bytes(bytes).map_err(|error| anyhow!("{}: {error}", path.display()))
 }
@@ -42,7 +43,7 @@ pub fn parse_model(path: &Path, bytes: &[u8]) -> Result<Model> {
 /// Reads a model file.
 ///
 /// # Errors
-/// As [`read_model_bytes`] and [`parse_model`].
+/// Those of [`read_model_bytes`] and [`parse_model`].
 pub fn open_model(path: &Path) -> Result<Model> {
     parse_model(path, &read_model_bytes(path)?)
 }
@@ -50,7 +51,7 @@ pub fn open_model(path: &Path) -> Result<Model> {
 /// Reads a model file, and returns it both as stored and as a checked model.
 ///
 /// # Errors
-/// As [`open_model`].
+/// Those of [`open_model`].
 pub fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
     let bytes = read_model_bytes(path)?;
     let model = parse_model(path, &bytes)?;
@@ -76,7 +77,7 @@ pub fn check_model_out(out: &Path) -> Result<()> {
 /// Makes the folder of a file if it does not exist.
 ///
 /// # Errors
-/// When it cannot be made.
+/// When the folder cannot be made.
 pub fn make_folder_of(file: &Path) -> Result<()> {
     match file.parent().filter(|f| !f.as_os_str().is_empty()) {
         Some(folder) => make_folder(folder),
@@ -87,7 +88,7 @@ pub fn make_folder_of(file: &Path) -> Result<()> {
 /// Checks that an output would not replace one of the inputs.
 ///
 /// # Errors
-/// When it would; names the file.
+/// When the output is one of the inputs; the error names the file.
 pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
     let Ok(place) = out.canonicalize() else { return Ok(()) };
     for input in inputs {
@@ -103,24 +104,25 @@ pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Pat
 /// Makes a folder and its parents if they do not exist.
 ///
 /// # Errors
-/// When it cannot be made.
+/// When the folder cannot be made.
 pub fn make_folder(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))
 }
 
-/// Writes a file, whole or not at all: under an unpredictable name beside it, flushed to the disk, then
-/// renamed. A link at its place is replaced, not followed. A device or pipe is written to directly.
+/// Writes a file, whole or not at all: the bytes go to a file with an unpredictable name beside `path`, which
+/// is flushed to the disk and then renamed. A link at `path` is replaced, not followed. If `path` is a device
+/// or a pipe, the bytes are written to it directly.
 ///
 /// # Errors
-/// Names the file that cannot be written.
+/// When the file cannot be written; the error names it.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     write_whole_with(path, |file| Ok(file.write_all(bytes)?))
 }
 
-/// As [`write_whole`]; `fill` writes the file's content.
+/// Writes a file as [`write_whole`] does; `fill` writes the file's content.
 ///
 /// # Errors
-/// As [`write_whole`], and those of `fill`.
+/// Those of [`write_whole`] and of `fill`.
 pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
     let fail = || format!("cannot write {}", path.display());
     let fill = |file: &mut File| -> Result<()> {
@@ -135,7 +137,7 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     builder.prefix(".").suffix(".part");
-    // Read and write for all, less the user's umask, as for any new file.
+    // The file gets the permissions of any new file: read and write for all, less the user's umask.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut part = builder.tempfile_in(folder).with_context(fail)?;
@@ -145,10 +147,10 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     Ok(())
 }
 
-/// Writes a value as indented JSON with a line break at its end, as [`write_whole`].
+/// Writes a value as indented JSON with a line break at its end, whole or not at all ([`write_whole`]).
 ///
 /// # Errors
-/// As [`write_whole`].
+/// Those of [`write_whole`].
 pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     write_whole(path, (serde_json::to_string_pretty(value)? + "\n").as_bytes())
 }
@@ -157,7 +159,7 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 /// holds a copy of the lock between fork and exec, so locking is retried for 0.3 seconds.
 ///
 /// # Errors
-/// As [`File::try_lock`].
+/// Those of [`File::try_lock`].
 pub fn try_lock(file: &File) -> Result<(), TryLockError> {
     let mut locked = file.try_lock();
     for _ in 0..10 {
@@ -170,10 +172,10 @@ pub fn try_lock(file: &File) -> Result<(), TryLockError> {
     locked
 }
 
-/// A whole file, decompressed where its name ends in `.gz`.
+/// Returns the content of a file, decompressed if the name ends in `.gz`.
 ///
 /// # Errors
-/// When it cannot be read, is damaged, or decompresses to more than 4 GiB.
+/// When the file cannot be read, is damaged, or decompresses to more than 4 GiB.
 pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
     let bytes = read_bytes(path)?;
     if path.extension().is_none_or(|e| e != "gz") {
@@ -186,7 +188,7 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
         .map_err(|e| anyhow!("the gzip stream is damaged: {e}"))?;
     ensure!(
         out.len() as u64 <= MAX_TABLE_BYTES,
-        "it decompresses to more than {} GiB",
+        "the file decompresses to more than {} GiB",
         MAX_TABLE_BYTES >> 30
     );
     Ok(out)
@@ -195,23 +197,25 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
 /// Reads a regular file of at most 4 GiB.
 ///
 /// # Errors
-/// When it is no regular file, is larger than 4 GiB, or cannot be read.
+/// When the file is no regular file, is larger than 4 GiB, or cannot be read.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     Stream::open(path)?.all(MAX_TABLE_BYTES)
 }
 
-/// The text of a regular file of at most `most` bytes, without a byte order mark.
+/// Returns the text of a regular file of at most `most` bytes, without a byte order mark.
 ///
 /// # Errors
-/// When it is no regular file, is larger, cannot be read, or is neither UTF-8 nor UTF-16 with a byte order mark.
+/// When the file is no regular file, is larger, cannot be read, or is neither UTF-8 nor UTF-16 with a byte
+/// order mark.
 pub fn read_text(path: &Path, most: u64) -> Result<String> {
     Ok(decode_text(&Stream::open(path)?.all(most)?)?.into_owned())
 }
 
-/// Decodes text: UTF-8 with or without a byte order mark, or UTF-16 with one (some spreadsheets write it).
+/// Decodes text: UTF-8 with or without a byte order mark, or UTF-16 with a byte order mark, which some
+/// spreadsheets write.
 ///
 /// # Errors
-/// When the bytes are not such text; for UTF-8, names the position of the first invalid byte.
+/// When the bytes are not such text; for UTF-8, the error names the position of the first invalid byte.
 pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
     let unit: fn([u8; 2]) -> u16 = match bytes {
         [0xff, 0xfe, ..] => u16::from_le_bytes,
@@ -227,10 +231,10 @@ pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
         }
     };
     let (units, rest) = bytes[2..].as_chunks::<2>();
-    ensure!(rest.is_empty(), "it begins as UTF-16 and ends in half a character; save the file as UTF-8");
+    ensure!(rest.is_empty(), "the text begins as UTF-16 and ends in half a character; save it as UTF-8");
     match char::decode_utf16(units.iter().map(|&b| unit(b))).collect::<Result<String, _>>() {
         Ok(text) => Ok(Cow::Owned(text)),
-        Err(_) => bail!("it begins as UTF-16 but is not valid UTF-16; save the file as UTF-8"),
+        Err(_) => bail!("the text begins as UTF-16 but is not valid UTF-16; save the file as UTF-8"),
     }
 }
 
@@ -244,7 +248,7 @@ pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
     Ok(encoder.finish()?)
 }
 
-/// 64-bit FNV-1a hash.
+/// Returns the 64-bit FNV-1a hash of bytes.
 pub fn fnv1a(bytes: &[u8]) -> u64 {
     fnv1a_after(0xcbf2_9ce4_8422_2325, bytes)
 }
@@ -254,7 +258,7 @@ pub(crate) fn fnv1a_after(before: u64, bytes: &[u8]) -> u64 {
     bytes.iter().fold(before, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// The hash [`fnv1a`] as 16 hexadecimal digits.
+/// Returns the hash [`fnv1a`] as 16 hexadecimal digits.
 pub fn fnv1a_text(bytes: &[u8]) -> String {
     format!("{:016x}", fnv1a(bytes))
 }
@@ -262,7 +266,7 @@ pub fn fnv1a_text(bytes: &[u8]) -> String {
 /// Reads a volume file and prints its notes ([`Volume::notes`]) on standard error.
 ///
 /// # Errors
-/// As [`Volume::open_as`].
+/// Those of [`Volume::open_as`].
 pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
     let volume = Volume::open_as(path, reading, None)?;
     say_notes(&volume);
@@ -292,7 +296,7 @@ pub fn note(text: &str) {
 /// Reads exactly `N` comma-separated numbers.
 ///
 /// # Errors
-/// When there are more or fewer, or one is not a number.
+/// When there are more or fewer numbers, or an entry is not a number.
 pub fn parse_numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
     let found = parse_list(text)?;
     let count = found.len();
@@ -302,12 +306,12 @@ pub fn parse_numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
 /// Reads comma-separated numbers.
 ///
 /// # Errors
-/// When one is not a number.
+/// When an entry is not a number.
 pub fn parse_list(text: &str) -> Result<Vec<f32>, String> {
     numbers_in(text)
 }
 
-/// A number with 9 significant digits, which identify the `f32`: `1.23456789e-3`.
+/// Returns a number with 9 significant digits, which identify the `f32`: `1.23456789e-3`.
 pub fn digits(value: f32) -> String {
     format!("{value:.8e}")
 }

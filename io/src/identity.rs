@@ -26,11 +26,12 @@ const SECOND: u64 = 1_000_000_000;
 /// Identity of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Its name; for a data file, the name in the header.
+    /// Name of the file; for a data file, the name in the header.
     pub name: String,
-    /// Its size, bytes.
+    /// Size of the file, bytes.
     pub bytes: u64,
-    /// Time of its last change, nanoseconds since 1970. It counts only for files that were hashed in parts.
+    /// Time of the file's last change, nanoseconds since 1970. The time is compared only for files that were
+    /// hashed in parts.
     pub modified_ns: u64,
     /// FNV-1a (64 bits) and CRC-32 of the hashed bytes, hexadecimal.
     pub hash: String,
@@ -42,7 +43,7 @@ impl Identity {
     /// Reads the identity of a file.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When the file cannot be read.
     pub fn of(path: &Path, name: &str) -> Result<Self> {
         Self::read(path, name).with_context(|| format!("cannot read {}", path.display()))
     }
@@ -70,18 +71,18 @@ impl Identity {
         })
     }
 
-    /// Key of the identity: equal for files that are taken as the same.
+    /// Returns the key of the identity: files with equal keys are treated as the same file.
     pub fn key(&self) -> String {
         let Self { name, bytes, hash, .. } = self;
         let modified = if self.whole { 0 } else { self.modified_ns };
         format!("{name}\n{bytes}\n{hash}\n{modified}\n")
     }
 
-    /// The difference between two identities of a file, in words; `None` for the same file.
+    /// Returns the difference between two identities of a file, in words; `None` for the same file.
     fn difference(&self, now: &Self) -> Option<String> {
         let Self { name, .. } = self;
         if now.name != *name {
-            return Some(format!("its name was {name} and is {}", now.name));
+            return Some(format!("the name was {name} and is {}", now.name));
         }
         if now.bytes != self.bytes {
             return Some(format!("{name} had {} bytes and has {}", self.bytes, now.bytes));
@@ -98,11 +99,12 @@ fn modified_ns(metadata: &Metadata) -> u64 {
     since.map_or(0, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// Identities of a volume file and of the data files that its header names, the volume file first.
+/// Returns the identities of a volume file and of the data files that its header names, the volume file
+/// first.
 ///
 /// # Errors
-/// When one of them cannot be read. A header that names no data file, or cannot be understood, counts as an
-/// ordinary file.
+/// When one of the files cannot be read. A header that names no data file, or cannot be understood, counts as
+/// an ordinary file.
 pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     let name = name_of(path);
     let mut out = vec![Identity::of(path, &name)?];
@@ -116,8 +118,8 @@ pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     Ok(out)
 }
 
-/// True if a file is a volume by the ending of its name, or a JSON description whose voxels are beside it.
-/// Files of raw voxels are not volumes by themselves: their description stands for them.
+/// True if a file is a volume by the ending of its name, or a JSON description whose voxels are beside it. A
+/// file of raw voxels does not count as a volume; its JSON description does.
 pub fn is_volume(path: &Path) -> bool {
     let name = name_of(path);
     match Format::of_name(&name) {
@@ -131,30 +133,30 @@ fn name_of(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Key of a volume's files: the keys of their identities, joined.
+/// Returns the key of a volume's files: the keys of their identities, joined.
 pub fn key(files: &[Identity]) -> String {
     files.iter().map(Identity::key).collect()
 }
 
-/// The first difference between two lists of identities of a volume's files, in words; `None` for the same
-/// files.
+/// Returns the first difference between two lists of identities of a volume's files, in words; `None` for the
+/// same files.
 pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
     let missing = |of: &[Identity], than: &[Identity]| {
         let lone = of.iter().skip(1).find(|f| than.iter().all(|g| g.name != f.name));
         lone.map(|f| f.name.clone())
     };
     if let Some(name) = missing(then, now) {
-        return Some(format!("its data file {name} is gone"));
+        return Some(format!("the data file {name} is gone"));
     }
     if let Some(name) = missing(now, then) {
-        return Some(format!("{name} is a new data file of it"));
+        return Some(format!("{name} is a new data file of the volume"));
     }
     then.iter().zip(now).find_map(|(a, b)| a.difference(b))
 }
 
-/// Difference between a volume's files and earlier identities, which may come from another machine; `None`
-/// for the same files. Files are read only where sizes or modification times differ. Modification times that
-/// differ only in fractions of a second count as equal.
+/// Returns the difference between a volume's files and earlier identities, which may come from another
+/// machine; `None` for the same files. Files are read only if a size or a modification time differs.
+/// Modification times that differ only in fractions of a second count as equal.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -176,7 +178,7 @@ pub fn changed(path: &Path, then: &[Identity]) -> Result<Option<String>> {
     Ok(difference(then, &now))
 }
 
-/// Names of the data files that a volume's header names.
+/// Returns the names of the data files that a volume's header names.
 fn data_files(path: &Path, name: &str) -> Vec<String> {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|f| f.take(HEADER).read_to_end(&mut head));
@@ -184,12 +186,12 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     let (Ok(_), Some(format)) = (read, format) else { return Vec::new() };
     let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
     let noted = Noted { folder, names: RefCell::default() };
-    // The reader stops at the latest where it would read data; its error does not matter here.
+    // The reader stops at the latest when it opens a data file; its error does not matter here.
     let _ = Volume::read(format, Stream::from_bytes(&head), name, &noted);
     noted.names.into_inner()
 }
 
-/// Records the names of requested files, and provides none.
+/// Records the names of requested files, and provides no file.
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,

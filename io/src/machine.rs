@@ -3,7 +3,7 @@
 use entire_core::kernels::{Isa, Level};
 use serde::Serialize;
 
-/// The program's version and, when it was built from a checkout, its commit.
+/// Returns the program's version and, if it was built from a checkout, its commit.
 pub fn version() -> String {
     match option_env!("ENTIRE_COMMIT") {
         Some(commit) => format!("{} ({commit})", env!("CARGO_PKG_VERSION")),
@@ -11,7 +11,7 @@ pub fn version() -> String {
     }
 }
 
-/// The current date and time, UTC, ISO 8601 to the second.
+/// Returns the current date and time, UTC, ISO 8601 to the second.
 pub fn now() -> String {
     let now = time::OffsetDateTime::now_utc();
     let (date, clock) = (now.date(), now.time());
@@ -26,14 +26,14 @@ pub fn now() -> String {
     )
 }
 
-/// The load averages over 1, 5 and 15 minutes; `None` where the system does not report them.
+/// Returns the load averages over 1, 5 and 15 minutes; `None` where the system does not report them.
 pub fn load_average() -> Option<[f64; 3]> {
     let text = std::fs::read_to_string("/proc/loadavg").ok()?;
     let mut numbers = text.split_whitespace().map(|w| w.parse::<f64>().ok());
     Some([numbers.next()??, numbers.next()??, numbers.next()??])
 }
 
-/// Logical processors that this process may use.
+/// Returns the number of logical processors that this process may use.
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, |n| n.get())
 }
@@ -49,17 +49,17 @@ pub struct Provenance {
     pub commit: String,
     /// Date and time, UTC.
     pub date: String,
-    /// Load averages over 1, 5 and 15 minutes when this was written.
+    /// Load averages over 1, 5 and 15 minutes at the time of the report.
     pub load_average: Option<[f64; 3]>,
 }
 
 impl Provenance {
-    /// Provenance of measurements that end now.
+    /// Returns the provenance of measurements that end now.
     pub fn of(device: String) -> Self {
         Self { machine: machine(), device, commit: version(), date: now(), load_average: load_average() }
     }
 
-    /// Name and value pairs for a page.
+    /// Returns pairs of name and value for a page.
     pub fn facts(&self) -> Vec<(&'static str, String)> {
         let load = self.load_average.map_or("not known".to_owned(), |l| {
             format!("{:.2}, {:.2}, {:.2} (1, 5, 15 minutes)", l[0], l[1], l[2])
@@ -74,9 +74,9 @@ impl Provenance {
     }
 }
 
-/// Processor model, its widest vector instructions (the speed of software renderers depends on them, and
-/// processors of one model name may differ in them), logical processors, operating system and architecture.
-/// No host name, since tables get published.
+/// Describes the machine: processor model, its widest vector instructions (the speed of software renderers
+/// depends on them, and processors of one model name may differ in them), logical processors, operating
+/// system and architecture. The host name is left out, since tables are published.
 pub fn machine() -> String {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let processor = cpuinfo
@@ -98,7 +98,7 @@ pub fn machine() -> String {
     )
 }
 
-/// The widest vector instructions of the processor; `None` without AVX2.
+/// Returns the widest vector instructions of the processor; `None` without AVX2.
 fn vectors() -> Option<&'static str> {
     match Level::available().last()?.isa() {
         Isa::Avx2 => Some("AVX2"),

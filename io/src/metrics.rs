@@ -6,7 +6,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The shortest prediction, seconds; smaller ones and NaN are replaced by it.
+/// The shortest prediction, seconds; it replaces smaller predictions and NaN.
 pub const SHORTEST: f64 = 1e-6;
 
 /// Errors of predictions over some frames.
@@ -32,14 +32,14 @@ pub struct Metrics {
     pub r2_log: f64,
     /// Median of predicted / measured − 1 in each tenth of the frames, fastest first.
     pub bias_by_decile: Vec<f64>,
-    /// Predictions that were not positive.
+    /// Number of predictions that were zero, negative or NaN.
     pub not_positive: usize,
 }
 
 impl Metrics {
-    /// Errors of predicted seconds against measured ones. Both slices have one entry per frame; surplus
-    /// entries of the longer slice are ignored. Measured seconds must be positive. `None` if there is no
-    /// frame.
+    /// Returns the errors of predicted seconds against measured ones. Both slices have one entry per frame;
+    /// surplus entries of the longer slice are ignored. Measured seconds must be positive. `None` if there is
+    /// no frame.
     pub fn new(predicted: &[f64], measured: &[f64]) -> Option<Self> {
         let frames = measured.len().min(predicted.len());
         if frames == 0 {
@@ -119,8 +119,8 @@ impl BoundMetrics {
     }
 }
 
-/// 95 % interval of a metric by bootstrap over whole groups (volumes, say). `None` with fewer than two
-/// groups.
+/// Returns the 95 % interval of a metric by bootstrap over whole groups (volumes, say); `None` with fewer
+/// than two groups.
 pub fn bootstrap_by_group<G: Ord>(
     predicted: &[f64],
     measured: &[f64],
@@ -131,7 +131,8 @@ pub fn bootstrap_by_group<G: Ord>(
     intervals_by_group(predicted, measured, groups, (rounds, 0.95), |m| [metric(m)]).map(|[i]| i)
 }
 
-/// As [`bootstrap_by_group`], for several metrics over the same draws, and for any confidence level.
+/// Returns intervals as [`bootstrap_by_group`] does, of several metrics over the same draws, and for any
+/// confidence level.
 pub fn intervals_by_group<G: Ord, const N: usize>(
     predicted: &[f64],
     measured: &[f64],
@@ -168,7 +169,8 @@ pub fn intervals_by_group<G: Ord, const N: usize>(
     }))
 }
 
-/// The quantile `share` (0 to 1) of ascending numbers, interpolated between neighbors; NaN without numbers.
+/// Returns the quantile `share` (0 to 1) of ascending numbers, interpolated between neighbors; NaN without
+/// numbers.
 pub fn percentile(ascending: &[f64], share: f64) -> f64 {
     let Some(last) = ascending.len().checked_sub(1) else { return f64::NAN };
     let at = share.clamp(0.0, 1.0) * last as f64;
@@ -223,7 +225,7 @@ mod tests {
         assert_eq!((b.coverage, b.slowest_coverage), (0.9, 0.0));
         let tight = BoundMetrics::new(&t, &t, 0.95).unwrap();
         assert_eq!((tight.coverage, tight.slowest_coverage, tight.pinball), (1.0, 1.0, 0.0));
-        // Both frames exceed their bound by 0.5 s, and the mean time is 1 s: 0.95 · 0.5.
+        // Both frames exceed their bound by 0.5 s, and the mean time is 1 s, so the loss is 0.95 · 0.5.
         let low = BoundMetrics::new(&[0.5, 0.5], &[1.0, 1.0], 0.95).unwrap();
         assert!((low.pinball - 0.475).abs() < 1e-12);
         assert_eq!(BoundMetrics::new(&[], &[], 0.95), None);

@@ -43,7 +43,7 @@ pub struct VolumeArgs {
 }
 
 impl VolumeArgs {
-    /// The options as volume readers take them.
+    /// Returns the options as volume readers take them.
     pub fn reading(&self) -> Reading {
         Reading { array: self.array.clone(), fill: self.fill.clone(), range: self.range }
     }
@@ -151,21 +151,21 @@ pub fn parse_distance(text: &str) -> std::result::Result<f32, String> {
         .ok_or_else(|| format!("{text:?} is not a number from 1 to 20 (pixels between rays)"))
 }
 
-/// Frames per volume of a series; 0 for a single volume.
+/// Returns the number of frames per volume of a series; 0 for a single volume.
 ///
 /// # Errors
 /// When `--hold` does not fit the number of volumes.
 pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
     match (volumes, hold) {
         (1, None) => Ok(0),
-        (1, Some(_)) => bail!("--hold is for several volumes; one was given"),
+        (1, Some(_)) => bail!("--hold is for several volumes; only one was given"),
         (_, Some(0)) => bail!("--hold is 0; each volume is shown for at least one frame"),
         (_, Some(n)) => Ok(n),
         (n, None) => bail!("{n} volumes were given; say for how many frames each is shown (--hold N)"),
     }
 }
 
-/// A pool of `threads` threads; `None` for one thread per logical processor.
+/// Returns a pool of `threads` threads; `None` means one thread per logical processor.
 ///
 /// # Errors
 /// When `threads` is outside 1 to 1024, or the system cannot start the threads.

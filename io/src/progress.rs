@@ -6,14 +6,14 @@ use indicatif::{ProgressBar, ProgressStyle};
 /// The template of the bar for computing inputs.
 pub const INPUTS_BAR: &str = "computing inputs [{bar:30}] {pos}/{len} frames, {eta} left";
 
-/// A bar with a prefix, the time left and a message.
+/// Returns a bar with a prefix, the time left and a message.
 pub fn progress_bar(what: &str) -> ProgressBar {
     let bar = templated_bar("{prefix} [{bar:32}] {pos}/{len}, {eta} left  {wide_msg}");
     bar.set_prefix(what.to_owned());
     bar
 }
 
-/// A bar that is drawn by a template (see [`ProgressStyle::with_template`]).
+/// Returns a bar that is drawn by a template (see [`ProgressStyle::with_template`]).
 pub fn templated_bar(template: &str) -> ProgressBar {
     if is_quiet() {
         return ProgressBar::hidden();

@@ -60,7 +60,7 @@ impl SceneDistribution {
     /// Checks the ranges.
     ///
     /// # Errors
-    /// Names the value that is wrong and the accepted ones.
+    /// When a value is invalid; the error names it and the accepted values.
     pub fn check(&self) -> Result<()> {
         ensure!(
             !self.radii.is_empty() && self.radii.iter().all(|r| r.is_finite() && *r > 0.0),
@@ -88,7 +88,8 @@ impl SceneDistribution {
         Ok(())
     }
 
-    /// Scene `index` of the volume named `volume` under `seed`, independent of other volumes and scenes.
+    /// Returns scene `index` of the volume named `volume` under `seed`, independent of other volumes and
+    /// scenes.
     pub fn draw(&self, seed: u64, volume: &str, index: u64) -> RandomScene {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::files::fnv1a(volume.as_bytes()));
         rng.set_stream(index);
@@ -141,7 +142,7 @@ mod tests {
         for other in [d.draw(8, "a", 3), d.draw(7, "b", 3), d.draw(7, "a", 4)] {
             assert_ne!(d.draw(7, "a", 3), other);
         }
-        // Fixed bits: a seed gives the same frames on every machine and in every version.
+        // The expected values are exact: a seed gives the same frames on every machine and in every version.
         let s = d.draw(1, "volume.nrrd", 0);
         assert_eq!(s.camera, Arcball { rx: 1.6128389, ry: 32.929604, dz: 3.0 });
         assert_eq!((s.width, s.height, s.step), (36, 312, 1.0));

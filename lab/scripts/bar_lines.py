@@ -10,20 +10,21 @@ import traceback
 
 
 class Bars:
-    """The bars of a script, as a context that ends the process with status 1 if one is short.
+    """The bars of a script, as a context manager that ends the process with status 1 if a bar is short.
 
-    `asked` holds limits by name. A value must not exceed its limit; a value of a bar in `at_least` must reach it.
+    `asked` maps the name of each bar to its limit. A value must not exceed the limit; for a bar in `at_least`, it must
+    not be below the limit.
     """
 
     def __init__(self, asked, at_least=()):
         self.asked, self.at_least = dict(asked), frozenset(at_least)
         self.left, self.short = dict(asked), []
         if not asked:
-            sys.exit("no bar is asked for: see --help for names")
+            sys.exit("no bar is selected: see --help for names")
 
     def found(self, name, value, note="", limit=None):
-        """Prints a bar and returns True if it is met. `value` is None or NaN if it was not measured; `limit` is given if it
-        follows from the measurement."""
+        """Prints a bar and returns True if it is met. `value` is None or NaN if it was not measured. `limit`, if given,
+        replaces the bar's limit in `asked`."""
         asked = self.left.pop(name)
         value = None if value != value else value
         limit = asked if limit is None else limit
@@ -35,13 +36,14 @@ class Bars:
         return ok
 
     def count(self, name, lines):
-        """Prints a bar whose value is the number of these lines; if it is short, the lines too."""
+        """Prints a bar whose value is the number of `lines`. If the bar is short, prints the lines too."""
         if not self.found(name, len(lines)):
             for line in lines:
                 print(f"  {line}", flush=True)
 
     def lacking(self, why, names=None):
-        """Prints bars without a value, of `names` or of all, as short: `why` names the missing thing and the remedy."""
+        """Prints the bars in `names` (default: all) that have no value yet, as short. `why` names the cause and the
+        remedy."""
         names = [n for n in (self.left if names is None else names) if n in self.left]
         if names:
             print(f"not measured: {why}", flush=True)
@@ -50,7 +52,7 @@ class Bars:
 
     @contextlib.contextmanager
     def part(self, *names):
-        """Context of a measurement of these bars: if it fails, they are short and the other parts continue."""
+        """Context manager around the measurement of some bars. If it fails, the bars are short and the script continues."""
         why = "no value was found"
         try:
             yield

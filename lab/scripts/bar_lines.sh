@@ -1,7 +1,7 @@
 # shellcheck shell=bash
 # Bars for scripts of the shell; see bar_lines.py. Source it: . lab/scripts/bar_lines.sh
 
-# Becomes 1 with the first short bar.
+# 0 while all printed bars are met; 1 after the first short bar.
 short=0
 
 # bar NAME VALUE LIMIT: prints a bar. VALUE must not exceed LIMIT; a VALUE that is no number is printed as `-` and short.

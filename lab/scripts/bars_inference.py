@@ -4,10 +4,10 @@
 usage: bars_inference.py --server PEER_SERVER --peers FOLDER --models FOLDER [--rust FOLDER] [--rounds N] [--seconds S]
                          [--nice N] [--only TEXT]
 
-Every contestant is a server process (line `NAME BATCH SECONDS` in, `@@{json}` out). Each round visits every bar and, in
-random order, its contestants; a window is SECONDS of repeated calls. A ratio is our smallest time in all windows of a
-run, divided by the smallest time of the peers. A peer that is missing or fails is named, and every bar that asks for it
-is short, since the other peers may not be the fastest.
+Every library, ours or another (a peer), is a server process: it reads lines `NAME BATCH SECONDS` and answers
+`@@{json}`. Each round visits every bar and times its libraries in random order, each in a window of SECONDS of repeated
+calls. A ratio is our smallest time in all windows, divided by the smallest time of the peers. A peer that is missing or
+fails is named, and every bar that compares with it is short, since the other peers may not be the fastest.
 
 --only TEXT selects bars whose names contain the text.
 """
@@ -19,7 +19,8 @@ import sys
 from bar_lines import Bars
 from servers import Server, raise_priority, thread_counts
 
-# Name, limit, our storage formats (the fastest counts), network, batch, threads, peers (the fastest counts).
+# Bars of ratios: name, limit, our storage formats, network, batch, threads, peers. Our fastest format is compared with
+# the fastest peer.
 ORT = ["ort"]
 F32 = ["ort", "torch", "rten"]
 VOLUME = ["ort", "torch", "ov"]
@@ -38,11 +39,13 @@ RATIOS = [
     ("volumenet_b_u8_1_thread", 0.53, ["f32"], "vol_b", 1, 1, VOLUME),
     ("volumenet_b_u8_2_threads", 0.53, ["f32"], "vol_b", 1, 2, VOLUME),
 ]
-# Name, limit, storage, networks: the largest error against float64 (the server's request `accuracy/NETWORK`).
+# Bars of errors: name, limit, storage format, networks. The value is the largest difference from float64 over the
+# networks, which the server computes on request `accuracy/NETWORK`.
 ERRORS = [("error_f32", 1e-5, "f32", ["pred_0c256", "pred_4c256", "pred_12c256", "pred_12c64"])]
-# Name, limit as a multiple of the time to read the bytes once with as many threads, edge of the volume, threads.
+# Bars of resampling: name, limit, edge of the volume in voxels, threads. The limit is a multiple of the time in which
+# as many threads read the volume's bytes once.
 READS = [("resample_512_u8_2_threads", 1.5, 512, 2)]
-# Name, limit in microseconds, name of the server's measurement.
+# Bars of single calls: name, limit in microseconds, name of the server's measurement.
 CALLS = [("2x64_warm_us", 0.5, "small/warm"), ("2x64_cold_us", 2.5, "small/cold")]
 # Remedies for missing peers; PYTHON names the Python that has a peer's packages.
 REMEDIES = {"ort": "pip install numpy safetensors onnxruntime", "torch": "pip install numpy safetensors torch",
@@ -99,7 +102,7 @@ def measure(options, bars):
         return answer
 
     def why(cases):
-        """Failures among these cases, each with its remedy; None if none failed."""
+        """Returns the failures among these cases as text, each with its remedy; None if no case failed."""
         found = [(c[0], failed[c]) for c in cases if c in failed]
         told = (f"{key}: {reason} ({REMEDIES[key.split('/')[0]]})" for key, reason in found)
         return "; ".join(dict.fromkeys(told)) or None
@@ -124,7 +127,7 @@ def measure(options, bars):
         lacking = why([(f"ours/{s}", threads, net, batch) for s in storages]
                       + [(p, threads, PEER_NAMES[p].format(net), batch) for p in peers])
         if lacking:
-            known = f"; {ours[0] / theirs[0]:.3g} of the other peers' time" if ours and theirs else ""
+            known = f"; our time is {ours[0] / theirs[0]:.3g} of the fastest other peer's" if ours and theirs else ""
             bars.lacking(lacking + known, [name])
         else:
             bars.found(name, ours[0] / theirs[0],
@@ -132,7 +135,8 @@ def measure(options, bars):
                        f"{theirs[2]} {theirs[0] / 1e3:.2f} us (median {theirs[1] / 1e3:.2f})")
 
     def several(name, threads, specs, batch, seconds):
-        """Our results; none if one of them failed, and then the bar names the failure."""
+        """Returns our server's answers; if one failed, prints the bar as short with the reason and returns no
+        answers."""
         answers = [ask("ours/f32", threads, spec, batch, seconds) for spec in specs]
         if None in answers:
             bars.lacking(why([("ours/f32", threads, spec, batch) for spec in specs]), [name])
@@ -147,7 +151,7 @@ def measure(options, bars):
             bars.found(name, min(a["med"] for a in answers) / 1e3,
                        f"median of a window; smallest call {min(a['min'] for a in answers) / 1e3:.3f} us")
     for name, _, edge, threads in READS:
-        # Windows are long enough for memory pages to settle: one call takes milliseconds.
+        # Five times longer windows: one call takes milliseconds, and the first calls also wait for memory pages.
         specs = options.rounds * [f"resample/{edge}"]
         if name in bars.asked and (answers := several(name, threads, specs, 1, 5 * options.seconds)):
             ours, read = (min(a[k] for a in answers) for k in ("min", "read"))

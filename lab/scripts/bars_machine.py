@@ -6,8 +6,8 @@
 
 Prints `bar NAME VALUE LIMIT ok|short`, and `interval NAME LOW HIGH` for errors (95 %, by bootstrap over volumes); exit
 status 1 when a bar is short or has no value. FOLDER holds ensembles/ and scans/.
-Test frames are timed once before the calibration of their mode and once after it, and the mean counts: if the
-machine changes speed meanwhile, its mean speed in the tests is about that during the calibration.
+Test frames are timed once before the calibration of their shading mode and once after it, and the mean of both times is
+used: if the machine's speed changes meanwhile, its mean speed in the tests is about its speed during the calibration.
 Every step leaves a file in --out and is skipped if that file exists, so that the work can be done in slices of a few
 minutes on a quiet machine: --steps lists the steps, --only runs some and prints the bars for which they suffice.
 Needs Python 3.9 and `entire` (--bin), and nothing else.
@@ -42,7 +42,8 @@ FEW_FRAMES = 20
 FEW_LIMIT = 0.10
 OBSERVED = 10
 BUSY_LIMIT = 0.08
-# Another program takes a core in bursts of 50 to 500 ms, a fifth of the time.
+# Number of neighbors during the calibration `busy`, and the program of a neighbor: it takes a core in bursts of 50 to
+# 500 ms, a fifth of the time.
 NEIGHBORS = 1
 NEIGHBOR = """
 import random, sys, time
@@ -74,7 +75,8 @@ INVALID_LIMIT = 0
 
 
 def merge(halves, out):
-    """One table of the same frames timed twice: every frame with all of its repeats."""
+    """Writes one table from tables of the same frames, timed at different times: each timing is a repeat of its
+    frame."""
     rows = {}
     for half in halves:
         with open(half, newline="") as file:
@@ -104,7 +106,8 @@ class Machine:
         subprocess.run([self.entire, *map(str, arguments)], cwd=cwd, check=True, stdout=sys.stderr, **kept)
 
     def table(self, split, mode, when):
-        """Random frames of volumes that no calibration renders, timed before or after the calibration."""
+        """Times random frames of volumes that no calibration renders, before or after the calibration; merges both
+        tables once they exist."""
         if split == "members":
             paths = [f"ensembles/{m}/t{t:04}.nrrd" for m in MEMBERS for t in MEMBER_STEPS]
             more = ["--enlarge", 2]
@@ -135,13 +138,14 @@ class Machine:
             self.calibrate("busy", "none")
 
     def by_clocks(self, name, mode):
-        """Models of the same frames by processor time and by wall time."""
+        """Fits two models to the frames of a calibration: one by processor time, one by wall time."""
         for clock in ("cpu", "wall"):
             self.run("calibrate", "--data", self.out / f"{name}.csv", "--shade", mode, "--clock", clock, "--quiet", "--out",
                      self.out / f"{name}-{clock}.safetensors")
 
     def evaluate(self, model, split, mode, clock="cpu"):
-        """Output of `entire evaluate`; kept until model or table change."""
+        """Returns the output of `entire evaluate`, which is kept until model or table change; None if one is
+        missing."""
         files = [self.out / f"{model}.safetensors", self.out / f"{split}-{mode}.csv"]
         if not all(f.exists() for f in files) or not (self.out / f"{split}-{mode}.done").exists():
             return None
@@ -170,7 +174,7 @@ class Machine:
 
 
 def asked():
-    """Limits by name, in the order of `found`."""
+    """Returns the limit of every bar by name, in the order of `found`."""
     out = {f"{mode}/calibrate-seconds": CALIBRATION_SECONDS for mode in MODES}
     for mode in MODES:
         for split, (error, rmse) in (("members", LIMITS[mode][:2]), ("scans", LIMITS[mode][2:])):
@@ -182,7 +186,7 @@ def asked():
 
 
 def found(machine, test):
-    """Name, value and interval of every measured bar."""
+    """Yields name, value and interval of every bar; a value or interval that is missing is None."""
     def metrics(found):
         return found["predictors"][0]["metrics"] if found else {}
 
@@ -210,20 +214,20 @@ def found(machine, test):
 
 
 def invalid(machine, test):
-    """Number of predictions that are not positive, over all shipped models, tables and random inputs, counted by the
-    test."""
+    """Returns the number of predictions that are not positive, over all shipped models, tables and random inputs. A
+    test counts them; None if it could not, or if `test` is false and no count is kept."""
     kept = machine.out / "predictions.txt"
     counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("steer/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
     if not kept.exists() or kept.stat().st_mtime < max(f.stat().st_mtime for f in counted):
         if not test:
             return None
         cargo = os.environ.get("CARGO", "cargo")
-        # By the test's name; without such a test, the count is missing.
+        # The test is selected by its name; if no test has this name, the count is missing.
         test = ["--test", "*", "no_more_predictions_than_are_known_had_to_be_made_positive", "--", "--nocapture"]
         done = subprocess.run([cargo, "test", "--quiet", "--package", "entire-cli", *test], cwd=ROOT, stdout=subprocess.PIPE,
                               text=True)
         counts = [int(line.split()[-1]) for line in done.stdout.splitlines() if "predictions not positive:" in line]
-        # A test that fails with a count of zero has not counted all.
+        # If the test fails with a count of zero, it ended before it counted all predictions.
         if not counts or done.returncode and not any(counts):
             return None
         kept.write_text(str(max(counts)))
@@ -269,7 +273,7 @@ def main():
                 print(f"interval {name} {interval[0]:.4g} {interval[1]:.4g}", flush=True)
         undone = [name for name, (stamp, _) in steps.items() if not (machine.out / stamp).exists()]
         why = f"steps are not done: {', '.join(undone)}" if undone else "a test or an evaluation gave no value"
-        bars.lacking(f"{why}; the same command goes on")
+        bars.lacking(f"{why}; run the same command again to continue")
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ class Study:
         self.found = json.loads(path.read_text())["findings"] if path.is_file() else None
 
     def result(self, name, split):
-        """Median error and RMSE/SD of the selected predictor of a set."""
+        """Returns median error and RMSE/SD of a set's selected predictor on a split; (None, None) without a result."""
         selected = (self.found or {}).get("selected", {}).get(name)
         for r in (self.found or {}).get("results", ()):
             if (r["set"], r["split"], r["predictor"]) == (name, split, selected):
@@ -139,7 +139,7 @@ def main():
     parser.add_argument("--wall", default=ROOT / "out/study-wall")
     parser.add_argument("--frames", default=ROOT / "out/frames")
     parser.add_argument("--machine", default=ROOT / "out/bars-machine")
-    parser.add_argument("--before", default="", metavar="REVISION", help="count lines that were removed since then")
+    parser.add_argument("--before", default="", metavar="REVISION", help="count the lines of code removed since this revision")
     options = parser.parse_args()
     with Bars(asked(), at_least=("lines-taken-out",)) as bars:
         by_clock = {"cpu": Study(options.study), "wall": Study(options.wall)}
@@ -157,7 +157,7 @@ def main():
         kept = Path(options.machine) / "predictions.txt"
         bars.found("predictions-not-positive", int(kept.read_text()) if kept.is_file() else None)
         bars.found("lines-taken-out", lines(options.before), limit=LINES_OUT) if options.before else bars.lacking(
-            "name the revision to count from with BEFORE", ["lines-taken-out"])
+            "name the revision to count from: make bars-model BEFORE=REVISION", ["lines-taken-out"])
 
 
 if __name__ == "__main__":

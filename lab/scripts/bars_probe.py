@@ -2,11 +2,12 @@
 """Measures the bars of the probe, of transfer functions and of volume summaries: one line `bar NAME VALUE LIMIT ok|short`
 each; exit status 1 when any is short.
 
-usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT] [--no-build]
+usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT] [--build-only] [--no-build]
 
-Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with the
-calls of the present example), and asks both in turns, in random order, for N rounds. The time of a scene is its minimum
-over all rounds, a figure the mean over its scenes. A ratio is the working tree's figure divided by REVISION's.
+Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with
+the working tree's calls.rs). In each of N rounds, both programs run every measurement, in random order. The time of a
+scene is its minimum over all rounds; the time of a measurement is the mean over its scenes. A ratio is the working
+tree's time divided by REVISION's.
 """
 import argparse
 import pathlib
@@ -18,7 +19,7 @@ from servers import Server
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 EXAMPLE = "steer/examples/probe_server"
-# The main function with which an older revision can build the calls of the example.
+# main.rs of the example for the earlier revision: serves the working tree's calls.rs.
 MAIN_BEFORE = """//! The calls of a later version.
 
 mod calls;
@@ -28,7 +29,7 @@ fn main() {
     calls::serve(&mut calls::Volumes::default(), &mut |_, _| None);
 }
 """
-# Source by which the earlier revision makes the timed objects, in place of the example's scene.rs.
+# scene.rs of the example for the earlier revision: makes the timed objects with that revision's functions.
 SCENE_BEFORE = """//! Makes the timed objects with that version of the crate.
 
 use entire_steer::control::Session;
@@ -55,13 +56,14 @@ MODES = ["none", "scatter"]
 EDGES = [256, 512, 768]
 TYPES = ["u8", "u16", "f32"]
 BYTES = 512 * 512 * 512
-# Microseconds of a new transfer function, first call, and the ratio to the earlier time.
+# FIRST: upper limit of the first call with a new transfer function, in microseconds, by edge of the volume in voxels.
+# SPEED: lower limit of the speed of a volume summary, in GB/s, by type of the voxels.
 FIRST = {256: 60, 512: 120, 768: 400}
 SPEED = {"u8": 2.5, "u16": 3.0, "f32": 3.0}
 
 
 def asked_for():
-    """By bar: limit, and the names of the measurements that it is computed from, the working tree's first."""
+    """Returns for each bar its limit and its measurements. Of a ratio to REVISION, the working tree's is the first."""
     out = {}
     for mode in MODES:
         warm, cold, fine = (f"plan/{what}/{mode}" for what in ("11/warm", "11/cold", "24/cold"))
@@ -94,7 +96,7 @@ def build(where, target):
 
 
 def prepare(revision, work):
-    """A worktree of the revision with the present calls."""
+    """Checks the revision out into a worktree, adds the working tree's calls.rs, and returns the worktree's path."""
     tree = work / "before"
     commit = subprocess.run(["git", "rev-parse", f"{revision}^{{commit}}"], cwd=ROOT, check=True, capture_output=True,
                             text=True).stdout.strip()
@@ -123,7 +125,7 @@ def main():
     parser.add_argument("--before", required=True, help="the revision to compare with")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--work", default=str(ROOT / "target/bars-probe"))
-    parser.add_argument("--only", default="", help="ask only for names that hold this text")
+    parser.add_argument("--only", default="", help="run only measurements whose names contain this text")
     parser.add_argument("--build-only", action="store_true", help="build, and measure nothing")
     parser.add_argument("--no-build", action="store_true", help="take the programs that were built last")
     options = parser.parse_args()
@@ -176,7 +178,7 @@ def measure(options, targets, asked, today_only, bars):
         if name.endswith("_us"):
             bars.found(name, mean["today", needs[0]] * 1e6)
         elif name.endswith("_gb_per_s"):
-            # The limit is 0.7 of the rate of reading the bytes once, if that is less.
+            # The limit is at most 0.7 of the rate at which the bytes are read once.
             own, read = (BYTES / mean["today", n] * 1e-9 for n in needs)
             bars.found(name, own, limit=min(bars.asked[name], 0.7 * read))
         elif name.endswith("_two_threads"):

@@ -1,6 +1,6 @@
-"""Compares the training speed of entire's PredNet trainer with PyTorch's: same frames, initial weights, settings and
-threads, in turns. Prints one `bar` line each for time and final loss; exit status 1 when a bar is short. Both are short
-without PyTorch.
+"""Compares entire's PredNet trainer with PyTorch: both train in turns on the same frames, with the same initial
+weights, settings and threads. Prints one `bar` line for the speed and one for the final loss; both are short without
+PyTorch. Exit status 1 when a bar is short.
 
     python lab/scripts/bars_train.py --frames 100000 --preset 12C256
 """
@@ -25,13 +25,13 @@ def arguments():
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--batch", type=int, default=256)
     parser.add_argument("--epochs", type=int, default=2)
-    parser.add_argument("--rounds", type=int, default=2, help="turns of each trainer; the fastest counts")
+    parser.add_argument("--rounds", type=int, default=2, help="runs of each trainer; the fastest is compared")
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     return parser.parse_args()
 
 
 def train_torch(folder, widths, args):
-    """One run in PyTorch: seconds, and the mean loss of each epoch."""
+    """Trains once in PyTorch; returns the seconds, and the mean loss of each epoch."""
     import numpy as np
     import torch
     from torch import nn

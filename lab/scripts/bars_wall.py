@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Measures how well a frame time is held by the wall clock, alone and beside another program, and prints every bar.
+"""Measures how well controllers meet a target by wall time, and prints every bar.
 
-Each volume is explored by `entire demo` (medians of five runs count), once on a quiet machine and once
-while a neighbor takes a core in bursts of 50 to 500 ms, a fifth of the time. Rivals are the demo's other controllers.
+`entire demo` plays each volume --runs times on a quiet machine, and as often while a neighbor (another program) takes a
+core in bursts of 50 to 500 ms, a fifth of the time. Medians over the runs are compared. Rivals are the demo's other
+controllers.
 Finished runs are not repeated, so that an interrupted command continues.
 """
 
@@ -30,7 +31,8 @@ OURS, OLP = "hybrid", "olp"
 RIVALS = ("olp", "pid", "algorithm1")
 SWITCH_FRAMES = 3
 LATE = 0.1
-# Figure, and limits of our value divided by the best rival's: on a quiet machine, beside another program.
+# Name of a figure, and two upper limits of our value divided by the best rival's: on a quiet machine, and beside
+# another program.
 SHARES = (("late", 0.5, 0.6), ("mean-error", 0.8, 0.9), ("error-at-switches", 0.4, 0.6))
 PSNR_BELOW = {"quiet": 0.3, "neighbor": 0.5}
 PSNR_BELOW_QUIET = 2.0
@@ -38,7 +40,7 @@ BONSAI_LATE = 0.03
 
 
 def figures(folder):
-    """Late frames, mean error, mean error at switches, PSNR, by controller."""
+    """Returns by controller: share of late frames, mean error, mean error at switches, mean PSNR in dB."""
     with open(folder / "frames.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     switches = {int(r["frame"]) for r in rows if r["switch"] == "1"}
@@ -62,7 +64,8 @@ class Machine:
         self.entire, self.out, self.runs = Path(options.bin).resolve(), Path(options.out).resolve(), options.runs
         self.data = Path(options.data).resolve() if options.data else None
 
-        # A model of this machine, made from other volumes than the played ones, and used only here.
+        # Folder of this machine's model, which is calibrated with other volumes than the played ones; only this script
+        # uses it.
         self.environment = {**os.environ, "XDG_DATA_HOME": str(self.out / "home")}
 
     def calibrate(self):
@@ -78,7 +81,7 @@ class Machine:
         return folder / path if folder and (folder / path).is_file() else None
 
     def played(self, name, arguments, busy):
-        """The figures of every run of a command that writes frames.csv."""
+        """Runs a command that writes frames.csv, once per run; returns the figures of every run."""
         out = []
         for run in range(self.runs):
             folder = self.out / f"{name}-{'neighbor' if busy else 'quiet'}-{run}"
@@ -98,7 +101,7 @@ def medians(runs):
 
 
 def asked():
-    """Limits by name, in the order of `found`."""
+    """Returns the limit of every bar by name."""
     out = {}
     for load in ("quiet", "neighbor"):
         out |= {f"wall/{load}/{key}-of-best-rival": limits[load == "neighbor"] for key, *limits in SHARES}
@@ -111,7 +114,7 @@ def main():
     parser.add_argument("--data", default=os.environ.get("DATA", ""), help="the folder that holds scans/")
     parser.add_argument("--out", default="out/bars-wall", help="folder for the runs")
     parser.add_argument("--bin", default="target/release/entire", help="the program")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each volume, quiet and with a neighbor")
+    parser.add_argument("--runs", type=int, default=5, help="runs of each volume, and as many with a neighbor")
     options = parser.parse_args()
     with Bars(asked()) as bars:
         measure(Machine(options), bars)

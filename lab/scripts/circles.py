@@ -16,7 +16,8 @@ NAME = re.compile(r"\s*([a-z_0-9]+)\s*(::)?")
 
 
 def file_of(source, parts):
-    """The file of the longest beginning of a module path that has a file; None if there is none."""
+    """Returns the file of the longest prefix of a module path for which a file exists; None if there is no such
+    file."""
     for n in range(len(parts), 0, -1):
         place = source.joinpath(*parts[:n])
         for found in (place.with_suffix(".rs"), place / "mod.rs"):
@@ -26,7 +27,8 @@ def file_of(source, parts):
 
 
 def branches(text, at, before=()):
-    """Module paths that begin at a place of the text (several for a group in braces), and the place behind them."""
+    """Returns the module paths that begin at index `at` of the text (several for a group in braces), and the index
+    behind them."""
     while text[at:at + 1].isspace():
         at += 1
     if text[at:at + 1] == "{":
@@ -49,7 +51,7 @@ def branches(text, at, before=()):
 
 
 def uses(source):
-    """Files of a crate, and the files that each uses."""
+    """Returns a map from each file of a crate to the files that it uses."""
     graph = {}
     for path in sorted(source.rglob("*.rs")):
         if path.stem in ("lib", "main", "mod") or path.stem.endswith("tests"):
@@ -68,7 +70,7 @@ def uses(source):
 
 
 def circles(graph):
-    """The strongly connected sets of more than one file (Tarjan)."""
+    """Returns the strongly connected components of more than one file, by Tarjan's algorithm."""
     number, low, stack, found = {}, {}, [], []
 
     def visit(file):

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
 # Distills the selected predictors into the paper's network: `entire collect --teacher` predicts many random frames of the
 # training volumes with a selected predictor, and PredNet is trained on these predictions. Makes
-# out/distill/SET-distilled.safetensors for every SET named (unshaded, local, scatter; all unless given) and puts it into
+# out/distill/SET-distilled.safetensors for every given SET (unshaded, local, scatter; default: all) and copies it into
 # models/, where the accuracy study finds it.
 #   DATA     the folder that holds ensembles/ (the volumes that data/timings/*-train.csv.gz name)
-#   FRAMES   frames per volume; 10000 take 130 MB and some minutes per set
-#   EPOCHS   epochs of training; 18 to 30 by set unless given, 6 from START
+#   FRAMES   frames per volume; default: 10000, which take 130 MB and some minutes per set
+#   EPOCHS   epochs of training; default: 18 to 30, depending on the set; 6 with START
 #   START    a folder with SET-distilled.safetensors to start from if the teachers changed little (models, for example);
 #            fewer frames and epochs suffice then
-#   ONLY     the value collect makes only the labels, out/distill/SET.csv
-#   MODELS   where the models go, models/ unless given
+#   ONLY     ONLY=collect makes the labels, out/distill/SET.csv, and trains nothing
+#   MODELS   folder for the models; default: models/
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD

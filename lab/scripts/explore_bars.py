@@ -1,4 +1,5 @@
-"""The window's bars: `bar NAME VALUE LIMIT ok|short` for each; fails when one is short.
+"""Measures the bars of the window of `entire explore`: prints `bar NAME VALUE LIMIT ok|short` for each, and ends with
+status 1 when one is short.
 
     python3 lab/scripts/explore_bars.py ENTIRE [--out DIR] [--only NAME,…]
 
@@ -36,7 +37,8 @@ def at(frame, **action):
 
 
 def session():
-    """600 frames of turning with 12 switches: of the transfer function, and of camera and transfer function."""
+    """Returns a script of 600 frames: the camera turns, the transfer function switches 12 times, and every third switch
+    also moves the camera."""
     lines = [at(0, spin=[1.2, 0.1])]
     for i in range(1, SWITCHES + 1):
         frame = i * FRAMES // (SWITCHES + 1)
@@ -67,8 +69,8 @@ def steering(bars, command, display, folder):
 
 
 def interface(bars, command, display, folder):
-    """Processor time of layout, presentation and drawing of the interface. A software device draws on one thread here, so
-    that its seconds are processor time; those of a GPU are not."""
+    """Measures the processor time of layout, presentation and drawing of the interface. A software device draws on one
+    thread here, so that its drawing time is processor time; the drawing time of a GPU is not added."""
     probed = subprocess.run([str(command), "probe", "--device", "vulkan", "--json"], capture_output=True, text=True, check=True)
     software = json.loads(probed.stdout)["limits"]["is_software"]
     single = SimpleNamespace(environment={**display.environment, "LP_NUM_THREADS": "1"})
@@ -77,11 +79,11 @@ def interface(bars, command, display, folder):
     parts = [numbers(rows, f"{n}_seconds") for n in ("interface_cpu", "handing_cpu", "shown")]
     assert [len(part) for part in parts] == 3 * [INTERFACE_FRAMES] and min(parts[0]) > 0, "the log lacks processor times"
     layout, handing, shown = (1e3 * middle(part) for part in parts)
-    print(f"     laying out {layout:.3f} ms, handing over {handing:.3f} ms of processor time; from recording what is drawn to "
-          f"its end, handing over included, {shown:.1f} ms, " + ("of the processor too" if software else "of a GPU"))
-    # The recording of commands, done by the layout thread, is in both summands.
+    print(f"     processor time: layout {layout:.3f} ms, presentation {handing:.3f} ms; from the recording of commands to the end "
+          f"of drawing, with presentation: {shown:.1f} ms " + ("of processor time" if software else "of GPU time"))
+    # The layout thread records the commands, so that layout time and drawing time both include the recording.
     sums = [l + (max(h, s) if software else h) for l, h, s in zip(*parts)]
-    bars.found("explore_interface_ms", 1e3 * middle(sums), "laying out, handing over, drawing")
+    bars.found("explore_interface_ms", 1e3 * middle(sums), "layout, presentation, drawing")
 
 
 def latency(bars, command, display, folder):
@@ -131,9 +133,9 @@ def resting(bars, command, display, folder):
         lines += [at(4 + 4 * i, full_frame=True), at(5 + 4 * i, rest=True), at(6 + 4 * i, full_frame=True)]
     log = tools.run_script(command, display, lines + [at(30, quit=True)], folder, [VOLUME])
     rest, full = numbers(log["rest"], "seconds"), numbers(log["full"], "seconds")
-    # Each refinement compared with the full frames before and after it.
+    # Time of each refinement divided by the mean of the full frames before and after it, minus 1.
     shares = [2 * r / (full[2 * i] + full[2 * i + 1]) - 1 for i, r in enumerate(rest)]
-    print(f"     full frame {middle(full):.3f} s, to rest {middle(rest):.3f} s")
+    print(f"     full frame {middle(full):.3f} s, refinement to full quality {middle(rest):.3f} s")
     bars.found("explore_rest_overhead", middle(shares))
     slices = numbers(log["rest"], "shown_seconds")
     target = float(log["rest"][0]["target_seconds"])

@@ -20,10 +20,10 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 READERS = "nrrd metaimage vti nifti json raw table manifest path tasks trace"
-# Reported situations, and the tests with their right values.
+# Situations that users reported, each with the tests that check the right result.
 SITUATIONS = {
     "a farm's input is written anew": ["a_resumed_database_shows_what_its_files_are_now"],
-    "a time step comes in between or goes": ["a_resumed_database_shows_what_its_files_are_now",
+    "a time step is inserted or removed": ["a_resumed_database_shows_what_its_files_are_now",
                                              "the_order_of_volumes_is_listed_and_nothing_is_rendered"],
     "a table's volume is written anew": ["a_table_is_not_gone_on_with_after_its_volume_was_written_anew"],
     "reserved arrays of VTK": ["the_active_scalars_are_read_and_arrays_of_vtk_itself_never",
@@ -40,7 +40,8 @@ SITUATIONS = {
         "lists_of_spreadsheets_are_read"],
     "bytes of a narrow range": ["bytes_of_a_narrow_range_are_said_and_can_be_spanned"],
 }
-# Commands that keep results, and the tests that change the inputs of these (content, name, order, settings and so on).
+# Commands that keep results, each with the tests that change an input (content, name, order, settings and so on) and
+# expect new results.
 KEPT = {
     "farm": ["a_resumed_database_shows_what_its_files_are_now", "a_resumed_database_follows_the_settings",
              "data_files_of_headers_count_too", "programs_that_are_told_times_draw_them_anew",
@@ -60,7 +61,7 @@ def run(*command, **options):
 
 
 def passed_tests():
-    """Names of the passing tests of the commands' packages."""
+    """Runs the tests that SITUATIONS and KEPT name; returns the names of those that pass."""
     names = sorted({name for tests in [*SITUATIONS.values(), *KEPT.values()] for name in tests})
     found = run("cargo", "test", "--workspace", "--features", "entire-cli/explore", "--lib", "--test", "suite", "--no-fail-fast",
                 "--", *names, env={**os.environ, "CARGO_INCREMENTAL": "0"})
@@ -86,7 +87,7 @@ def fuzz(bars, seconds):
 
 
 def bar_of(text, name):
-    """The value of a bar that another command printed."""
+    """Returns the value of a bar in the output of another command; None if there is none."""
     found = re.search(rf"^bar {name} (\S+) ", text, re.M)
     return float(found[1].rstrip("%")) if found and found[1] != "-" else None
 

@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of the gates: their duration, their skips, removed tests.
+"""The bars of the gates (sets of tests and checks): duration, skipped tests, removed tests.
 
     gate.py [--before REVISION]         prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
     gate.py --measure [demo test change nightly]
-                                        first runs these in a clone of HEAD, each from nothing built (change takes half an
-                                        hour, nightly hours), and keeps their logs and seconds in out/test
+                                        first runs these gates in a clone of HEAD, each with nothing built (change takes
+                                        half an hour, nightly hours), and keeps their logs and seconds in out/test
 
-Seconds come from out/test/steps.csv, which every gate writes. A step is compared with the committed .ci/steps.csv in
-processor time, which other programs on the machine change little. Needs Python 3.9 and git, and nothing else.
+Seconds come from out/test/steps.csv, which every gate writes. Of a step, the processor time is compared with the
+committed .ci/steps.csv, since other programs on the machine change it little. Needs Python 3.9 and git, and nothing
+else.
 """
 import argparse
 import csv
@@ -25,12 +26,13 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out/test"
-# Limits in wall seconds on two processors, when crates are downloaded and nothing is built.
+# Limits in wall seconds on two processors, with all crates downloaded and nothing built.
 WALL_SECONDS = {"demo": 140, "test": 900, "change": 2100}
 COMMANDS = {"demo": ["make", "demo"], "test": ["make", "test"], "change": [".ci/run"], "nightly": [".ci/nightly"]}
 # The gates that list their skips.
 SKIPPING = ("change", "nightly")
-# A step counts as doubled if it takes twice the committed processor time, and this many seconds more.
+# A step counts as doubled if its processor time is over twice the committed time, and over by at least this many
+# seconds.
 NOISE_SECONDS = 20
 # Renamed tests: old name, new name.
 RENAMED = {
@@ -49,7 +51,7 @@ RENAMED = {
     "slabs_and_threads_change_no_bit": "threads_change_no_bit",
     "a_table_has_one_writer": "a_table_has_one_writer_at_a_time",
 }
-# Names of tests: Rust's, libtest-mimic's, Python's, CMake's.
+# Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
     ".rs": [r"#\[test\](?:\s*#\[[^\]]*\])*\s*(?:pub\s+)?fn\s+(\w+)", r"Trial::test\(\s*\"([^\"]+)\""],
     ".py": [r"^\s*def (test_\w+)"],
@@ -58,7 +60,7 @@ NAMES = {
 
 
 def steps(path):
-    """{gate: {step: (wall seconds, processor seconds)}}"""
+    """Returns {gate: {step: (wall seconds, processor seconds)}} of a steps.csv."""
     found = {}
     if path.is_file():
         for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
@@ -68,7 +70,7 @@ def steps(path):
 
 
 def test_names(tree):
-    """The last part of every test's name in a source tree."""
+    """Returns the names of all tests in a source tree, without modules; names with blanks are split into words."""
     found = set()
     for path in tree.rglob("*"):
         if any(part in ("target", "out", ".git") for part in path.parts) or not path.is_file():
@@ -123,7 +125,7 @@ def measure(gates):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--measure", nargs="*", choices=COMMANDS, metavar="GATE", help="run these in a clone first (demo test change)")
+    parser.add_argument("--measure", nargs="*", choices=COMMANDS, metavar="GATE", help="first run these gates in a clone (default demo test change)")
     parser.add_argument("--before", default="5c08403", help="revision whose tests must all still exist (default %(default)s)")
     options = parser.parse_args()
     if options.measure is not None:

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Puts everything that a study of a GPU needs into one folder that runs on a machine without network and without Rust:
 # out/gpu-study-folder/ (programs, volumes, the Vulkan loader). Copy it there and run ./run.sh, or `make gpu-study`.
-#   FOLDER   where it goes, out/gpu-study-folder unless given
+#   FOLDER   the folder to make; default: out/gpu-study-folder
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")

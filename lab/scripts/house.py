@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of the house: checks of the promises that README, book and source make to a reader.
+"""The bars of the project's rules: checks of README, book and source code.
 
     house.py [--quick] [--bin-dir target/release]     prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
-    house.py --measure-build OLD NEW                  also builds `entire` at two revisions and compares their processor seconds
+    house.py --measure-build OLD NEW                  also builds `entire` at two revisions, and compares the builds'
+                                                      processor seconds
 
 --quick leaves out what needs cargo or built programs. Needs Python 3.9 and git, and nothing else.
 """
@@ -27,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 README_LINES = 90
 FIRST_CODE_LINE = 40
 FILE_LINES = 700
-# Crates that a renderer embeds, and the public items that each may have.
+# Crates that a renderer embeds, and the upper limit of public items of each.
 FRONT_CRATES = ("core", "steer")
 PUBLIC_ITEMS = 130
 RUST_LINES = 85_000
@@ -52,7 +53,7 @@ def run(*command, **options):
 
 
 def tracked(*patterns):
-    """Files in git or not ignored by it, as paths from the root."""
+    """Returns the files that git tracks or does not ignore, as paths from the root."""
     listed = run("git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns, check=True)
     return sorted(p for p in set(listed.stdout.splitlines()) if (ROOT / p).is_file())
 
@@ -95,7 +96,7 @@ class Page:
         return [line.split(" # ")[0].strip() for line in found]
 
     def anchors(self):
-        """Headings as code hosts and mdBook name them."""
+        """Returns the anchors of the headings, as code hosts and mdBook make them."""
         found = set()
         for _, line in self.prose:
             heading = re.match(r"#{1,6} +(.*)", line)
@@ -147,7 +148,7 @@ def missing_paths(pages):
 
 
 def missing_names(pages):
-    """Names of the C library in code that its headers do not have."""
+    """Yields names of the C library that occur in the pages' code but not in the C headers."""
     header = "".join((ROOT / "include/entire" / name).read_text(encoding="utf-8") for name in ("entire.h", "advanced.h"))
     known = set(re.findall(r"\w+", header))
     # Modules and packages of other languages.
@@ -160,7 +161,7 @@ def missing_names(pages):
 
 
 def figures_apart_from_results(readme):
-    """Percentages and times of README's numbers that docs/src/results.md does not state."""
+    """Yields the decimal numbers of README's section Five numbers that docs/src/results.md does not state."""
     stated = (ROOT / "docs/src/results.md").read_text(encoding="utf-8")
     numbers = next((section for section in readme.sections() if section.startswith("## Five numbers")), "")
     if not numbers:
@@ -245,7 +246,7 @@ def missing_commands(pages, text_of):
                     yield f"{page.path}: `{words[0]} {words[1]}` is no command"
                     continue
                 if len(words) > 2 and re.fullmatch(r"[a-z]+", words[2]):
-                    # A step of the command, which has its own options.
+                    # A subcommand of the command, such as `paper train`, has its own options.
                     text += text_of(*words[:3]) or ""
                 for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", " ".join(words[2:])):
                     if not re.search(re.escape(option) + r"(?![a-z-])", text):
@@ -253,7 +254,7 @@ def missing_commands(pages, text_of):
 
 
 def broken_snippets(pages):
-    """C and C++ blocks on the C library that do not compile, and Python blocks with syntax errors."""
+    """Yields C and C++ blocks that use the C library and do not compile, and Python blocks with syntax errors."""
     compilers = {"c": ("cc", "-std=c11", "-xc", "names.h"), "cpp": ("c++", "-std=c++17", "-xc++", "names.hpp")}
     for page in pages:
         for number, language, lines in page.blocks:
@@ -294,13 +295,14 @@ def dependency_tree(package, edges, *options):
 
 
 def addresses():
-    """Files that name another address of the project than Cargo.toml."""
+    """Returns the files that lack the project's address in Cargo.toml."""
     address = re.search(r'^repository = "(.+)"', (ROOT / "Cargo.toml").read_text(), re.M).group(1)
     return [name for name in ("plugins/python/pyproject.toml", "CITATION.cff") if address not in (ROOT / name).read_text()]
 
 
 def product_lines(folder):
-    """Lines of a crate's sources before the module of tests that closes a file; files of tests have none."""
+    """Returns the number of lines of a crate's sources, without files of tests and the module of tests at a file's
+    end."""
     count = 0
     for path in tracked(f"{folder}/src"):
         if path.endswith(".rs") and not path.endswith("tests.rs"):
@@ -309,7 +311,8 @@ def product_lines(folder):
 
 
 def build_seconds(revision):
-    """CPU seconds of a release build of `entire` at a revision, with only the downloaded crates."""
+    """Returns the CPU seconds of a release build of `entire` at a revision, with crates downloaded and nothing
+    built."""
     with tempfile.TemporaryDirectory(prefix="house-") as folder:
         tree = Path(folder) / "tree"
         subprocess.run(["git", "worktree", "add", "--detach", "--quiet", tree, revision], cwd=ROOT, check=True)
@@ -352,7 +355,7 @@ def asked(options):
     if not options.quick:
         out |= {f"public-items-of-{crate}": PUBLIC_ITEMS for crate in FRONT_CRATES}
         out |= {"lines-of-inference": INFERENCE_LINES, "crates-of-inference": INFERENCE_CRATES, "lines-of-rust": RUST_LINES}
-        # The limit is the time of the other revision.
+        # The limit is the build time of the older revision (see --measure-build).
         out["release-build-cpu-seconds"] = math.inf
     return out
 

@@ -34,7 +34,7 @@ def items(folder):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("crate", help="the crate's folder")
-    parser.add_argument("--list", action="store_true", help="print each")
+    parser.add_argument("--list", action="store_true", help="print each item")
     options = parser.parse_args()
     root = pathlib.Path(__file__).resolve().parents[2]
     found = list(items(root / options.crate / "src"))

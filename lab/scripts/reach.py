@@ -31,8 +31,8 @@ SUITES = ("pvbatch", "pvpython", "two-ranks", "pvserver", "gui")
 VERSIONS = {"VTK": ("9.1", "9.3", "9.6"), "ParaView": ("5.11", "5.13", "6.1")}
 WARNINGS = 0
 MINUTES_FROM_NOTHING, MINUTES_KEPT = 40, 12
-# Limits while presets of Slicer are switched: percentage of frames over 1.25 times the target, and the percentage by
-# Slicer's own rule divided by ours.
+# Results while presets of Slicer are switched; upper limit of the percentage of frames over 1.25 times the target;
+# lower limit of that percentage with Slicer's own rule, divided by ours.
 SLICER = ROOT / "out/python/slicer.csv"
 SLICER_OVER, SLICER_RATIO = 2, 2
 
@@ -54,7 +54,7 @@ def write(path, rows):
 
 
 def found(path, pattern):
-    """The first match in a file, or nothing."""
+    """Returns the first group of a pattern's first match in a file; an empty text without a match or file."""
     match = re.search(pattern, path.read_text(encoding="utf-8", errors="replace"), re.M) if path.exists() else None
     return match[1] if match else ""
 
@@ -70,7 +70,7 @@ def warnings(path):
 
 
 def ctest(path):
-    """{test: "run", "skipped" or "failed"} of a file in JUnit's form; a test that was not started has failed."""
+    """Returns {test: "run", "skipped" or "failed"} of a JUnit file; a test that did not start counts as failed."""
     results = {}
     for case in ElementTree.parse(path).getroot().iter("testcase") if path.exists() else ():
         skipped = case.find("skipped")
@@ -198,7 +198,7 @@ def table(rows):
 
 
 def phrase(rows, program):
-    """"VTK 9.1, 9.3 and 9.6": those of which every test passed."""
+    """Returns a phrase such as "VTK 9.1, 9.3 and 9.6": the versions of which no test failed."""
     whole = []
     for row in rows:
         mine = [r for r in rows if r["program"] == program and r["version"] == row["version"]]
@@ -212,7 +212,7 @@ MARKS = "<!-- Tested versions: make versions -->", "<!-- /Tested versions -->"
 
 
 def documents(rows):
-    """(path, text as it is, text as it must be) of the documents that name versions."""
+    """Yields (path, present text, right text) of the documents that name versions."""
     path = ROOT / "docs/src/vtk.md"
     text = path.read_text(encoding="utf-8")
     before, _, rest = text.partition(MARKS[0])
@@ -247,7 +247,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("record", "bars", "keep", "check"))
     parser.add_argument("--results", type=Path, default=LAST, help="the file of results (default out/matrix/results.csv)")
-    parser.add_argument("--library", type=int, default=0, help="wall seconds that making the C library took")
+    parser.add_argument("--library", type=int, default=0, help="wall seconds of building the C library")
     parser.add_argument("--suites", nargs="*", default=(), help="NAME,PROGRAM,ENDED,SECONDS")
     parser.add_argument("--places", nargs="*", default=(), help="NAME=ROOT=VTK'S RESULTS=PARAVIEW'S RESULTS")
     options = parser.parse_args()

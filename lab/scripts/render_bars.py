@@ -143,7 +143,7 @@ def main():
 
 
 def measure(options):
-    """Figures by scene, and the reasons for missing ones."""
+    """Returns the figures by scene, and a text with the reasons for missing figures."""
     out = pathlib.Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
     ours = Contestant([options.server])
@@ -200,7 +200,7 @@ def measure(options):
             shuffler.shuffle(order)
             for key in order:
                 process, line = contestants[key]
-                # The first frame after one of another renderer is not counted: caches are cold.
+                # The first frame after a frame of another renderer is not counted, since caches are cold.
                 process.ask(line)
                 answer = process.ask(line)
                 if turn >= 2:
@@ -260,14 +260,14 @@ def say(bars, results, lacking):
     """Prints the bars: `results` has the times of a scene under its name."""
     for scene in [key for key in results if "/" not in key]:
         times = results[scene]
-        # Skipping by distance map counts in all scenes.
+        # In every scene, our time is the time with skipping by distance map.
         own, blocks = (times[f"ours/{mode}"]["cpu"] for mode in ("distance", "blocks"))
         for peer in PEERS:
             if f"vtk/{peer}" in times:
                 theirs = times[f"vtk/{peer}"]["cpu"]
                 note = f"{1e3 * own:.1f} ms CPU, skipping distance; {1e3 * theirs:.1f} ms CPU"
                 bars.found(ratio_name(scene, peer), own / theirs, note)
-                # Times are compared only for like pictures: mean difference of a channel, on a scale of 0 to 255.
+                # Times are comparable only if the pictures agree: this bar is the mean difference of a channel, of 255.
                 name = f"render_{scene}_picture_difference_{peer}"
                 bars.found(name, results[f"{scene}/difference/{peer}"], "levels of 255, mean")
         if f"render_{scene}_distance_vs_blocks" in bars.asked:

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Records the data of the steering bars: calibration frames of other volumes than the paths', and the time curves of
-# paths over held-out volumes. Existing files are kept; remove the folder to record again. After an interruption the
+# Records the data of the steering bars: time curves of paths over held-out volumes, and calibration frames of other
+# volumes. Existing files are kept; remove the folder to record again. After an interruption the
 # same call continues: an unfinished trace has the name NAME.part.json.gz.
 set -euo pipefail
 out=$1 clock=$2 frames=$3 data=$4

@@ -4,7 +4,7 @@
 # frame once. Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. If it is
 # interrupted, the same command continues. Nothing else should run meanwhile.
 #   DATA     the folder that holds ensembles/ and scans/
-#   OUT      where the tables go, out/tables unless given
+#   OUT      folder for the tables; default: out/tables
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD

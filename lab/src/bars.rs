@@ -40,7 +40,8 @@ impl Bar {
 }
 
 impl std::fmt::Display for Bar {
-    /// `bar NAME VALUE LIMIT ok|short`, then the note in brackets. The value is `-` if it was not measured.
+    /// Writes `bar NAME VALUE LIMIT ok|short`, then the note in brackets. The value is `-` if it was not
+    /// measured.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
         let verdict = if self.ok { "ok" } else { "short" };
@@ -48,7 +49,7 @@ impl std::fmt::Display for Bar {
     }
 }
 
-/// Bars as a table.
+/// Returns bars as a table, one row each.
 pub(crate) fn table(bars: &[Bar]) -> Table {
     let mut table = Table::new(vec![
         Column::text("bar"),

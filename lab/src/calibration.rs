@@ -9,7 +9,9 @@ use indicatif::ProgressBar;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-/// Samples of timing tables; all frames of a scene have the same scene number. Probes have `side`² rays.
+/// Returns one calibration sample for each frame of the timing tables. Frames with the same volume, camera,
+/// image size and transfer function have the same scene number. Scene features come from probes of `side`²
+/// rays.
 ///
 /// # Errors
 /// When a table or a volume cannot be read.
@@ -17,7 +19,7 @@ pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
     Ok(samples_by_volume(tables, side)?.into_iter().map(|(_, sample)| sample).collect())
 }
 
-/// As [`samples_of`], each with the name of its volume.
+/// Returns the samples of [`samples_of`], each with the name of its volume.
 ///
 /// # Errors
 /// As [`samples_of`].

@@ -15,7 +15,7 @@ const LOOK: Duration = Duration::from_millis(50);
 pub(crate) struct Ended {
     /// Exit status.
     pub(crate) status: ExitStatus,
-    /// True if it was asked to end.
+    /// True if the process was asked to end.
     pub(crate) asked: bool,
 }
 
@@ -23,7 +23,7 @@ pub(crate) struct Ended {
 /// asks the process to end; if it still runs after `grace`, it is killed.
 ///
 /// # Errors
-/// When the system refuses to wait for it or to kill it.
+/// When the system refuses to wait for the process or to kill it.
 pub(crate) fn wait(
     child: &mut Child,
     over: impl Fn() -> bool,
@@ -59,7 +59,8 @@ mod tests {
     use std::os::unix::process::ExitStatusExt;
     use std::process::Command;
 
-    /// A shell that runs `on_term` at SIGTERM and continues; it is asked to end once its trap is set.
+    /// Starts a shell that runs `on_term` at SIGTERM and then continues. [`wait`] asks it to end once its
+    /// trap is set. Returns the result of [`wait`] and its duration.
     fn told_to_end(on_term: &str, grace: Duration) -> (Ended, Duration) {
         let dir = tempfile::tempdir().unwrap();
         let ready = dir.path().join("ready");

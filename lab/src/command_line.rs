@@ -39,7 +39,7 @@ enum Command {
     GpuStudy(commands::gpu_study::Options),
     /// Compare methods of load balancing on a render farm.
     Farm(commands::farm::Options),
-    /// Measure the goals of render farms that need no engine.
+    /// Measure those goals of render farms that can be measured without an engine.
     FarmBars(commands::farm_bars::BarsOptions),
     /// Simulate a farm on a task list.
     FarmSimulate(commands::farm_bars::SimulateOptions),

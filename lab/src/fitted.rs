@@ -32,7 +32,7 @@ fn held_out(sample: &Sample) -> bool {
 /// The analytic cost model fitted to the samples that are not held out.
 ///
 /// # Errors
-/// When none of them is usable.
+/// When no sample that is not held out is usable.
 fn fit_analytic(samples: &[Sample]) -> Result<AnalyticModel> {
     let measurements: Vec<Measurement> = samples
         .iter()
@@ -45,7 +45,7 @@ fn fit_analytic(samples: &[Sample]) -> Result<AnalyticModel> {
 }
 
 /// A small network on [`standard_features`], trained on ln(seconds) of the samples that are not held
-/// out; a fifth of these samples decides when training stops. Single-threaded: the frames are few.
+/// out; a fifth of these samples decides when training stops. One thread trains, since the frames are few.
 ///
 /// # Errors
 /// When there are too few samples.
@@ -86,7 +86,7 @@ pub fn fit_network(samples: &[Sample]) -> Result<ModelFile> {
 pub(crate) struct Candidate {
     /// Name of the predictor.
     pub(crate) title: String,
-    /// Its errors on calibration frames that it was not fitted to.
+    /// Errors of the predictor on the held-out calibration frames.
     pub(crate) held_out: Quality,
     /// True for the candidate that steers.
     pub(crate) chosen: bool,
@@ -169,7 +169,7 @@ impl Calibrated {
     }
 }
 
-/// Predictors and their errors on held-out frames.
+/// Returns a table of predictors and their errors on held-out frames.
 pub(crate) fn candidates_table(candidates: &[Candidate]) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),

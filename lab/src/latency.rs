@@ -17,7 +17,7 @@ const EVICTED_BYTES: usize = 16 << 20;
 /// Number of predicted frames.
 const FRAMES: u64 = 200;
 
-/// Rounds of measurement.
+/// Number of rounds of measurement.
 const ROUNDS: usize = 5;
 
 /// Seconds of one prediction in one thread, scene features included. Work per volume is not included; work
@@ -42,7 +42,8 @@ const FRAMES_PER_TRANSFER: f64 = 30.0;
 const TURN: f32 = 3.0;
 
 impl Latency {
-    /// Median seconds, with cold caches, in a session in which every 30th frame has a new transfer function.
+    /// Returns the seconds of a prediction with cold caches, averaged over a session in which every 30th
+    /// frame has a new transfer function.
     pub(crate) fn with_changes(&self) -> f64 {
         self.cold + self.transfer / FRAMES_PER_TRANSFER
     }
@@ -75,7 +76,7 @@ pub(crate) struct Bench {
 }
 
 impl Bench {
-    /// Draws random frames of a volume, as `entire collect` does.
+    /// Chooses random frames of a volume by the default distribution of `entire collect`.
     ///
     /// # Errors
     /// When the volume cannot be summarized.
@@ -119,8 +120,8 @@ impl Bench {
         })
     }
 
-    /// As [`Bench::latency`], for any predictor, with its `probe_side` if it uses the scene, and its number
-    /// of volume features.
+    /// Returns the latency of any predictor, measured as in [`Bench::latency`]. `probe_side` is `None` if the
+    /// predictor does not use the scene; `codes` is its number of volume features.
     ///
     /// # Errors
     /// When `predict` fails or a frame's features cannot be computed.

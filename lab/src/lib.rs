@@ -1,5 +1,5 @@
-//! Studies around `entire`: comparisons of predictors and controllers, their references, and the bars.
-//! Nothing here is published; the product is `entire-cli`.
+//! Studies of `entire`: comparisons of its predictors and controllers with others, and the bars. This crate
+//! is not published; the program for users is in `entire-cli`.
 
 mod bars;
 pub mod calibration;

@@ -38,7 +38,7 @@ impl std::fmt::Debug for Trees {
 }
 
 impl Trees {
-    /// Grows trees on a recipe's inputs; validation frames, if there are any, determine their number.
+    /// Grows trees on a recipe's inputs; validation frames, if there are any, determine the number of trees.
     ///
     /// # Errors
     /// When inputs cannot be computed, or the library refuses them.

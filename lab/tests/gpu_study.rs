@@ -8,14 +8,15 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The command `entire`, where the workspace's tests built it beside this package's program.
+/// Returns the path of the command `entire` if it was built beside this package's program.
 fn entire() -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_BIN_EXE_entire-lab")).with_file_name("entire");
     path.is_file().then_some(path)
 }
 
-/// Options for renderer and clock: the Vulkan device with its time stamps, as the study does by default; with wall time
-/// if the device has no time stamps; and the CPU version if there is no device.
+/// Returns options for renderer and clock: the Vulkan device with its time stamps, which are the study's
+/// defaults; the device with wall time if it has no time stamps; the CPU version with wall time if there is
+/// no device.
 fn setting() -> [&'static str; 4] {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => {

@@ -6,10 +6,10 @@
 #   plugins/paraview/run.sh test [--full]      in pvbatch; --full: also in pvpython, on two ranks, on a server, in the client
 #
 # ENTIRE_SDK       the folder of an installed libentire (default: target/sdk, built like `make install`)
-# PARAVIEW_OUT     where builds and results go (default target/paraview)
-# PARAVIEW_PYTHON  root of an unpacked python3-paraview package, where it is not installed (it conflicts with
+# PARAVIEW_OUT     folder of builds and results (default target/paraview)
+# PARAVIEW_PYTHON  root of an unpacked python3-paraview package, if the package is not installed (it conflicts with
 #                  python3-vtk9, which libvtk9-dev needs): apt-get download python3-paraview &&
-#                  dpkg -x python3-paraview_*.deb FOLDER. Default: fetched into PARAVIEW_OUT where apt can.
+#                  dpkg -x python3-paraview_*.deb FOLDER. By default apt-get downloads it into PARAVIEW_OUT.
 # PARAVIEW_PANEL   OFF builds without the panel of the graphical client
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -33,7 +33,7 @@ command -v pvbatch >/dev/null && [[ $cmake_dir ]] ||
 command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): ParaView needs a display"
 mkdir -p "$out"
 
-# ParaView's Python modules: installed, given, or fetched and unpacked beside the build.
+# Finds ParaView's Python modules: installed, in PARAVIEW_PYTHON, or downloaded and unpacked beside the build.
 modules=
 if [[ -e /usr/lib/python3/dist-packages/paraview ]]; then
     prefix=
@@ -44,7 +44,7 @@ else
             dpkg -x python3-paraview_*.deb . && rm -f python3-paraview_*.deb) ||
             lacks "python3-paraview is not installed and cannot be downloaded (set PARAVIEW_PYTHON)"
     fi
-    # ParaView's CMake package requires its Python modules: a prefix of links that contains them.
+    # ParaView's CMake package requires the Python modules under its own prefix: makes a prefix of links with both.
     prefix=$out/prefix
     if [[ ! -e $prefix/lib/$arch/cmake ]]; then
         rm -rf "$prefix" && mkdir -p "$prefix/lib/$arch/cmake"
@@ -87,5 +87,5 @@ case $what in
     build) ;;
     test) LIMIT=1200 display bash plugins/paraview/check.sh "$out" ${2:-} ;;
     screenshot) LIMIT=300 display bash plugins/paraview/screenshot.sh "$out" ;;
-    *) echo "run.sh: unknown word $what" >&2; exit 2 ;;
+    *) echo "run.sh: unknown command \"$what\"; use build, test or screenshot" >&2; exit 2 ;;
 esac

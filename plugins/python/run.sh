@@ -16,7 +16,7 @@
 #   host     no list: the Python VTK_PYTHON with its own VTK, of a distribution or of ParaView (pvbatch)
 #
 # PYTHON               the Python that makes the environments (default python3)
-# PYTHON_OUT           where environments go (default target/python)
+# PYTHON_OUT           folder of the environments and logs (default target/python)
 # PYTHON_ENVIRONMENTS  environments to test in (default "test", with --full "test oldest qt host slicer trame-slicer")
 # ENTIRE_PROFILE       the cargo profile of the wheel (default release)
 # VTK_PYTHON           the Python of the environment host (default /usr/bin/python3)
@@ -26,7 +26,7 @@ cd "$(dirname "$0")/../.."
 what=${1:-}
 case $what in
     wheel | test | bars | slicer | pictures | exec) shift ;;
-    *) echo "run.sh: found word \"$what\"; use wheel, test, bars, slicer, pictures or exec" >&2; exit 2 ;;
+    *) echo "run.sh: unknown command \"$what\"; use wheel, test, bars, slicer, pictures or exec" >&2; exit 2 ;;
 esac
 here=plugins/python
 out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}

@@ -11,7 +11,7 @@
 #
 # ENTIRE_SDK   the folder of an installed libentire (default: target/sdk, built like `make install`)
 # VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
-# VTK_OUT      where builds and results go (default target/vtk)
+# VTK_OUT      folder of builds and results (default target/vtk)
 # VTK_JOBS     parallel compilations (default: as many as the build tool takes)
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -72,7 +72,7 @@ case $what in
         ;;
     asan)
         build "$out/asan" -DENTIRE_SANITIZE=address -DENTIRE_PYTHON=OFF -DCMAKE_BUILD_TYPE=RelWithDebInfo
-        # OpenGL and VTK leak, so leaks are not checked here; the tests under valgrind find those of the adapter.
+        # OpenGL and VTK leak, so leaks are not checked here; the tests under valgrind find leaks of the adapter.
         ASAN_OPTIONS=detect_leaks=0:abort_on_error=0:exitcode=99 display ctest --test-dir "$out/asan" \
             --label-regex reentry --output-on-failure
         ;;

@@ -3,7 +3,7 @@
 and the Python package.
 
     PYTHON windows.py class|python            tests that the passes of every window share its frame time
-    PYTHON windows.py class|python bars       measures the frames of each window at a third of its full-quality time
+    PYTHON windows.py class|python bars       measures frames of each window at a third of the full-quality time
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from vtkmodules.vtkRenderingCore import (
     vtkVolumeProperty,
 )
 
-# For the scenes of the other tests of both adapters.
+# Folder of vtk_scene.py, which other tests of both adapters use too.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "vtk" / "python"))
 
 from vtk_scene import MAPPERS as ALL_MAPPERS

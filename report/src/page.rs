@@ -37,7 +37,7 @@ struct Picture {
 }
 
 impl Page {
-    /// A page with a title and a sentence under it.
+    /// Returns a page with a title and a sentence under it.
     pub fn new(title: impl Into<String>, lead: &str) -> Self {
         Self { title: title.into(), lead: lead.to_owned(), blocks: Vec::new() }
     }
@@ -62,7 +62,7 @@ impl Page {
         self.blocks.push(Block::Table { html: table.to_html(), caption: caption.to_owned() });
     }
 
-    /// Adds pictures side by side, each a PNG file's bytes with its caption.
+    /// Adds pictures side by side. Each is given as the bytes of a PNG file and a caption.
     pub fn pictures<'a>(&mut self, pictures: impl IntoIterator<Item = (&'a [u8], String)>) {
         let encoded = pictures
             .into_iter()
@@ -71,13 +71,13 @@ impl Page {
         self.blocks.push(Block::Pictures(encoded));
     }
 
-    /// Adds name and value pairs of the provenance.
+    /// Adds pairs of name and value that describe the provenance.
     pub fn facts<'a>(&mut self, facts: impl IntoIterator<Item = (&'a str, String)>) {
         let facts = facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
         self.blocks.push(Block::Facts(facts));
     }
 
-    /// The whole document.
+    /// Returns the whole document.
     pub fn finish(&self) -> String {
         self.render().expect("writing into memory does not fail")
     }
@@ -85,7 +85,7 @@ impl Page {
     /// Writes the document.
     ///
     /// # Errors
-    /// When the file cannot be written; names it.
+    /// When the file cannot be written; the message names the file.
     pub fn write(&self, path: &Path) -> Result<()> {
         write_whole(path, self.finish().as_bytes())
     }
@@ -94,7 +94,7 @@ impl Page {
 /// Encodes a rendered image as PNG. The pixels are premultiplied over black, so they are written as opaque.
 ///
 /// # Errors
-/// When the buffer does not fit the size.
+/// When the length of the pixel buffer does not fit the size.
 pub fn encode_png(picture: &Image) -> Result<Vec<u8>> {
     let rgb: Vec<u8> = picture.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     ensure!(

@@ -54,7 +54,7 @@ impl From<&str> for Cell {
     }
 }
 
-/// A dash for a missing value.
+/// A missing value becomes a dash.
 impl<T: Into<Self>> From<Option<T>> for Cell {
     fn from(value: Option<T>) -> Self {
         value.map_or_else(|| "-".into(), Into::into)
@@ -90,9 +90,9 @@ impl Table {
         self.rows.push(cells);
     }
 
-    /// Marks the best cell of a numeric column (all of them if several are equal): the lowest value if
-    /// `lowest` is true, else the highest. `values` has one entry per row; values that are not finite are
-    /// ignored.
+    /// Marks the best cell of a numeric column (all of them if several are equal). The best value is the
+    /// lowest if `lowest` is true, else the highest. `values` has one entry per row; values that are not
+    /// finite are ignored.
     pub fn mark_best(&mut self, column: usize, values: &[f64], lowest: bool) {
         let sign = if lowest { 1.0 } else { -1.0 };
         let best = values.iter().filter(|v| v.is_finite()).map(|v| v * sign).fold(f64::INFINITY, f64::min);
@@ -107,7 +107,8 @@ impl Table {
         row.get(column).map(|c| c.text.clone()).unwrap_or_default()
     }
 
-    /// The table as text for a terminal: columns padded with spaces, best cells marked with an asterisk.
+    /// Returns the table as text for a terminal. Columns are padded with spaces, best cells are marked with
+    /// an asterisk.
     pub fn to_text(&self) -> String {
         let show = |row: &[Cell], c: usize| {
             let best = row.get(c).is_some_and(|cell| cell.best);
@@ -142,7 +143,7 @@ impl Table {
         out
     }
 
-    /// The table as HTML; best cells are bold.
+    /// Returns the table as HTML; best cells are bold.
     pub(crate) fn to_html(&self) -> String {
         let blank = Cell::from("");
         let rows: Vec<Vec<(&Column, &Cell)>> = self
@@ -153,7 +154,7 @@ impl Table {
         Html { columns: &self.columns, rows: &rows }.render().expect("writing into memory does not fail")
     }
 
-    /// The table as Markdown; best cells are bold.
+    /// Returns the table as Markdown; best cells are bold.
     pub fn to_markdown(&self) -> String {
         let safe = |t: &str| t.replace('|', "\\|").replace('\n', " ");
         let mut out = String::new();

@@ -5,7 +5,7 @@
 //!
 //! | quantity | unit |
 //! |---|---|
-//! | time | seconds (`f32`, or `f64` where they are accumulated) |
+//! | time | seconds (`f32`; `f64` for sums of times) |
 //! | ray step | multiples of the *reference step*, the volume's smallest voxel spacing |
 //! | angles | degrees in the interface (`Arcball`), radians inside |
 //! | scene space | origin at the volume's center, unit length = radius of its bounding sphere |
@@ -13,8 +13,8 @@
 //!
 //! # Steering a render loop
 //!
-//! A [`Session`] holds the volume and the transfer function. Before each frame it plans the ray step; after
-//! the frame, the caller reports the seconds it took:
+//! A [`Session`] holds the volume and the transfer function. Before each frame, the session plans the ray
+//! step; after the frame, the caller reports the seconds that the frame took:
 //!
 //! ```
 //! use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction};

@@ -1,4 +1,4 @@
-//! Numerics shared by the modules: small dense linear algebra in `f64`, medians, errors.
+//! Numerics shared by the modules: small dense linear algebra in `f64`, medians, prediction errors.
 
 use alloc::vec::Vec;
 

@@ -1,8 +1,8 @@
-//! After set-up, predictions, plans, observations and repeated encodings make no system call.
+//! Tests that predictions, plans, observations and repeated encodings make no system call after set-up.
 //!
-//! Each case runs in a process of its own. After set-up it enters seccomp's strict mode, in which the kernel
-//! kills it at the first system call other than read, write and exit. Where the kernel refuses this mode, the
-//! cases are reported as ignored.
+//! Each case runs in a process of its own. After set-up the process enters seccomp's strict mode, in which
+//! the kernel kills it at the first system call other than read, write and exit. If the kernel refuses this
+//! mode, the cases are reported as ignored.
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::process::ExitCode;
@@ -26,7 +26,7 @@ fn main() -> ExitCode {
     };
     let trap = Trial::test("a_system_call_is_noticed", || match status("system call") {
         Ok(status) if !status.success() => Ok(()),
-        Ok(_) => Err(Failed::from("the child made a system call and lived")),
+        Ok(_) => Err(Failed::from("the child made a system call and was not killed")),
         Err(error) => Err(Failed::from(error.to_string())),
     })
     .with_ignored_flag(!possible);
@@ -65,7 +65,7 @@ mod child {
 
     #[allow(
         unsafe_code,
-        reason = "seccomp needs system calls, and the standard library's exit makes others than exit"
+        reason = "seccomp needs system calls, and the standard library's exit makes more calls than exit"
     )]
     fn system_call(number: usize, a: usize, b: usize) -> isize {
         let result: isize;
@@ -89,7 +89,7 @@ mod child {
         }
     }
 
-    /// Runs a case: after `strict` it must not make a system call.
+    /// Runs a case, which must not make a system call after it calls `strict`.
     pub(crate) fn run(case: &str) -> ! {
         match case {
             "predict" => predict(),
@@ -106,7 +106,7 @@ mod child {
         }
     }
 
-    /// Ends the process before destructors run: freeing memory may make a system call.
+    /// Ends the process without running destructors, since freeing memory may make a system call.
     fn end(fine: bool) -> ! {
         exit(usize::from(!fine))
     }

@@ -5,8 +5,8 @@
  *
  *   alloc_failure MODEL
  *
- * This program's malloc replaces that of the C library: while `watching` is set, the n-th request fails, or all
- * requests of at least a given size.
+ * This program's malloc replaces that of the C library: while `watching` is set, request number `fail_at` fails, and so
+ * does every request of at least `fail_from` bytes (if that is not 0).
  */
 #define _GNU_SOURCE
 #include "check.h"
@@ -125,7 +125,7 @@ static entire_result set_volume(void) {
     return entire_session_set_volume(session, volume);
 }
 
-/* The next time steps of a volume, and a session that follows them. */
+/* Makes a volume, updates it twice, and sets the volume and its time step in a session. */
 static entire_result update_volume(void) {
     entire_volume_desc desc;
     entire_volume *made = NULL;
@@ -206,8 +206,8 @@ static entire_result plan_and_observe(void) {
     return result == ENTIRE_OK ? observe() : result;
 }
 
-/* Makes handles while every request fails: they come from the reserve until half of it is in use, then are refused;
- * after they are freed, they can be made again. */
+/* Makes handles while every request fails: they are served from the reserve until half of it is in use; then more
+ * handles are refused. After all are freed, handles can be made again. */
 static entire_result fill_the_reserve(void) {
     enum { MOST = 10000 };
     static entire_transfer_function *held[MOST];
@@ -254,8 +254,8 @@ static const struct {
     {"a refused call", refused, 0, 0},
 };
 
-/* Result of a call in a child process in which the n-th request, or all of at least a given size, failed: ENTIRE_OK, or
- * an error code. */
+/* Outcome of a call in a child process in which requests failed: DONE if the call returned ENTIRE_OK, ANSWERED if it
+ * returned an error code. */
 enum ending { DONE, ANSWERED };
 
 static enum ending in_child(entire_result (*call)(void), long n, size_t from, long *made, entire_result *answer) {
@@ -300,7 +300,7 @@ int main(int argc, char **argv) {
     session = toy_session(NULL);
     trained = toy_session(model);
     frame = toy_frame();
-    /* These calls make the objects that the library makes at first use. */
+    /* These calls make the objects that the library makes at their first use and then keeps. */
     OK(plan_and_observe());
     OK(encode());
     OK(predict_batch());
@@ -315,9 +315,9 @@ int main(int argc, char **argv) {
             CHECK(in_child(calls[c].call, 0, calls[c].declared, &unused, &answer) == ANSWERED);
             CHECK(answer == ENTIRE_OUT_OF_MEMORY);
         }
-        /* All requests fail at once: those that the reserve cannot serve are reported. */
+        /* Every request fails: a call that the reserve cannot serve returns ENTIRE_OUT_OF_MEMORY. */
         if (in_child(calls[c].call, 0, 1, &unused, &answer) == ANSWERED) CHECK(answer == ENTIRE_OUT_OF_MEMORY);
-        /* Each request in turn, or an even choice of 200 if there are more. */
+        /* One request fails: each request is tried, or up to 200 evenly spaced ones if there are 200 or more. */
         const long stride = made / 200 + 1;
         for (long n = 1; n <= made; n += stride) {
             if (in_child(calls[c].call, n, 0, &unused, &answer) == DONE) {

@@ -12,7 +12,7 @@ int main(void) {
     entire_transfer_function *tf = toy_transfer_function();
     float *rgba = malloc(100 * sizeof *rgba);
     CHECK(rgba != NULL);
-    OK(entire_transfer_function_table(tf, rgba, 4 * ENTIRE_TABLE_ENTRIES)); /* there is room for 100 only */
+    OK(entire_transfer_function_table(tf, rgba, 4 * ENTIRE_TABLE_ENTRIES)); /* `rgba` has only 100 floats */
     free(rgba);
     entire_transfer_function_free(tf);
 #endif

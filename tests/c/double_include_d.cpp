@@ -1,4 +1,4 @@
-// Both headers in several files of one program: guards hold, and nothing is defined twice.
+// The three headers may be included several times in one file and in several files: nothing is defined twice.
 #include <entire/entire.hpp>
 
 extern "C" unsigned version_in_a(void);

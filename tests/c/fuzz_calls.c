@@ -32,7 +32,7 @@ static float uniform(float low, float high) {
     return low + (high - low) * (float)(bits() >> 40) / (float)(1 << 24);
 }
 
-/* Mostly in the range, sometimes any float. */
+/* Returns a number that mostly lies between `low` and `high`, but is sometimes any float. */
 static float number(float low, float high) {
     static const float odd[] = {0, -1, 1e-30f, 1e30f, -1e30f, 3.4e38f, INFINITY, -INFINITY, NAN, -0.0f};
     if (one_in(12)) return odd[below(sizeof odd / sizeof odd[0])];
@@ -61,7 +61,7 @@ static size_t any_size(void) {
     return one_in(3) ? below(2) : any;
 }
 
-/* A count of elements that the library may read: at most those of the array. */
+/* Returns a count of elements that the library may read: at most `there`, the number of elements in the array. */
 static size_t count_within(size_t there) {
     return one_in(6) ? below(there + 1) : there;
 }
@@ -112,7 +112,7 @@ static void new_volume(entire_volume **out) {
         desc.spacing[i] = number(0.1f, 9);
         if (one_in(8)) desc.strides[i] = count_near(below(20));
     }
-    if (one_in(6)) { /* one scale for all axes, or another for each */
+    if (one_in(6)) { /* one scale for all axes, or a scale of its own for each */
         const float unit = magnitude();
         const int apart = one_in(3);
         for (int i = 0; i < 3; ++i) desc.spacing[i] = apart ? magnitude() : unit * uniform(0.5f, 2);

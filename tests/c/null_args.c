@@ -33,7 +33,7 @@ int main(int argc, char **argv) {
     entire_transfer_function *made_tf = NULL;
     entire_session *made_session = NULL;
 
-    /* No pointer arguments. */
+    /* Functions without pointer arguments, and entire_set_log(), which accepts NULL. */
     entire_version();
     entire_version_number();
     entire_abi_version();

@@ -146,7 +146,7 @@ for canary in leak overflow; do
     gcc -std=c11 -g -fsanitize=$sanitize -DCANARY_$canary tests/c/canary.c -I"$stage/include" -L"$stage/lib" -lentire \
         -Wl,-rpath,"$stage/lib" -o "$work/canary-$canary"
     if "$work/canary-$canary" 2>"$work/canary.log"; then fail "the sanitizer does not see a $canary"; fi
-    grep -q 'AddressSanitizer\|LeakSanitizer' "$work/canary.log" || fail "the $canary canary died of something else"
+    grep -q 'AddressSanitizer\|LeakSanitizer' "$work/canary.log" || fail "the $canary canary failed for another reason"
 done
 ok "address and undefined-behavior sanitizers: active, no report"
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The library's Rust code under the address sanitizer and the thread sanitizer, driven by the C tests, and its 32-bit
-# build (`scripts/miri.sh` has Miri). Needs a nightly toolchain with rust-src; names missing parts. `make
+# build (`scripts/miri.sh` has Miri). Needs a nightly toolchain with rust-src; prints which parts are missing. `make
 # test-sanitizers`.
 #
 #   tests/c/sanitizers.sh [address] [thread] [32bit]      default: all

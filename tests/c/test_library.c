@@ -1,4 +1,4 @@
-/* Version, result names, last error, log callback, struct sizes. */
+/* Version, result names, last error, log callback, struct sizes, schedules, frame budgets. */
 #include "check.h"
 #include <math.h>
 
@@ -7,9 +7,9 @@ _Static_assert(ENTIRE_OK == 0 && ENTIRE_INVALID_ARGUMENT == 1 && ENTIRE_SIZE_MIS
                    ENTIRE_REJECTED_OBSERVATION == 7 && ENTIRE_UNSUPPORTED == 8 && ENTIRE_NULL_ARGUMENT == 100 &&
                    ENTIRE_STRUCT_SIZE == 101 && ENTIRE_IO == 102 && ENTIRE_PANIC == 103 && ENTIRE_OUT_OF_MEMORY == 104,
                "result numbers never change");
-_Static_assert(ENTIRE_STRIDE_CONTIGUOUS == SIZE_MAX, "the library takes it for SIZE_MAX");
+_Static_assert(ENTIRE_STRIDE_CONTIGUOUS == SIZE_MAX, "the library compares strides with SIZE_MAX");
 
-/* The layouts of ABI 1 on 64-bit targets, in C. */
+/* The sizes and field offsets of the structs of ABI version 1 on 64-bit targets. */
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_model_info) == 56, "entire_model_info");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_input_group) == 32, "entire_input_group");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_desc) == 104, "entire_volume_desc");
@@ -76,7 +76,7 @@ static void log_callback(void) {
     CHECK(log.calls == 0);
 }
 
-/* A caller compiled against another version of a struct. */
+/* Calls of a program that was compiled with another version of a struct, so that `struct_size` differs. */
 static void struct_sizes(void) {
     struct {
         entire_frame frame;
@@ -135,7 +135,7 @@ static void schedule(void) {
     CHECK(makespan == -5 && nodes[0] == 77);
 }
 
-/* Two volumes that take 5 and 15 ms, in a window that needs 5 ms of its own. */
+/* Two volumes take 5 and 15 ms, and the other work of their window takes 5 ms. */
 static void budget(void) {
     entire_budget budget = {{0}};
     entire_pass small = {{0}}, large = {{0}};

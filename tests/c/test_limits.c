@@ -68,7 +68,7 @@ static void brick_sizes(void) {
     CHECK(volume == NULL);
 }
 
-/* Counts that are refused before their array is read: it has one element. */
+/* Counts beyond the limits are refused before the array is read: each array here has only one element. */
 static void counts(const char *path) {
     const double second = 1;
     size_t node = 7;
@@ -117,7 +117,7 @@ static void counts(const char *path) {
     entire_session_free(session);
 }
 
-/* The toy model with the floats of one tensor replaced. */
+/* Returns the toy model, with all floats of one tensor replaced by `value`. */
 static entire_model *with_tensor(const char *path, const char *tensor, float value) {
     size_t size = 0;
     uint8_t *bytes = read_file(path, &size);
@@ -220,7 +220,7 @@ static void hostile_weights(const char *path) {
             refused += answers(model);
             entire_model_free(model);
         }
-    /* exp(1e4) and beyond: without the check these are infinite or NaN. */
+    /* Without the library's check, these calls would return seconds that are infinite, 0 or NaN. */
     CHECK(refused > 20);
 }
 

@@ -119,7 +119,7 @@ static void encodings(const entire_model *model) {
     entire_volume_free(volume);
 }
 
-/* The toy file with one run of its bytes replaced by another of the same length, as many times as it occurs. */
+/* Opens the toy file with every occurrence of `from` replaced by `to`, which is as long. Returns the result. */
 static entire_result altered(const char *path, const char *from, const char *to, entire_model **model) {
     size_t size = 0, n = strlen(from), found = 0;
     char *bytes = read_file(path, &size);
@@ -179,7 +179,7 @@ static void hostile_files(const char *path) {
     entire_volume_free(volume);
     entire_model_free(model);
 
-    /* An input group that the library cannot supply: plain predictions work, sessions refuse with the reason. */
+    /* A model with an input group that a session cannot supply: entire_session_new() refuses it and names the group. */
     OK(altered(path, "\"camera", "\"camfra", &model));
     EXPECT(ENTIRE_MISSING_INPUT, entire_session_new(model, NULL, &session));
     SAYS("camfra");

@@ -115,7 +115,8 @@ static void tables(void) {
     CHECK(tf == NULL);
 }
 
-/* A world unit distance of k spacings is the same as k reference steps: predictions are equal, bit by bit. */
+/* A unit distance of k smallest spacings in world units means the same as k reference steps: predictions are equal, bit
+ * by bit. */
 static void unit_distances(void) {
     float seconds[3];
     for (int i = 0; i < 3; ++i) {

@@ -29,7 +29,7 @@ static void encoded(const entire_model *model, const entire_volume_desc *desc, f
     entire_volume_free(volume);
 }
 
-/* Features of the same values in another scalar type: equal up to rounding. */
+/* Returns true if two feature vectors are equal up to rounding. */
 static int close_to(const float a[2], const float b[2]) {
     return fabsf(a[0] - b[0]) < 1e-5f && fabsf(a[1] - b[1]) < 1e-5f;
 }
@@ -239,7 +239,7 @@ static void bricks(void) {
     CHECK(entire_volume_desc_init(&desc, 9) == ENTIRE_STRUCT_SIZE);
 }
 
-/* A session that follows a volume from time step to time step predicts like one that gets only the last of them. */
+/* A session that gets every time step of a volume predicts the same as a session that gets only the last time step. */
 static void time_steps(entire_voxels_ownership ownership) {
     uint16_t voxels[TOY_VOXELS];
     for (int i = 0; i < TOY_VOXELS; ++i) voxels[i] = (uint16_t)(i % 3);

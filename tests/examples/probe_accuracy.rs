@@ -85,7 +85,7 @@ fn main() {
                     (shaded, counts.shaded as f64),
                 ];
                 for (k, (estimate, count)) in pairs.into_iter().enumerate() {
-                    // Less than a tenth of an event per ray is negligible.
+                    // A count of less than a tenth of an event per ray is negligible.
                     if count > 0.1 * counts.rays as f64 {
                         ratios[k].push(estimate / count);
                         let off = (estimate / count).ln().abs();

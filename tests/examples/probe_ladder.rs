@@ -5,10 +5,10 @@
 //! ```
 //!
 //! Draws random scenes as `entire collect` does (seed 2). Every scene is planned by a session without a
-//! model, once adaptively with up to 16² rays and once with 16² rays. The targets are 0.25 to 64 times the
-//! median over the scenes of the time predicted with 16² rays at the finest step. Prints for each target the
-//! number of plans by their last probe, the mean number of rays (of all probes of a plan), and the median and
-//! the largest of |step / step of the finest probe − 1|.
+//! model, once adaptively with up to 16² rays and once with 16² rays. The time of each scene at the finest
+//! step is predicted with 16² rays; the targets are 0.25 to 64 times the median of these times. Prints for
+//! each target how many plans ended with a probe of 4², 7², 11² and 16² rays, the mean number of rays (of all
+//! probes of a plan), and the median and the largest of |step / step of the finest probe − 1|.
 
 use entire_core::scene::{Camera, Frame, TransferFunction};
 use entire_io::scenes::SceneDistribution;

@@ -17,7 +17,7 @@ DTYPES = {"F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16}
 
 
 def groups(width):
-    """Input groups with a total size of `width`."""
+    """Returns input groups with a total size of `width`."""
     if width == 16:
         sizes = {"volume_features": 2, "camera": 3, "resolution": 2, "transfer_function": 9}
     elif width == 24:
@@ -78,7 +78,9 @@ def prednet(name, dims, target, normalised, dtype, seed):
 
 
 def volumenet(name, edge, blocks, features, dtype, seed):
-    """blocks: (channels, kernel, stride, padding, bias)"""
+    """Writes an encoder and its voxels, and returns its golden features.
+
+    A block is (channels, kernel, stride, padding, bias)."""
     generator = torch.Generator().manual_seed(seed)
 
     def normal(*shape):

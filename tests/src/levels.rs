@@ -3,8 +3,8 @@
 use entire_core::kernels::{Isa, Level};
 use libtest_mimic::{Failed, Trial};
 
-/// One trial per instruction set: `name::avx2`, … . A level that this CPU lacks is reported as ignored, never
-/// as passed.
+/// Returns one trial per instruction set: `name::avx2`, … . A level that this CPU lacks is reported as
+/// ignored, never as passed.
 pub fn on_every_level(name: &'static str, test: fn(Level)) -> impl Iterator<Item = Trial> {
     Isa::ALL.into_iter().map(move |isa| {
         let level = Level::available().find(|level| level.isa() == isa);

@@ -3,10 +3,10 @@
 pub mod levels;
 pub mod mutants;
 
-/// The small model files that mutants and hostile tests start from.
+/// Returns the small model files from which mutants and tests of hostile weights start.
 ///
 /// # Panics
-/// When one of them cannot be read.
+/// When one of the files cannot be read.
 pub fn small_models() -> Vec<Vec<u8>> {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("golden");
     ["single_layer", "odd_sizes", "volume16_kernels", "volume16"]

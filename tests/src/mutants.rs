@@ -13,7 +13,7 @@ use serde_json::{Map, Value, json};
 /// Largest number of multiplications of an encoding that is run; a larger encoder is built but not run.
 pub const MOST_WORK: u128 = 20_000_000;
 
-/// Largest size of a tensor of a generated encoder, bytes.
+/// Largest size of a tensor of a generated network, in bytes.
 const MOST_TENSOR: usize = 1 << 18;
 
 /// A tensor of a file that is being mutated.
@@ -165,8 +165,8 @@ impl Mutants {
         (0..n).flat_map(|_| each(self).to_le_bytes()).collect()
     }
 
-    /// Tensors and layout of an encoder with consistent sizes, of any input size, channels, kernels and
-    /// strides.
+    /// Adds the tensors and the layout of an encoder with consistent sizes; input size, channels, kernels and
+    /// strides are random.
     fn encoder(&mut self, parts: &mut Parts) {
         parts.tensors.retain(|t| !t.name.starts_with("volumenet."));
         let input = match self.below(3) {
@@ -213,7 +213,7 @@ impl Mutants {
         parts.metadata.insert(Key::Format.into(), "1".into());
     }
 
-    /// A prediction network with consistent sizes: deep, wide, or both.
+    /// Adds a prediction network with consistent sizes: deep, wide, or both.
     fn prednet(&mut self, parts: &mut Parts) {
         parts.tensors.retain(|t| !t.name.starts_with("prednet."));
         let mut width = 1 + self.below(40);
@@ -284,7 +284,7 @@ impl Mutants {
             2 => t.shape = (0..self.below(7)).map(|_| self.size()).collect(),
             3 => t.dtype = self.one(&["F32", "F16", "BF16", "F64", "I64", "U8", "BOOL", "F99"]).into(),
             4 => t.offsets = Some([size, size.wrapping_add(t.data.len() as u64)]),
-            // Overlaps, holes and pieces after the end.
+            // Offsets that overlap others, leave holes, or lie beyond the end.
             5 => t.offsets = Some([size % (total + 9), (size % (total + 9)) + t.data.len() as u64]),
             6 => t.offsets = Some([self.size(), self.size()]),
             7 => t.data.truncate(self.below(t.data.len().max(1))),
@@ -326,7 +326,7 @@ impl Mutants {
         parts.metadata.insert(key, value);
     }
 
-    /// The next mutant.
+    /// Returns the bytes of the next mutant.
     pub fn next_file(&mut self) -> Vec<u8> {
         self.calm = self.below(3) > 0;
         let mut parts = match self.below(self.seeds.len() + 1) {
@@ -355,7 +355,7 @@ impl Mutants {
         }
         let mut bytes = parts.bytes();
         if self.below(10) == 0 {
-            // After the length field, which stays right.
+            // Flips bits after the length field, which stays right.
             for _ in 0..1 + self.below(4) {
                 let at = 8 + self.below(bytes.len() - 8);
                 bytes[at] ^= 1 << self.below(8);
@@ -368,13 +368,13 @@ impl Mutants {
 /// Outcome of a mutant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outcome {
-    /// It was read as a model.
+    /// True if the file was read as a model.
     pub opened: bool,
-    /// Its network predicted a time.
+    /// True if its network predicted a time.
     pub predicted: bool,
-    /// Its encoder was built.
+    /// True if its encoder was built.
     pub built: bool,
-    /// Its encoder encoded a volume.
+    /// True if its encoder encoded a volume.
     pub encoded: bool,
 }
 
@@ -451,11 +451,11 @@ fn predict_one(model: &Model, usable: impl Fn(f32)) {
     }
 }
 
-/// Multiplications of an encoding.
+/// Returns the approximate number of multiplications of an encoding.
 fn work(parts: &VolumeNetParts) -> u128 {
     let cube = |n: usize| (n as u128).pow(3);
     let blocks = parts.blocks.iter().map(|b| {
-        // The first layer prepares its input as well.
+        // The input voxels count as well: the first layer maps each of them.
         cube(b.output_edge) * cube(b.kernel) * (b.inputs * b.outputs).max(16) as u128 + cube(b.input_edge)
     });
     cube(parts.input) + blocks.sum::<u128>()

@@ -1,4 +1,4 @@
-//! The level is read from the environment once: later changes of the environment have no effect.
+//! Checks that the level is read from the environment once: later changes of the environment have no effect.
 
 use entire_core::kernels::Level;
 use libtest_mimic::{Arguments, Failed, Trial};

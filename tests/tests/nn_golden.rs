@@ -1,5 +1,5 @@
-//! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), one test for every level.
-//! A level that this CPU lacks is reported as ignored.
+//! Compares PredNet with float64 evaluations by PyTorch (`tests/golden/make_golden.py`), with one test for
+//! every level. A level that this CPU lacks is reported as ignored.
 
 use entire_core::kernels::{Executor, Storage};
 use entire_core::kernels::{Isa, Level};
@@ -40,8 +40,9 @@ fn stored(model: &Model) -> Dtype {
     model.prednet().expect("a PredNet").layers[0].dtype
 }
 
-/// If a format stores the weights exactly, the error is relative to each result. If it rounds them, the error
-/// is relative to the largest result, since rounding changes a sum that nearly cancels by a large factor.
+/// Checks the error of predictions, single and in batches. If a format stores the weights exactly, the error
+/// is relative to each result. If it rounds them, the error is relative to the largest result, since rounding
+/// changes a sum that nearly cancels by a large factor.
 fn prednets_agree(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, expected)) = (model(&case), rows(&case));
@@ -96,8 +97,7 @@ fn storage_follows_the_file() {
     }
 }
 
-/// Same model, same inputs, same level: same bits, with any other rows in the batch and any split of the
-/// batch.
+/// Checks that a row's result has the same bits for any split of the batch and any other rows in it.
 fn batches_do_not_depend_on_their_cut(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));

@@ -4,19 +4,20 @@ use entire_core::model::{Key, Model};
 use entire_io::metrics::{BoundMetrics, SHORTEST};
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 
-/// ln(measured / predicted) of every frame; predictions below [`SHORTEST`] and NaN count as [`SHORTEST`].
+/// Returns ln(measured / predicted) of every frame; predictions below [`SHORTEST`] and NaN count as
+/// [`SHORTEST`].
 pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
     let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
     predicted.iter().zip(measured).map(|(&p, t)| (t / usable(p)).ln()).collect()
 }
 
-/// The upper bound computed from held-out frames, to which no weight was fitted.
+/// Computes the upper bound from predictions of held-out frames, to which no weight was fitted.
 pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
     UpperBound::from_residuals(&mut log_residuals(predicted, measured))
 }
 
-/// As [`from_predictions`] for grouped frames (ensemble members) where new frames belong to new groups: every
-/// group has the same weight, however many frames it has.
+/// As [`from_predictions`], for frames in groups (ensemble members), if new frames will belong to new groups:
+/// every group has the same weight, however many frames it has.
 pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> UpperBound {
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().zip(groups))
 }
@@ -26,12 +27,12 @@ pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<
     BoundMetrics::new(&of_predictions(upper, predicted), measured, UPPER_LEVEL)
 }
 
-/// The bound of each prediction, seconds.
+/// Returns the upper bound of each prediction, seconds.
 fn of_predictions(upper: &UpperBound, predicted: &[f64]) -> Vec<f64> {
     predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect()
 }
 
-/// The upper bound that a model file holds; `None` where it holds none.
+/// The upper bound that a model file contains; `None` if it contains none.
 pub fn of(model: &Model) -> Option<UpperBound> {
     let stored: serde_json::Value =
         serde_json::from_str(model.metadata().get(Key::Calibration.name())?).ok()?;
@@ -48,7 +49,7 @@ mod tests {
         let predicted = vec![2.0; 399];
         let measured: Vec<f64> = (1..=399).map(|i| 2.0 + f64::from(i) * 1e-3).collect();
         let upper = from_predictions(&predicted, &measured);
-        // The 380th of 399: ceil(400 · 0.95).
+        // The bound is the 380th of 399 residuals: ceil(400 · 0.95) = 380.
         assert!((f64::from(upper.factor()) - 2.380 / 2.0).abs() < 1e-6, "{}", upper.factor());
         let held = judge(&upper, &predicted, &measured).unwrap();
         assert!((held.coverage - 0.95).abs() < 0.004, "{}", held.coverage);

@@ -31,7 +31,7 @@ pub struct WarmLatency {
     pub seconds: f64,
     /// Median seconds of the network alone, included in `seconds`.
     pub network_seconds: f64,
-    /// Median seconds of the work per transfer function; 0 where the model does not use it.
+    /// Median seconds of the work per transfer function; 0 if the model uses no scene features.
     pub transfer_seconds: f64,
 }
 
@@ -47,8 +47,8 @@ const KINDS: [Kind; 6] = [
     ("coarser than the reference step", |f| f.scene.step > 1.0),
 ];
 
-/// Errors by image size, distance of the eye (near or inside the volume), and ray step; kinds without frames
-/// are left out.
+/// Returns the errors by image size, distance of the eye (near or inside the volume), and ray step. Kinds
+/// without frames are left out.
 pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
     let errors = |(name, test): Kind| {
         let (p, t): (Vec<f64>, Vec<f64>) = frames
@@ -62,8 +62,8 @@ pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> V
     KINDS.into_iter().filter_map(errors).collect()
 }
 
-/// The noise floor of frames of each kind; kinds without repeated frames are left out. `passes` as for
-/// [`noise_floor`].
+/// Returns the noise floor of the frames of each kind; kinds without repeated frames are left out. `passes`:
+/// as in [`noise_floor`].
 pub fn noise_by_kind(
     frames: &[&TimedFrame],
     clock: Clock,
@@ -76,7 +76,8 @@ pub fn noise_by_kind(
     KINDS.into_iter().filter_map(floor).collect()
 }
 
-/// For each frame, the mean time of a random share of its volume's frames; the share may include the frame.
+/// Returns for each frame the mean time of a random share of its volume's frames. The share may include the
+/// frame itself.
 pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f64> {
     let mut by_volume: BTreeMap<(usize, &str), Vec<usize>> = BTreeMap::new();
     for (i, f) in frames.iter().enumerate() {
@@ -96,7 +97,7 @@ pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f
     means
 }
 
-/// Warm latency over frames of the first volume: the median over many calls of each stage.
+/// Measures the warm latency on frames of the first volume: the median over many calls of each stage.
 ///
 /// # Errors
 /// When the model uses scene features and the volume's file is missing: stored features cannot be timed.
@@ -197,8 +198,8 @@ pub fn warm_latency(
     Ok(WarmLatency { seconds: middle(all), network_seconds, transfer_seconds: middle(transfer_times) })
 }
 
-/// Seconds that a session predicts: it plans and observes the frames in their order, as a render loop would,
-/// so later predictions use the observations of earlier frames.
+/// Returns the seconds that a session predicts. The session plans and observes the frames in their order, as
+/// in a render loop, so later predictions use the observations of earlier frames.
 ///
 /// # Errors
 /// When a volume is not found or the model predicts no times.

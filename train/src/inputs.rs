@@ -27,10 +27,10 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// An encoder from checked weights.
+    /// Returns an encoder from checked weights.
     ///
     /// # Errors
-    /// As [`VolumeNet::new`].
+    /// When the blocks of the network do not fit together, or it needs too much memory.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {
         Ok(Self { id: encoder_id(parts), net: VolumeNet::new(parts)? })
     }
@@ -44,7 +44,7 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// A layout for a new model. `lobes` is the number of Gaussian lobes of the transfer functions.
+    /// Returns a layout for a new model. `lobes` is the number of Gaussian lobes of the transfer functions.
     ///
     /// # Errors
     /// When a group appears twice or none is given, volume features are requested without an encoder, or
@@ -59,29 +59,30 @@ impl Layout {
         Ok(Self { layout: InputLayout::new(groups, scene_features, lobes, volume_features)?, encoder })
     }
 
-    /// The layout of a model file.
+    /// Returns the layout of a model file.
     ///
     /// # Errors
-    /// When it holds no PredNet, an input group is unknown, or volume features are needed and the file has no
-    /// VolumeNet.
+    /// When the file contains no PredNet, an input group is unknown, or volume features are needed and the
+    /// file has no VolumeNet.
     pub fn of_model(model: &Model) -> Result<Self> {
         ensure!(model.prednet().is_some(), "the model file holds no PredNet");
         let layout = InputLayout::of_model(model)?;
         let encoder = model.volumenet().map(Encoder::new).transpose()?;
         ensure!(
             encoder.is_some() || layout.groups.iter().all(|g| g.0 != GroupKind::VolumeFeatures),
-            "the model takes volume_features and its file holds no VolumeNet; write both into one file"
+            "the model takes volume_features and its file holds no VolumeNet; put both into one file"
         );
         Ok(Self { layout, encoder })
     }
 
-    /// The same with another number of rays along each side of the probe; unchanged where no input needs one.
+    /// Returns the layout with another number of rays along each side of the probe; unchanged if no input
+    /// needs a probe.
     pub fn with_probe_side(self, probe_side: usize) -> Self {
         let probe_side = if self.layout.probe_side > 0 { probe_side } else { 0 };
         Self { layout: InputLayout { probe_side, ..self.layout }, ..self }
     }
 
-    /// The same, with Gaussian lobes sorted by center or in their given order.
+    /// Returns the layout with Gaussian lobes sorted by center, or in their given order.
     pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
         Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
     }
@@ -91,7 +92,7 @@ impl Layout {
         self.layout.sorted_lobes
     }
 
-    /// Rays along each side of the probe; 0 where no input needs it.
+    /// Number of rays along each side of the probe; 0 if no input needs a probe.
     pub fn probe_side(&self) -> usize {
         self.layout.probe_side
     }
@@ -101,7 +102,7 @@ impl Layout {
         self.layout.width()
     }
 
-    /// The same, with these unit costs for `estimated_seconds`.
+    /// Returns the layout with these unit costs for the quantity `estimated_seconds`.
     pub(crate) fn with_unit_costs(self, costs: UnitCosts) -> Self {
         Self { layout: InputLayout { unit_costs: Some(costs), ..self.layout }, ..self }
     }
@@ -109,7 +110,7 @@ impl Layout {
     /// Puts a network with this layout into a model file.
     ///
     /// # Errors
-    /// As [`InputLayout::store`].
+    /// When the parts of the network do not fit together or a weight overflows its format.
     pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
         Ok(self.layout.store(net, file)?)
     }
@@ -140,15 +141,16 @@ impl Layout {
     /// Writes one frame's inputs.
     ///
     /// # Errors
-    /// When a group's size is not the model's (another number of lobes, for example).
+    /// When the size of a group differs from the model's size (another number of lobes, for example).
     pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
         Ok(self.layout.write(inputs, row)?)
     }
 
-    /// Inputs of frames, one row each, in their order.
+    /// Returns the inputs of frames, one row each, in the order of the frames.
     ///
     /// # Errors
-    /// As [`measure`]; also when a frame lacks what a group needs.
+    /// When a volume is not found or has another size than the table states, or a frame lacks what a group
+    /// needs.
     pub fn rows(
         &self,
         tables: &[Table],
@@ -177,7 +179,7 @@ impl Layout {
 }
 
 impl Layout {
-    /// Rows from the feature tables; `None` where any value is missing.
+    /// Returns rows from the feature tables; `None` if any value is missing.
     pub fn rows_beside(&self, tables: &[Table], frames: &[&TimedFrame]) -> Option<Vec<f32>> {
         let mut out = vec![0.0; frames.len() * self.width()];
         let mut current: Option<(usize, KeptColumns<'_>)> = None;
@@ -191,7 +193,7 @@ impl Layout {
         Some(out)
     }
 
-    /// Columns of a table's feature table; `None` where any is missing.
+    /// Returns the columns of a table's feature table; `None` if a column is missing.
     fn kept_columns<'a>(&self, table: &'a Table) -> Option<KeptColumns<'a>> {
         let features = table.features.as_ref()?;
         let column = |q: SceneQuantity| features.column(&quantity_column(q, self.probe_side()));
@@ -276,13 +278,13 @@ impl InputValues for KeptValues<'_> {
     }
 }
 
-/// Calls `f` with the inputs of each frame, as known before it is drawn, in parallel over the frames of a
-/// volume, one volume after another; returns the results in the frames' order. `probe_side` goes to
-/// [`FrameFeatures::with_probe_side`]; if it is `None`, the scene features are empty, and volumes are opened
-/// only for an encoder.
+/// Calls `f` with the inputs of each frame, as known before the frame is drawn. Returns the results in the
+/// order of the frames. Volumes are processed one after another, the frames of a volume in parallel.
+/// `probe_side` goes to [`FrameFeatures::with_probe_side`]. If it is `None`, the scene features are empty,
+/// and volumes are opened only for an encoder.
 ///
 /// # Errors
-/// When a volume is not found or has another size than the table says, or `f` fails.
+/// When a volume is not found or has another size than the table states, or `f` fails.
 pub fn measure<T: Send>(
     tables: &[Table],
     frames: &[&TimedFrame],
@@ -351,12 +353,12 @@ pub fn measure<T: Send>(
     results.into_iter().map(|r| r.context("a frame was left out")).collect()
 }
 
-/// Opens the volume that a frame names. It is enlarged if its size in the table is a whole multiple of its
-/// size in the file.
+/// Opens the volume that a frame names. The volume is enlarged if its size in the table is a whole multiple
+/// of its size in the file.
 ///
 /// # Errors
-/// When it is not found, cannot be read, has another size than the table says, or changed after its frames
-/// were measured.
+/// When the volume is not found, cannot be read, has another size than the table states, or has changed since
+/// its frames were measured.
 pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
@@ -394,7 +396,8 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
     );
 }
 
-/// The numbers that unit costs multiply: 1 for the frame, then values of [`COST_QUANTITIES`], in their order.
+/// Returns the numbers that are multiplied by unit costs: 1 for the frame, then the values of
+/// [`COST_QUANTITIES`] in their order.
 pub fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
     let mut work = [1.0; COSTS];
     for (slot, count) in work[1..].iter_mut().zip(counts) {
@@ -403,7 +406,7 @@ pub fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
     work
 }
 
-/// Seconds that unit costs give for values of [`COST_QUANTITIES`], in their order.
+/// Returns the seconds that unit costs give for values of [`COST_QUANTITIES`], in their order.
 pub(crate) fn seconds_of(costs: &UnitCosts, counts: &[f32]) -> f64 {
     costs.0[0] + costs.0[1..].iter().zip(counts).map(|(c, &v)| c * f64::from(v)).sum::<f64>()
 }

@@ -1,4 +1,4 @@
-//! A predictor in place of a renderer, for distillation: a frame costs only its prediction.
+//! A predictor in place of a renderer, for distillation: a frame takes only the time of a prediction.
 
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Frame, Skipping, TransferTable, VolumeView};
@@ -6,7 +6,7 @@ use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, V
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
 
-/// Draws nothing; the time by every clock is the model's prediction.
+/// Renderer that draws nothing. Its time by every clock is the model's prediction.
 pub struct Teacher {
     name: String,
     predictor: Box<dyn Predictor + Send>,
@@ -16,7 +16,7 @@ pub struct Teacher {
 }
 
 impl Teacher {
-    /// A teacher named `name` from a model on scene features only.
+    /// Returns a teacher named `name` from a model whose only inputs are scene features.
     ///
     /// # Errors
     /// When the model predicts no times, or needs inputs that a renderer does not get (volume features,

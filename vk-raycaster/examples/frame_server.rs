@@ -4,12 +4,14 @@
 //!
 //! ```text
 //! make noise|vessels N FILE             writes a generated volume of N³ raw bytes
-//! volume FILE NX NY NZ SX SY SZ         loads raw bytes with their spacing; seconds of each part
+//! volume FILE NX NY NZ SX SY SZ         loads raw bytes with their spacing; returns the seconds of each part
 //! transfer NAME FILE                    sets transparent|medium|opaque|scan, writes its table (256 RGBA, f32)
-//! camera RX RY DZ WIDTH HEIGHT          eye, forward and up in world units (corner of the box at the origin)
-//! frame none|blocks|distance            renders; seconds by each clock
-//! flight none|blocks|distance N         renders N frames one by one, then with two in flight; seconds of each
-//! counts none|blocks|distance           renders and counts
+//! camera RX RY DZ WIDTH HEIGHT          sets the camera; returns eye, forward and up in world units, with
+//!                                       the origin at a corner of the box
+//! frame none|blocks|distance            renders; returns the seconds by each clock
+//! flight none|blocks|distance N         renders N frames one by one, then with two in flight; returns the
+//!                                       seconds of both
+//! counts none|blocks|distance           renders; returns the counts of rays, samples and skips
 //! image none|blocks|distance FILE       renders and writes RGB bytes, over black, rows from the top
 //! ```
 

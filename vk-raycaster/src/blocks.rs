@@ -12,7 +12,7 @@ pub const BLOCK_EDGE: usize = 8;
 /// Allowed block edges, in cells. Small blocks skip more of the empty space; large blocks make a smaller map.
 pub const BLOCK_EDGES: [usize; 3] = [4, 8, 16];
 
-/// Checks a user's choice of the edge.
+/// Checks a block edge that a user chose.
 pub(crate) fn check_edge(edge: usize) -> Result<()> {
     if BLOCK_EDGES.contains(&edge) {
         return Ok(());
@@ -49,7 +49,7 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edg
     let mut out = vec![[0.0; 2]; dims[0] * dims[1] * dims[2]];
     out.par_chunks_mut(dims[0]).enumerate().for_each(|(row, out)| {
         let (by, bz) = (row % dims[1], row / dims[1]);
-        // Per block of the row: the extremes over its rows of voxels so far.
+        // For each block of the row: minimum and maximum of the voxels visited so far.
         let mut ends: Vec<Option<(V, V)>> = vec![None; dims[0]];
         for z in bz * edge..=((bz + 1) * edge).min(nz - 1) {
             for y in by * edge..=((by + 1) * edge).min(ny - 1) {
@@ -84,7 +84,7 @@ pub(crate) struct SkipMap {
 }
 
 impl SkipMap {
-    /// Makes a map of empty blocks in which all distances are 1.
+    /// Makes a map that marks the empty blocks; all its distances are 1.
     pub(crate) fn occupancy(blocks: &BlockMap, classifier: &Classifier) -> Self {
         let bytes = blocks
             .ranges
@@ -111,7 +111,7 @@ impl SkipMap {
     }
 }
 
-/// Chebyshev distance of every block to the nearest block whose bit 7 equals `kind`, at most
+/// Returns the Chebyshev distance of every block to the nearest block whose bit 7 equals `kind`, at most
 /// [`MAX_DISTANCE`].
 ///
 /// With d(x) the distances so far, a pass replaces d(x) by the minimum over x' of max(d(x'), |x − x'|) along
@@ -159,8 +159,8 @@ mod tests {
     fn blocks_hold_their_voxels_and_one_layer_more() {
         let dims = [17, 9, 8];
         let mut data = vec![10u8; 17 * 9 * 8];
-        data[8] = 99; // x = 8: apron of block 0, inside block 1
-        data[16 + 17 * 8] = 1; // x = 16, y = 8: the corner of the last block, apron of its neighbors
+        data[8] = 99; // x = 8: inside block 1, in the extra layer of block 0
+        data[16 + 17 * 8] = 1; // x = 16, y = 8: inside the last block, in its neighbors' extra layers
         let map = block_map(&data, dims);
         assert_eq!(map.dims, [3, 2, 1]);
         assert_eq!(map.ranges[0], [10.0, 99.0]);

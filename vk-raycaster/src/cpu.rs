@@ -235,8 +235,8 @@ impl<V: Voxel> Caster<'_, V> {
         sum
     }
 
-    /// The run of samples from `k` on that are all skipped or all taken. Returns true if they are skipped,
-    /// and the number of the first sample after the run.
+    /// Finds the run of samples from `k` on that are all skipped or all taken. Returns true if they are
+    /// skipped, and the number of the first sample after the run.
     fn segment(
         &self,
         first: &[f32; 3],
@@ -259,7 +259,7 @@ impl<V: Voxel> Caster<'_, V> {
         let distance = if empty && self.frame.skipping == Skipping::Blocks { 1 } else { entry & !EMPTY_BIT };
         let mut exit = f32::INFINITY;
         for a in 0..3 {
-            // The face through which the ray leaves the cube of blocks around this one.
+            // The face through which the ray leaves the cube of blocks around this block.
             let face = if advance[a] > 0.0 {
                 (block[a] as f32 + f32::from(distance)) * edge + 0.5
             } else {
@@ -307,7 +307,7 @@ impl<V: Voxel> Caster<'_, V> {
         [0, 1, 2, 3].map(|c| a[c] + f * (b[c] - a[c]))
     }
 
-    /// Blinn–Phong with a head light.
+    /// Returns `color` with Blinn–Phong lighting by a headlight, which shines along the ray.
     fn light(&self, p: &[f32; 3], view: &[f32; 3], color: [f32; 3]) -> [f32; 3] {
         let gradient = [0, 1, 2].map(|a| {
             let (mut before, mut after) = (*p, *p);
@@ -330,7 +330,7 @@ impl<V: Voxel> Caster<'_, V> {
         color.map(|c| (c * diffuse + specular).min(1.0))
     }
 
-    /// Single scattering with a shadow ray towards the light.
+    /// Returns `color` after single scattering: a shadow ray towards the light attenuates it.
     fn scatter(&self, p: &[f32; 3], color: [f32; 3], counts: &mut WorkCounts) -> [f32; 3] {
         let s = self.setup;
         let mut exit = f32::INFINITY;

@@ -8,7 +8,7 @@ pub struct Error {
     message: String,
 }
 
-/// Shorthand used throughout the crate.
+/// Result with this crate's error.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {

@@ -1,8 +1,8 @@
 //! The reference volume raycaster whose frame times entire predicts: a compute shader on Vulkan, and a CPU
 //! version of it (the *twin*) that renders the same picture and counts every sample.
 //!
-//! Both implement [`Renderer`]. This crate depends on `entire_core::scene` only and knows nothing of
-//! prediction, so its times are independent of the predictor.
+//! Both implement [`Renderer`]. Of the project's crates, this crate uses only `entire_core::scene`, so its
+//! times are independent of the predictor.
 //!
 //! # Definition of the picture
 //!
@@ -22,23 +22,24 @@
 //! voxels keep their stored precision; where the range is narrower than the data they are requantized to 16
 //! bits over the range.
 //!
-//! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities are
-//! corrected to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities below
-//! 1/32768 per reference step count as zero ([`TransferTable::is_visible`](entire_core::scene::TransferTable::is_visible)),
-//! so that the tails of a Gaussian lobe leave empty space to skip.
+//! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities α are
+//! corrected to the step: α′ = 1 − (1 − α)^(δ / unit distance). Opacities below 1/32768 per reference step
+//! count as zero ([`TransferTable::is_visible`](entire_core::scene::TransferTable::is_visible)), so that the
+//! tails of a Gaussian lobe leave empty space to skip.
 //!
-//! *Compositing.* Front to back, C += (1 − A)·α′·c, A += (1 − A)·α′. The ray stops once A reaches the frame's
-//! termination opacity; 1 means never. The image holds C and A, 8 bits each, over black.
+//! *Compositing.* Each sample, with color c, is added to the ray's color C and opacity A, from front to back:
+//! C += (1 − A)·α′·c, A += (1 − A)·α′. The ray stops once A reaches the frame's termination opacity; 1 means
+//! never. The image holds C and A, 8 bits each, over black.
 //!
-//! *Local shading.* Samples with α′ > 0 are lit by a head light: gradient g by central differences over one
-//! voxel along each axis (in world proportions), N·L = |g·v| / |g| with v the ray's direction, c ← c·(0.3 +
-//! 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v). Where the gradient is zero, c is
-//! unchanged.
+//! *Local shading.* Samples with α′ > 0 are lit by a headlight, which shines along the ray: gradient g by
+//! central differences over one voxel along each axis (in world proportions), N·L = |g·v| / |g| with v the
+//! ray's direction, c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v).
+//! Where the gradient is zero, c is unchanged.
 //!
 //! *Single scattering.* Each sample with α′ > 0 casts a shadow ray towards a directional light that is fixed
 //! in scene space ([`LIGHT_DIRECTION`]). The shadow ray is sampled every [`SHADOW_STEP`] steps, for the first
-//! time at that distance from the sample: T ← T·(1 − α′)^[`SHADOW_STEP`], until the ray leaves the box or T
-//! falls below 0.25. c ← c·(0.25 + 0.75·T).
+//! time at that distance from the sample. Its transmittance T is 1 at first; T ← T·(1 − α′)^[`SHADOW_STEP`]
+//! at each sample, until the ray leaves the box or T falls below 0.25. Then c ← c·(0.25 + 0.75·T).
 //!
 //! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`] (a cell lies between
 //! eight voxel centers), store the smallest and largest value of their samples; a block is empty when the

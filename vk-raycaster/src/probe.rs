@@ -44,14 +44,14 @@ pub struct Probe {
     pub limits: Option<DeviceLimits>,
     /// Agreement of this renderer's frame with the CPU version's.
     pub agreement: Agreement,
-    /// Quality of device timestamps; `None` where there are none.
+    /// Quality of device timestamps; `None` if there are none.
     pub timestamps: Option<TimestampQuality>,
     /// Time of a frame of 64 × 64 pixels in which every ray misses the volume, in seconds: the fixed cost of
     /// a frame.
     pub frame_seconds: f64,
     /// Rays per second that end at their first sample.
     pub rays_per_second: f64,
-    /// Samples per second of parallel rays of equal length, none of which skips or stops.
+    /// Samples per second of nearly parallel rays of equal length, none of which skips or stops.
     pub coherent_samples_per_second: f64,
     /// Samples per second of rays that diverge, start with a random offset and end at random depths.
     pub divergent_samples_per_second: f64,
@@ -143,7 +143,7 @@ fn frame(pose: (f32, f32, f32), fov: f32, edge: u32) -> Result<Frame> {
         .map_err(from_core)
 }
 
-/// A frame of a camera with its back to the volume.
+/// Returns a frame of a camera that looks away from the volume.
 fn turned_away(edge: u32) -> Result<Frame> {
     Camera::from_world_view(Mat4::from_translation(Vec3::new(0.0, 0.0, 3.0)), Vec3::ZERO, 1.0)
         .and_then(|c| Frame::new(c, edge, edge))
@@ -178,7 +178,8 @@ fn agree(renderer: &mut dyn Renderer, view: &VolumeView<'_>) -> Result<Agreement
     })
 }
 
-/// Ratio of device to host times, and its spread.
+/// Returns the ratio of device to host times and the spread of the device times, or `None` without device
+/// times.
 fn quality(times: &[FrameTime]) -> Option<TimestampQuality> {
     let device: Vec<f64> = times.iter().filter_map(|t| t.device).collect();
     let (low, high) = device.iter().fold((f64::INFINITY, 0.0f64), |(l, h), &t| (l.min(t), h.max(t)));
@@ -271,7 +272,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         }
         Err(Error::new(format!(
             "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than its other \
-             parts; probe with longer frames, on a machine at rest",
+             parts together; probe with longer frames, on an idle machine",
             options.frame_seconds * 1e3,
             seconds * -1e3
         )))
@@ -316,8 +317,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         frame: |edge| Ok(Frame { skipping: Skipping::Blocks, ..frame((20.0, 30.0, 50.0), 2.0, edge)? }),
         grows: true,
     })?;
-    // The time of a ray includes one sample. Here it stands for the ray's first skip, so one skip per ray is
-    // subtracted.
+    // The time of a ray includes one sample. In this scene, the ray's first skip replaces this sample, so one
+    // skip per ray is subtracted.
     let skips = counts.skips.saturating_sub(counts.rays) as f64 / rest("a frame of skips", seconds, &counts)?;
     Ok(Probe {
         device: renderer.device(),

@@ -128,7 +128,7 @@ pub trait Renderer {
         )))
     }
 
-    /// Kind and limits of the device; `None` where the renderer runs on the host.
+    /// Kind and limits of the device; `None` if the renderer runs on the host.
     fn limits(&self) -> Option<DeviceLimits> {
         None
     }

@@ -1,5 +1,5 @@
-//! Parameters that a frame hands to its rays: the shader reads them from a storage buffer, the CPU version
-//! from the struct.
+//! Parameters of a frame for its rays: the shader reads them from a storage buffer, the CPU version from the
+//! struct.
 
 use crate::error::{Error, Result};
 use crate::voxels::Geometry;
@@ -50,7 +50,7 @@ pub(crate) struct FrameSetup {
     pub(crate) gradient_scale: [f32; 3],
     /// First pixel row of the dispatch.
     pub(crate) tile_y: u32,
-    /// Voxels per shadow step.
+    /// Advance of a shadow ray per shadow step, in voxels.
     pub(crate) light: [f32; 3],
     /// First pixel column of the dispatch.
     pub(crate) tile_x: u32,
@@ -60,7 +60,7 @@ pub(crate) struct FrameSetup {
     pub(crate) tile_width: u32,
     /// Pixel rows of the dispatch's output.
     pub(crate) tile_height: u32,
-    /// 0 starts the rays, 1 continues where the dispatch before left them.
+    /// 0 starts the rays; 1 continues them where the previous dispatch stopped.
     pub(crate) resume: u32,
     /// Number of the sample at which the dispatch stops; with [`FAR`], the dispatch takes all remaining
     /// samples.
@@ -76,7 +76,7 @@ pub(crate) struct FrameSetup {
     pub(crate) pad_low: f32,
     pub(crate) brick_high: [f32; 3],
     pub(crate) pad_high: f32,
-    /// First voxel of the brick's texture, and voxels along each of its axes.
+    /// First voxel of the brick's texture, and number of voxels along each axis of the texture.
     pub(crate) brick_origin: [f32; 3],
     pub(crate) pad_origin: f32,
     pub(crate) brick_dims: [f32; 3],

@@ -21,7 +21,7 @@ impl Classifier {
         Self { table: table.clone(), visible_before }
     }
 
-    /// The table for a ray step of `step` reference steps.
+    /// Returns the table for a ray step of `step` reference steps.
     pub(crate) fn step_table(&self, step: f32) -> Box<StepTable> {
         let mut out = self.table.corrected(step);
         for (i, corrected) in out.iter_mut().enumerate() {

@@ -89,7 +89,7 @@ fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     }
 }
 
-/// 16-bit integers minus their minimum: the differences always fit into `u16`.
+/// Returns 16-bit integers minus their minimum, and the minimum. The differences always fit into `u16`.
 fn less_minimum<T: Copy + Send + Into<i32>>(voxels: Vec<T>, minimum: i32) -> (Voxels, i32)
 where
     Vec<T>: IntoParallelIterator<Item = T>,

@@ -1,5 +1,5 @@
-//! Devices that are lost, devices that hang and slow devices: an error, never a panic, never an endless wait,
-//! and a new renderer can be opened. A slow device gets smaller tiles. The device is a real one whose
+//! Checks that a device that is lost or hangs gives an error, never a panic or an endless wait, and that a
+//! new renderer can be opened; and that a slow device gets smaller tiles. The device is a real device whose
 //! functions fail from a given call on, or report long times. Without a Vulkan device every test is reported
 //! as ignored.
 
@@ -30,7 +30,7 @@ enum Fault {
 /// Ticks of a slow dispatch: more than half a second, if a tick is longer than 0.06 ns.
 const SLOW_TICKS: u64 = 1 << 33;
 
-/// Time limit of a submission in these tests: the mock sees it, but nobody waits for it.
+/// Time limit of a submission in these tests; the mock records it and does not wait.
 const WAIT: Duration = Duration::from_secs(20);
 
 thread_local! {
@@ -43,7 +43,7 @@ thread_local! {
     static DEVICE: RefCell<Option<ash::Device>> = const { RefCell::new(None) };
 }
 
-/// Resets the counters.
+/// Sets the fault and resets the counters.
 fn set(fault: Fault) {
     FAULT.set(fault);
     CALLS.set((0, 0));
@@ -66,7 +66,7 @@ fn settle() {
     });
 }
 
-/// Result of a call instead of the device's.
+/// Counts a call, and returns the result that replaces the device's result if the fault occurs.
 fn fault(waits: bool) -> Option<vk::Result> {
     let (calls, waited) = CALLS.get();
     CALLS.set((calls + 1, waited + usize::from(waits)));
@@ -202,7 +202,7 @@ fn options() -> Result<VulkanOptions, Failed> {
 }
 
 fn open() -> Result<VulkanRaycaster, Failed> {
-    // SAFETY: the functions pass their arguments on to the device's own or answer with an error.
+    // SAFETY: the functions pass their arguments on to the device's own functions or return an error.
     Ok(unsafe { VulkanRaycaster::with_device_functions(options()?, &wrap) }?)
 }
 
@@ -210,7 +210,8 @@ fn small_frame() -> Frame {
     frame(20.0, 35.0, 2.5, 19, 13)
 }
 
-/// All uses of a device by a renderer: volume, transfer function, a frame in flight, a frame.
+/// Uses a renderer in every way: sets volume and transfer function, draws a frame in flight and a frame.
+/// Returns the picture.
 fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
     let dims = [9, 8, 7];
     let voxels = field_bytes(dims);
@@ -223,7 +224,7 @@ fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
     Ok(rendered.image)
 }
 
-/// Numbers of calls and waits of a device without faults, and its picture.
+/// Returns the numbers of calls and waits of a device without faults, and its picture.
 fn sound() -> Result<(usize, usize, Image), Failed> {
     set(Fault::Sound);
     let mut gpu = open()?;
@@ -240,7 +241,8 @@ fn new_renderer_draws(image: &Image) -> Outcome {
     Ok(())
 }
 
-/// The device is lost in every call in turn, from the first that opens it on.
+/// In each pass, the device is lost in another call, from the first call that opens it on. Checks the errors,
+/// and that the device is freed.
 fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     let (calls, _, image) = sound()?;
     assert!(calls > 50, "{calls} calls");
@@ -273,7 +275,7 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     new_renderer_draws(&image)
 }
 
-/// Frames in flight when the device is lost.
+/// Checks that each frame in flight fails with an error when the device is lost.
 fn frames_in_flight_of_a_lost_device_fail_one_by_one() -> Outcome {
     let (_, _, image) = sound()?;
     let mut gpu = open()?;
@@ -299,7 +301,7 @@ fn frames_in_flight_of_a_lost_device_fail_one_by_one() -> Outcome {
     new_renderer_draws(&image)
 }
 
-/// Each wait in turn does not end.
+/// In each pass, another wait does not end. Checks that the device is then only polled and never freed.
 fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
     let (_, waits, image) = sound()?;
     assert!(waits >= 4, "{waits} waits");
@@ -338,7 +340,8 @@ fn a_device_that_answers_again_renders_again() -> Outcome {
     Ok(())
 }
 
-/// Without a mock: a frame that exceeds the time limit, given up while the device works on it.
+/// Checks, without the mock, that a frame that exceeds the time limit is given up while the device works on
+/// it.
 fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
     let options = VulkanOptions { longest_wait: Some(Duration::from_nanos(1)), ..VulkanOptions::from_env()? };
     let mut gpu = VulkanRaycaster::new(options)?;
@@ -360,8 +363,8 @@ fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
     Ok(())
 }
 
-/// A frame of four tiles in which every dispatch is slow halves the tiles once. The first dispatch of a
-/// shader does not count, since the driver compiles the shader in it.
+/// Checks that a frame of several tiles in which every dispatch is slow halves the tiles once. The first
+/// dispatch of a shader does not count, since the driver compiles the shader in it.
 fn slow_frames_halve_the_tiles_once_each() -> Outcome {
     set(Fault::Slow);
     let slow = VulkanOptions { tile: Some(256), ..options()? };

@@ -1,4 +1,4 @@
-//! The CPU version against closed forms and against itself.
+//! Compares the CPU version with closed forms and with itself.
 
 mod common;
 
@@ -28,7 +28,7 @@ fn mean_difference(a: &[[f32; 4]], b: &[[f32; 4]]) -> f32 {
     sum / (4 * a.len()) as f32
 }
 
-/// Looks along −z through the middle of a 1 × 1 image.
+/// Returns a frame of one ray, which goes along −z through the volume's center.
 fn central_ray(dz: f32) -> Frame {
     Frame { skipping: Skipping::None, termination: 1.0, ..Frame::new(camera(0.0, 0.0, dz), 1, 1).unwrap() }
 }
@@ -41,7 +41,7 @@ fn homogeneous_slab_absorbs_by_its_thickness() {
             let r = twin(&bytes(&data, [n, n, n]), &constant(alpha));
             for step in [0.5, 1.0, 3.0] {
                 let (p, counts) = r.render_linear(&Frame { step, ..central_ray(3.0) }).unwrap();
-                // Samples at half steps cover the slab up to half a step at its far end.
+                // Samples lie in the middle of their steps; a last step of less than a half has no sample.
                 let taken = (n as f64 / f64::from(step) - 0.5).ceil();
                 assert_eq!(counts.samples as f64, taken, "{n} {step}");
                 let want = 1.0 - (1.0 - f64::from(alpha)).powf(taken * f64::from(step));
@@ -56,8 +56,8 @@ fn homogeneous_slab_absorbs_by_its_thickness() {
 
 #[test]
 fn parallel_rays_take_the_samples_of_their_chords() {
-    // Along an axis every ray crosses the whole box: n / step samples each, whatever the distance, in as many
-    // pixels as the box's face covers.
+    // Along an axis, every ray crosses the whole box: it takes n / step samples at any distance. The rays
+    // fill the pixels that the box's face covers.
     let (n, alpha) = (32usize, 0.05f32);
     let data = vec![100u8; n * n * n];
     let r = twin(&bytes(&data, [n; 3]), &constant(alpha));
@@ -297,7 +297,8 @@ fn transparent_tables_give_black_and_opaque_ones_stop_at_the_first_sample() {
 #[test]
 fn camera_inside_sees_only_what_lies_ahead() {
     let n = 32usize;
-    // The camera stands at z = 16. Behind it, from z = 18 on, everything is bright; ahead lies a dim medium.
+    // The camera is at z = 16. Behind it, from z = 18 on, everything is bright; ahead of it lies a dim
+    // medium.
     let data: Vec<u8> = (0..n).flat_map(|z| vec![if z >= 18 { 255 } else { 50 }; n * n]).collect();
     let mut rgba = [[0.0, 0.0, 1.0, 0.05]; TABLE_LEN];
     for e in &mut rgba[200..] {

@@ -1,5 +1,5 @@
-//! The Vulkan renderer against its CPU version, under the validation layer if it is installed. Without a
-//! Vulkan device every test is reported as ignored.
+//! Compares the Vulkan renderer with its CPU version, under the validation layer if it is installed. Without
+//! a Vulkan device every test is reported as ignored.
 
 mod common;
 
@@ -13,9 +13,9 @@ use entire_vk_raycaster::{
 };
 use libtest_mimic::{Arguments, Failed, Trial};
 
-/// Largest difference of a channel between device and CPU version, in units of 1/255.
+/// Upper bound of the difference of a channel between device and CPU version, in units of 1/255.
 const LARGEST: u8 = 2;
-/// Largest mean difference over all channels, in units of 1/255.
+/// Upper bound of the mean difference over all channels of an image, in units of 1/255.
 const MEAN: f64 = 0.1;
 
 type Outcome = Result<(), Failed>;
@@ -120,7 +120,7 @@ impl Data {
     }
 }
 
-/// Differences between two images in units of 1/255: the largest of any channel, and the mean.
+/// Returns the differences between two images in units of 1/255: the largest of any channel, and the mean.
 fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
     assert_eq!(a.len(), b.len());
     let largest = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or(0);
@@ -131,7 +131,7 @@ fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
 const SHADINGS: [Shading; 3] = [Shading::None, Shading::Local, Shading::Scatter];
 const SKIPPINGS: [Skipping; 3] = [Skipping::None, Skipping::Blocks, Skipping::Distance];
 
-/// Device against CPU version over all scenes and modes for one way to fetch voxels.
+/// Compares device and CPU version in all scenes and modes, with one source of voxels in the shader.
 fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     let mut gpu = open_validated(Some(fetch))?;
     let mut twin = CpuRaycaster::new();
@@ -167,8 +167,8 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     expect_silence(&gpu)
 }
 
-/// The device's arithmetic may decide differently about a few samples: those at the borders of the box and of
-/// blocks, and some that are barely visible.
+/// Checks that the counts of device and CPU version are close. They may differ in a few samples: those at the
+/// borders of the box and of blocks, and some that are barely visible.
 fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome {
     let close = |a: u64, b: u64, share: f64| a.abs_diff(b) as f64 <= 4.0 + share * b as f64;
     if close(device.rays, twin.rays, 0.01)
@@ -232,11 +232,11 @@ fn blocks_of_every_edge_match_the_twin() -> Outcome {
         }
     }
     if pictures.windows(2).any(|w| w[0] != w[1]) {
-        return Err("blocks of another edge draw another picture".into());
+        return Err("the picture depends on the edge of the blocks".into());
     }
     for renderer in [&mut gpu as &mut dyn Renderer, &mut twin] {
         if !renderer.set_block_edge(5).is_err_and(|e| e.to_string().contains("4, 8 or 16")) {
-            return Err("blocks of five cells".into());
+            return Err("blocks of five cells were accepted".into());
         }
     }
     expect_silence(&gpu)
@@ -281,8 +281,8 @@ fn skipping_changes_nothing() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Volumes that are larger than a texture: the texture limit is lowered so far that the test volume is cut
-/// into bricks.
+/// Compares volumes that are larger than a texture: the texture limit is lowered so far that the test volume
+/// is cut into bricks.
 fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     let validated = |validation| {
         let largest_texture = Some(21);
@@ -322,7 +322,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     }
     let scatter = gpu.render(&Frame { shading: Shading::Scatter, ..frame(0.0, 0.0, 3.0, 8, 8) });
     if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
-        return Err("single scattering in bricks".into());
+        return Err("single scattering in bricks was accepted".into());
     }
     // A smaller volume takes one texture again, and supports scattering.
     let small = Data::new([20, 21, 8]);
@@ -339,8 +339,8 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Regions have the pixels of the whole frame, and drawing into a picture on the device causes no validation
-/// message.
+/// Checks that regions have the pixels of the whole frame, and that drawing into a picture on the device
+/// causes no validation message.
 fn regions_are_parts_of_the_whole() -> Outcome {
     let mut gpu = open_validated(None)?;
     let data = field_bytes([40; 3]);
@@ -350,7 +350,7 @@ fn regions_are_parts_of_the_whole() -> Outcome {
     let whole = gpu.render(&f)?;
     let mut picture = Picture::new(&gpu.shared_device(), 80, 64)?;
     if !picture.is_fresh() {
-        return Err("a picture that nobody drew into".into());
+        return Err("a new picture is not fresh".into());
     }
     let mut samples = 0;
     for (x, y, width, height) in [(0, 0, 75, 20), (0, 20, 33, 41), (33, 20, 42, 41)] {
@@ -376,16 +376,17 @@ fn regions_are_parts_of_the_whole() -> Outcome {
     }
     let beyond = Region { x: 70, y: 0, width: 6, height: 1 };
     if gpu.render_region(&f, beyond).is_ok() || gpu.render_to(&f, beyond, &mut picture).is_ok() {
-        return Err("a region beyond the frame".into());
+        return Err("a region beyond the frame was accepted".into());
     }
     let large = frame(25.0, 70.0, 2.2, 90, 61);
     if gpu.render_to(&large, Region::whole(&large), &mut picture).is_ok() {
-        return Err("a frame beyond the picture".into());
+        return Err("a frame beyond the picture was accepted".into());
     }
     expect_silence(&gpu)
 }
 
-/// Several raycasters of one device, each in a thread, draw the same pictures as alone.
+/// Checks that several raycasters of one device, each in a thread, draw the same pictures as one raycaster
+/// alone.
 fn raycasters_share_a_device() -> Outcome {
     let gpu = open_validated(None)?;
     let device = gpu.shared_device();
@@ -405,13 +406,14 @@ fn raycasters_share_a_device() -> Outcome {
     });
     for (found, wanted) in together.into_iter().zip(alone) {
         if found? != wanted {
-            return Err("other pictures than alone".into());
+            return Err("the pictures differ from those of one raycaster alone".into());
         }
     }
     expect_silence(&gpu)
 }
 
-/// Frames in flight equal those of `render`, in order, whatever changes meanwhile.
+/// Checks that frames in flight equal the frames of `render`, in order, even if volume and transfer function
+/// change meanwhile.
 fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     let mut gpu = open_validated(None)?;
     let mut alone = open(VulkanOptions { count_work: true, ..Default::default() })?;
@@ -422,7 +424,7 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
         r.set_transfer(&medium())?;
     }
     if gpu.collect()?.is_some() {
-        return Err("a frame out of nothing".into());
+        return Err("a frame was collected, but none was enqueued".into());
     }
     let frames: Vec<Frame> = (0..7u16)
         .map(|i| {
@@ -436,7 +438,7 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     let mut wanted = std::collections::VecDeque::new();
     let check = |gpu: &mut VulkanRaycaster, wanted: &mut std::collections::VecDeque<_>| -> Outcome {
         let (found, want): (_, entire_vk_raycaster::Rendered) =
-            (gpu.collect()?.ok_or("no frame")?, wanted.pop_front().ok_or("a frame too many")?);
+            (gpu.collect()?.ok_or("no frame")?, wanted.pop_front().ok_or("more frames than enqueued")?);
         let timed = found.time.device.is_some() == gpu.has_timestamps() && found.time.wall > 0.0;
         if found.image != want.image || found.counts != want.counts || !timed {
             return Err(format!("{:?} {:?}", found.counts, want.counts).into());
@@ -447,7 +449,7 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
         if wanted.len() == VulkanRaycaster::FRAMES_IN_FLIGHT {
             match gpu.enqueue(f) {
                 Err(e) if e.to_string().contains("in flight") => {}
-                _ => return Err("more frames in flight than said".into()),
+                _ => return Err("more frames in flight than the maximum".into()),
             }
             check(&mut gpu, &mut wanted)?;
         }
@@ -472,18 +474,18 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     // One slot is free for a frame that is rendered in between.
     check(&mut gpu, &mut wanted)?;
     if gpu.render(&frames[0])?.image != alone.render(&frames[0])?.image {
-        return Err("rendered beside a frame in flight".into());
+        return Err("a frame that was rendered beside a frame in flight differs".into());
     }
     check(&mut gpu, &mut wanted)?;
     let large = frame(0.0, 0.0, 3.0, 4096, 8);
     if !gpu.enqueue(&large).is_err_and(|e| e.to_string().contains("several dispatches")) {
-        return Err("a frame of several tiles".into());
+        return Err("a frame of several tiles was enqueued".into());
     }
     expect_silence(&gpu)
 }
 
-/// Timed frames may use another shader variant than counted ones: rays of a subgroup skip together. The
-/// pictures have the same bits.
+/// Checks that frames with and without counts have the same bits. Frames without counts may use a shader
+/// variant in which the rays of a subgroup skip together.
 fn counting_changes_no_picture() -> Outcome {
     let mut gpu = open_validated(Some(VoxelFetch::Packed))?;
     let data = Data::new([37, 53, 29]);
@@ -528,7 +530,7 @@ fn counting_changes_no_picture() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Rays with more loop iterations than a software device allows.
+/// Compares rays that need more loop iterations than a software device allows in one dispatch.
 fn long_rays_are_cast_in_windows() -> Outcome {
     let mut gpu = open_validated(None)?;
     let mut twin = CpuRaycaster::new();
@@ -579,7 +581,7 @@ fn times_are_plausible() -> Outcome {
     }
     let r = gpu.render(&frame(10.0, 20.0, 2.5, 256, 256))?;
     if r.counts.is_some() {
-        return Err("counts without being asked".into());
+        return Err("counts that were not requested".into());
     }
     match r.time.device {
         Some(t) if gpu.has_timestamps() && t > 0.0 && t <= r.time.wall => Ok(()),
@@ -662,13 +664,13 @@ fn main() {
             {
                 Err(e) if e.to_string().contains("there are: 0: ") => Ok(()),
                 Err(e) => Err(e.to_string().into()),
-                Ok(_) => Err("opened".into()),
+                Ok(_) => Err("an unknown device was opened".into()),
             }
         }),
     ];
     let mut trials: Vec<Trial> =
         tests.into_iter().map(|(name, run)| Trial::test(name, run).with_ignored_flag(none)).collect();
-    // The other tests run without the layer if it is missing; this one reports it.
+    // The other tests run without the layer if it is missing; then this test is reported as ignored.
     trials.push(
         Trial::test("validation_layer_was_heard", || {
             let gpu = open(VulkanOptions { validation: true, ..Default::default() })?;

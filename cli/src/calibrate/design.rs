@@ -2,20 +2,20 @@
 //!
 //! The feature vector of a frame holds the constant 1, the standardized inputs of the prior's learned factor
 //! (if the prior has a learned factor), and the share of each kind of work in the expected time. The next
-//! frame is the one with the largest ratio of the gain in ln det of the information matrix to a power of its
-//! cost. No candidate needs to be rendered for this choice.
+//! frame is the one with the largest ratio of its information gain (increase of ln det of the information
+//! matrix) to a power of its expected seconds. No candidate needs to be rendered for this choice.
 
 use super::pool::Pool;
 use entire_steer::numeric::dot;
 #[cfg(test)]
 use entire_steer::numeric::solve;
 
-/// Exponent e of a frame's cost in seconds: frames are ranked by gain / seconds^e. 0 ignores the cost; 1
-/// leaves out the long frames, which dominate the root mean squared error. If the number of frames is the
-/// limit, and not the time, 0 is used instead.
+/// Exponent e of a frame's expected seconds: frames are ranked by information gain / seconds^e. With e = 0
+/// the seconds are ignored; e = 1 would leave out long frames, which dominate the root mean squared error. If
+/// the number of frames limits the calibration, and not the time, e is 0.
 const COST_EXPONENT: f64 = 0.5;
 
-/// Diagonal of the information matrix before any frame, so that it can be inverted.
+/// Diagonal of the initial information matrix, before any frame is chosen; it makes the matrix invertible.
 const RIDGE: f64 = 0.05;
 
 /// Chooses frames one by one.
@@ -28,7 +28,7 @@ pub(crate) struct Design {
 }
 
 impl Design {
-    /// An empty design.
+    /// Returns a design in which no frame is chosen; `costs` are the unit costs, in seconds.
     pub(crate) fn new(pool: &Pool, costs: &[f64]) -> Self {
         let vectors = vectors(pool, costs);
         let width = vectors.first().map_or(0, Vec::len);
@@ -40,7 +40,7 @@ impl Design {
         Self { vectors, inverse, width, taken }
     }
 
-    /// Gain of a frame in ln det of the information matrix.
+    /// Returns the increase of ln det of the information matrix if a frame is added.
     fn gain(&self, i: usize) -> f64 {
         let v = &self.vectors[i];
         let quadratic: f64 =
@@ -92,7 +92,7 @@ impl Design {
     }
 }
 
-/// The random candidates, in rounds with one candidate of each volume and enlargement.
+/// Returns the random candidates in rounds: each round contains one candidate of each volume and enlargement.
 fn random_order(pool: &Pool) -> Vec<usize> {
     let mut seen = std::collections::BTreeMap::new();
     let mut out: Vec<(usize, usize)> = pool
@@ -137,7 +137,8 @@ fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// ln det of the information matrix of some frames by its Cholesky factor, as an independent check.
+/// Returns ln det of the information matrix of frames, from its Cholesky factor: a check that does not use
+/// `Design`.
 #[cfg(test)]
 fn log_det(vectors: &[&Vec<f64>]) -> f64 {
     let m = vectors[0].len();

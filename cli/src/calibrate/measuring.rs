@@ -19,8 +19,8 @@ use indicatif::ProgressBar;
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
 
-/// Wall seconds of a frame above which no warm-up is discarded: its first rendering is not slower than the
-/// next.
+/// Shortest frame time, in wall seconds, at which no warm-up is discarded: the first rendering of such a
+/// frame is not slower than the second one.
 const LONG: f64 = 0.12;
 
 /// Standard deviation of ln(median time of a frame's repeats) below which two passes are enough.
@@ -29,7 +29,7 @@ const ENOUGH: f64 = 0.02;
 /// Minimum and maximum number of passes over a batch.
 const PASSES: (usize, usize) = (2, 4);
 
-/// Initial estimate of the seconds to switch volumes.
+/// Initial estimate of the time to pass another volume to the renderer, seconds.
 const SWITCH: f64 = 0.15;
 
 /// Maximum number of bytes of the volumes that stay in memory.
@@ -46,7 +46,7 @@ struct Visit {
 pub(crate) struct Measured {
     /// Every frame with its undisturbed repeats, or with all its repeats if none was undisturbed.
     pub(crate) frames: Vec<TimedFrame>,
-    /// Number of passes of each frame's repeats, by frame number.
+    /// Number of passes in which each frame's repeats were rendered, by frame number.
     pub(crate) passes: HashMap<u64, usize>,
     /// Load of other programs.
     pub(crate) others: BackgroundLoad,
@@ -76,7 +76,7 @@ pub(crate) struct Measuring<'a> {
 }
 
 impl<'a> Measuring<'a> {
-    /// A new measurement.
+    /// Returns a measurement in which nothing is rendered yet.
     pub(crate) fn new(
         settings: &'a Settings,
         pool: &'a Pool,
@@ -113,7 +113,8 @@ impl<'a> Measuring<'a> {
         self.scale * self.pool.expected[i]
     }
 
-    /// Numbers of discarded and timed renderings of a visit.
+    /// Returns the numbers of discarded and of timed renderings in the first pass over a frame of `wall`
+    /// expected seconds.
     fn renderings(wall: f64) -> (usize, usize) {
         match wall {
             w if w < 0.006 => (2, 3),
@@ -172,8 +173,8 @@ impl<'a> Measuring<'a> {
         groups.len()
     }
 
-    /// Renders a batch once, volume by volume. Every second pass runs backward, so that a drift of the
-    /// machine's speed is not confounded with the volumes.
+    /// Renders the frames of a batch, volume by volume. Every second pass takes the volumes in reverse order,
+    /// so that a drift of the machine's speed is not mistaken for a difference between volumes.
     fn pass(&mut self, batch: &[usize], pass: usize) -> Result<()> {
         let mut groups: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
         for &i in batch {
@@ -207,7 +208,8 @@ impl<'a> Measuring<'a> {
             }
             let (wall, others) = snapshot.others();
             self.others.add(wall, others);
-            // The counters have a resolution of 0.01 s, too coarse for shorter stretches.
+            // The counters of processor time have a resolution of 0.01 s, too coarse for stretches of less
+            // than 0.1 s.
             let disturbed = wall > 0.1 && others.is_some_and(|o| o > super::others::DISTURBED);
             for (i, repeats) in seen {
                 self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
@@ -238,13 +240,14 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// Renders a frame; `None` if the time ran out or `stop` returned true before the last repeat.
+    /// Renders a frame and returns the times of its repeats; `None` if the time ran out or `stop` returned
+    /// true before the last repeat.
     fn visit(&mut self, i: usize) -> Result<Option<Vec<Timing>>> {
         let scene = &self.pool.candidates[i].scene;
         let place = || format!("{}, calibration frame {i}", scene.volume);
         let frame = scene.to_frame().with_context(place)?;
         self.renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
-        // The frame's measured time, from an earlier pass, is more exact than the expected one.
+        // The frame's measured time, from an earlier pass, is more exact than the expected time.
         let seen = self.visits.get(&i).and_then(|v| v.first()?.repeats.first()?.wall);
         let (mut discard, timed) = match self.visits.get(&i) {
             Some(v) => (usize::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),

@@ -65,7 +65,7 @@ pub(crate) struct Settings {
     pub(crate) steps: Vec<f32>,
     /// Seed of every random choice.
     pub(crate) seed: u64,
-    /// Error measure between a picture and the one at full quality.
+    /// Error measure between a picture and the picture at full quality.
     pub(crate) picture_error: PictureError,
 }
 
@@ -90,7 +90,7 @@ impl Settings {
     }
 }
 
-/// A machine's model.
+/// Result of a calibration.
 pub(crate) struct Calibrated {
     /// The model file.
     pub(crate) file: ModelFile,
@@ -179,7 +179,8 @@ pub(crate) fn calibrate(
             })
         })
         .collect::<Result<_>>()?;
-    // Designed frames are extreme; the randomly drawn ones represent users' frames.
+    // Frames chosen by design are extreme; random frames represent users' frames. So the error is measured on
+    // random frames alone if there are at least 20.
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
@@ -239,7 +240,7 @@ fn fit_to_frames(
     Ok((chosen, observed))
 }
 
-/// Fits a model to timed frames, however few; the file has no provenance.
+/// Fits a model to any number of timed frames and returns its file, without provenance.
 ///
 /// # Errors
 /// When there are no frames, inputs cannot be computed, or the model cannot be a prior.
@@ -251,10 +252,10 @@ pub fn calibrate_to_frames(
     Ok(fit_to_frames(context, frames, std::slice::from_ref(prior))?.0.file)
 }
 
-/// As [`calibrate_to_frames`], with several models as prior.
+/// Fits a model as [`calibrate_to_frames`] does, with several models as prior.
 ///
 /// # Errors
-/// As [`calibrate_to_frames`].
+/// Those of [`calibrate_to_frames`].
 pub fn calibrate_from(
     priors: &[NamedPrior],
     context: &FitContext<'_>,
@@ -263,8 +264,8 @@ pub fn calibrate_from(
     Ok(fit_to_frames(context, frames, &named(priors).0)?.0.file)
 }
 
-/// Fits a model to frames that a renderer logged; nothing is drawn. Volumes are opened where features are not
-/// stored beside the tables.
+/// Fits a model to frames that a renderer logged; nothing is drawn. If a table has no stored scene features,
+/// its volumes are opened.
 ///
 /// # Errors
 /// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, the clock is [`Clock::Auto`], or inputs

@@ -60,8 +60,9 @@ pub(crate) const DATA_FOLDER: &str = "data";
 /// Ensemble members that the shipped models were trained on.
 pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
 
-/// Every volume ([`is_volume`]) below a folder, by name; other files are ignored. Of an ensemble it returns
-/// only the training members ([`TRAINING_MEMBERS`]), so that the other members remain unseen test data.
+/// Returns every volume ([`is_volume`]) below a folder, sorted by name; other files are ignored. Of an
+/// ensemble, only the training members ([`TRAINING_MEMBERS`]) are returned, so that the other members remain
+/// unseen test data.
 ///
 /// # Errors
 /// When a folder cannot be read.
@@ -69,7 +70,8 @@ pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
     volumes_of(folder, |member| member.is_none_or(|m| TRAINING_MEMBERS.contains(&m)))
 }
 
-/// Every volume below a folder that [`volumes_in`] leaves out, by name: those of held-out ensemble members.
+/// Returns the volumes below a folder that [`volumes_in`] leaves out, sorted by name: those of held-out
+/// ensemble members.
 ///
 /// # Errors
 /// When a folder cannot be read.
@@ -77,7 +79,8 @@ pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
     volumes_of(folder, |member| member.is_some_and(|m| !TRAINING_MEMBERS.contains(&m)))
 }
 
-/// Every volume below a folder, by name, whose ensemble member, if any, is `wanted`.
+/// Returns the volumes below a folder, sorted by name, for whose ensemble member `wanted` returns true
+/// (`None` for a volume outside any ensemble).
 fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];

@@ -22,8 +22,9 @@ use std::path::PathBuf;
 /// Number of candidates per volume and enlargement.
 const PER_VOLUME: u64 = 36;
 
-/// Number of candidates per random candidate. Random candidates stand for typical frames: they are chosen
-/// without regard to their information, and the error is measured on them alone if there are enough of them.
+/// Interval between random candidates, in candidates: one in three is random. Random candidates represent
+/// typical frames: they are chosen without regard to their information gain. The error is measured on random
+/// frames alone if there are enough of them.
 const RANDOM_EVERY: u64 = 3;
 
 /// Number of voxels below which a volume is also rendered enlarged by 2 along every axis: the cost of a frame
@@ -39,16 +40,17 @@ pub(crate) struct Candidate {
     pub(crate) factor: usize,
     /// Scene of the frame.
     pub(crate) scene: Scene,
-    /// Inputs of the prior's learned factor, in its order; empty if the prior has no factor.
+    /// Inputs of the prior's learned factor, in the factor's order; empty if the prior has no factor.
     pub(crate) row: Vec<f32>,
     /// Estimated work: 1, then the values of [`COST_QUANTITIES`].
     pub(crate) work: [f64; COSTS],
-    /// True for every third candidate, which stands for a typical frame.
+    /// True for random candidates (every [`RANDOM_EVERY`]-th one), which represent typical frames.
     pub(crate) random: bool,
 }
 
 impl Candidate {
-    /// Mean number of samples per pixel; greater than 1 where the volume is visible.
+    /// Returns the estimated mean number of samples per pixel. If it is at most 1, hardly anything of the
+    /// volume is visible.
     pub(crate) fn samples_per_pixel(&self) -> f64 {
         let count = |quantity: SceneQuantity| -> f64 {
             COST_QUANTITIES.iter().zip(&self.work[1..]).filter(|(q, _)| **q == quantity).map(|(_, n)| n).sum()
@@ -89,7 +91,7 @@ impl Pool {
         priors: &[ModelFile],
         threads: &rayon::ThreadPool,
     ) -> Result<Self> {
-        ensure!(!settings.volumes.is_empty(), "there is no volume to calibrate with; name some");
+        ensure!(!settings.volumes.is_empty(), "no volume to calibrate with was given; name volume files");
         let scenes = SceneDistribution {
             radii: DEFAULT_RADII.to_vec(),
             lobes: (1, 4),

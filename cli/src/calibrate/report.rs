@@ -17,7 +17,7 @@ use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
-/// Drift between passes above which the report warns, as a share.
+/// Drift between passes above which the report warns, as a share of the frame time.
 const DRIFT: f64 = 0.05;
 
 /// Minimum of ln(upper bound / prediction) in a model that was calibrated on a busy machine.
@@ -50,13 +50,13 @@ pub struct Report {
     pub median_error: f64,
     /// 95 % interval of the median error, by bootstrap over volumes.
     pub median_error_interval: Option<(f64, f64)>,
-    /// RMSE divided by the standard deviation of the measured seconds, on the same frames.
+    /// RMSE divided by the standard deviation of the measured seconds, on the frames of `median_error`.
     pub rmse_over_sd: f64,
-    /// Noise of repeated frames; `None` where none was repeated.
+    /// Noise of repeated frames; `None` if no frame was repeated.
     pub noise: Option<NoiseFloor>,
     /// Load of other programs.
     pub others: BackgroundLoad,
-    /// Quality law of pictures; `None` where too few were compared.
+    /// Quality law of pictures; `None` if too few pictures were compared.
     pub pictures: Option<Pictures>,
     /// Files of the volumes, by the volumes' names; empty where they are unknown.
     pub files: BTreeMap<String, Vec<Identity>>,
@@ -65,15 +65,15 @@ pub struct Report {
 /// Fit of the quality law to compared pictures.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Pictures {
-    /// Error measure between a picture and the one at full quality.
+    /// Error measure between a picture and the picture at full quality.
     pub error: PictureError,
-    /// The law, and the error of its choices.
+    /// The law, and the picture error of the steps and image sizes that it chooses.
     #[serde(flatten)]
     pub fitted: FittedQuality,
 }
 
 impl Report {
-    /// Adds the fit to compared pictures.
+    /// Adds the quality law that was fitted to compared pictures.
     #[must_use]
     pub(crate) fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
         let pictures = fitted.map(|fitted| Pictures { error, fitted });
@@ -86,11 +86,12 @@ impl Report {
         Self { files, ..self }
     }
 
-    /// Measures the error of a calibration on the frames whose index `judged` accepts.
+    /// Returns the report of a calibration. The error is measured on the frames for whose index `judged`
+    /// returns true.
     ///
     /// # Errors
     /// When there are no such frames.
-    #[expect(clippy::too_many_arguments, reason = "everything that a calibration knows of itself, once")]
+    #[expect(clippy::too_many_arguments, reason = "each parameter is one part of the report")]
     pub(crate) fn new(
         (shading, clock): (Shading, Clock),
         prior: Option<String>,
@@ -137,9 +138,9 @@ impl Report {
         let mut out = Vec::new();
         if self.others.busy() {
             out.push(format!(
-                "the machine was busy: other programs used {:.1} processors on average, and for {:.0} of \
-                 {:.0} seconds more than {}; disturbed repeats count only for frames that have no others; \
-                 calibrate again on a quiet machine",
+                "the machine was busy: other programs used {:.1} processors on average; during {:.0} of \
+                 {:.0} seconds they used more than {}; a disturbed repeat is used only if its frame has no \
+                 undisturbed ones; calibrate again on a quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,
@@ -155,8 +156,8 @@ impl Report {
         }
         if self.folds == 0 {
             out.push(
-                "fewer than three volumes: none could be held out, so the error is that of the training \
-                 frames"
+                "fewer than three volumes: no volume could be held out, so the error was measured on the \
+                 training frames"
                     .into(),
             );
         }
@@ -194,7 +195,7 @@ impl Report {
             .median_error_interval
             .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));
         let (place, how) = match self.folds {
-            0 => ("on the training frames, smaller than on other volumes", String::new()),
+            0 => ("on the training frames (the error on other volumes is larger)", String::new()),
             folds => ("on held-out volumes", format!(", cross-validated by volume in {folds} folds")),
         };
         line(
@@ -217,7 +218,7 @@ impl Report {
             line(
                 &mut out,
                 "pictures",
-                "too few were compared in the time; the model has no law of picture error".into(),
+                "too few were compared in the time limit; the model has no law of picture error".into(),
             );
         }
         out
@@ -278,7 +279,7 @@ pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
         "{} scenes at {} steps and sizes: {error} in proportion to (s - 1)^{step_exponent:.2} + \
          {image_weight:.2} (d - 1)^{image_exponent:.2}, with ray step s and d pixels between rays; {:.0} % of \
          a frame's time is per ray; error relative to the best setting of equal time: step and image size \
-         by this law {:.2}, step alone {} (which saves at most {:.0} % of the time)",
+         by this law {:.2}, step alone {} (a coarser step saves at most {:.0} % of the time)",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,

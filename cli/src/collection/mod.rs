@@ -1,9 +1,10 @@
 //! Collection of frames: many random scenes of volumes, rendered several times, in a timing table.
 //!
 //! The protocol is the paper's (section "Data collection"): the renderer takes one volume at a time, renders
-//! all its frames, each several times, then takes the next; loading is not timed. Scenes come from
-//! [`entire_io::scenes::SceneDistribution`] and depend only on the seed, the volume and their number. Every
-//! repeat is a row of the table (see [`entire_io::dataset`]); readers take the medians.
+//! all its frames, each several times, and then takes the next volume; loading is not timed. Scenes come from
+//! [`entire_io::scenes::SceneDistribution`] and depend only on the seed, the volume and the scene's number.
+//! Every repeat is a row of the table (see [`entire_io::dataset`]); readers take the median of each frame's
+//! repeats.
 
 mod passes;
 mod protocol;
@@ -24,9 +25,9 @@ use std::path::Path;
 /// Result of a collection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Outcome {
-    /// Frames in the table; with several passes, those of all passes together.
+    /// Number of frames in the table; with several passes, the sum over the tables of all passes.
     pub(crate) done: u64,
-    /// Frames to collect.
+    /// Number of frames to collect.
     pub(crate) total: u64,
     /// Warm-up renderings that were discarded in this run.
     pub(crate) discarded: u64,
@@ -34,18 +35,18 @@ pub(crate) struct Outcome {
     pub(crate) interrupted: bool,
 }
 
-/// A scene's repeats.
+/// Times of a scene's repeats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedScene {
-    /// Times of each repeat; `None` where collection stopped before the last.
+    /// Times of each repeat; `None` if the collection stopped before the last repeat.
     pub repeats: Option<Vec<Timing>>,
     /// Number of renderings that were discarded before the repeats.
     pub discarded: u64,
 }
 
-/// Renders a scene of the renderer's volume as often as the protocol says. The renderings before the repeats
-/// are discarded; their number is the larger of `warm_up` and the protocol's warm-ups per frame, and
-/// `warm_up` counts down to 0. `stop` is called before every rendering.
+/// Renders a scene of the renderer's volume as often as the protocol says. Before the repeats, max(`warm_up`,
+/// `protocol.warm_up_repeats`) renderings are discarded; `warm_up` counts them down to 0. `stop` is called
+/// before every rendering.
 ///
 /// # Errors
 /// A scene that cannot be drawn, a renderer that fails.

@@ -9,20 +9,20 @@ use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Files in which each pass over the volumes keeps its frames until all passes are done; none for a single
+/// Files in which each pass over the volumes keeps its frames until all passes are done; empty for a single
 /// pass.
 pub(crate) fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
     let count = if passes > 1 { passes } else { 0 };
     (1..=count).map(|pass| out.with_extension(format!("pass{pass}.csv"))).collect()
 }
 
-/// As [`collect`], once for each pass of the protocol. Each pass has its own table beside `out`, so that it
+/// Runs [`collect`] once for each pass of the protocol. Each pass has its own table beside `out`, so that it
 /// can be continued. At the end these tables are merged into `table`, where a frame's repeats have the order
 /// of the passes, and removed.
 ///
 /// # Errors
 /// Those of [`collect`], and pass tables that cannot be read or removed.
-#[expect(clippy::too_many_arguments, reason = "those of collect, and where the passes go")]
+#[expect(clippy::too_many_arguments, reason = "the parameters of `collect`, and the path of the table")]
 pub(crate) fn collect_passes(
     jobs: &[Job],
     protocol: &Protocol,
@@ -62,7 +62,7 @@ pub(crate) fn collect_passes(
             let entry = frames.entry(frame.number).or_insert_with(|| (frame.scene.clone(), Vec::new()));
             ensure!(
                 entry.0 == frame.scene,
-                "{}: frame {} differs from that frame in earlier passes; remove the pass files",
+                "{}: frame {} is not the same scene as in earlier passes; remove the pass files",
                 file.display(),
                 frame.number
             );

@@ -21,7 +21,7 @@ pub struct Job {
     pub path: PathBuf,
     /// Name of the volume's ensemble member; empty if there is none.
     pub member: String,
-    /// Its time step, if its name contains one.
+    /// Time step of the volume, if the file's name contains one.
     pub time_step: Option<u32>,
 }
 
@@ -43,13 +43,14 @@ impl Job {
         Self { path: path.to_owned(), member, time_step }
     }
 
-    /// Its name in tables: the path as given.
+    /// Returns the volume's name in tables: the path as given.
     pub fn name(&self) -> String {
         self.path.to_string_lossy().into_owned()
     }
 
-    /// The name that seeds the volume's random scenes: the name of the file and, for a time step, of the two
-    /// folders above it. It does not depend on the working directory or the place of the data.
+    /// Returns the name that seeds the volume's random scenes: the name of the file and, for a time step, the
+    /// names of the two folders above it. This name does not depend on the working folder or on the location
+    /// of the data.
     pub(crate) fn seed_name(&self) -> String {
         let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
         let parts: Vec<String> =
@@ -83,19 +84,19 @@ pub struct Protocol {
     pub skipping: Skipping,
     /// Accumulated opacity at which rays stop.
     pub termination: f32,
-    /// Enlargement at load.
+    /// Factor by which volumes are enlarged along every axis at load.
     pub enlarge: usize,
-    /// Voxels per side of a resampled volume, instead of the original.
+    /// Voxels per side to which volumes are resampled; `None` for the original volumes.
     pub proxy: Option<usize>,
     /// Options of reading volume files.
     pub reading: Reading,
 }
 
 impl Protocol {
-    /// Protocol and volumes of a table by `entire collect`, from its manifest.
+    /// Returns the protocol and the volumes of a table that `entire collect` wrote, from its manifest.
     ///
     /// # Errors
-    /// When a setting is missing or unknown to this version; names it.
+    /// When a setting is missing or unknown to this version; the error names the setting.
     pub(crate) fn of_manifest(manifest: &Manifest) -> Result<(Self, Vec<Job>)> {
         #[derive(Deserialize)]
         struct Settings {
@@ -127,17 +128,18 @@ impl Protocol {
             1
         }
         let s: Settings = serde_json::from_value(manifest.settings.clone())
-            .context("its settings are not those of `entire collect`")?;
-        let unknown =
-            |what: &str, name: &str| format!("its {what} is {name:?}, which this version does not know");
+            .context("the manifest's settings are not those of `entire collect`")?;
+        let unknown = |what: &str, name: &str| {
+            format!("the manifest's {what} is {name:?}, which this version does not know")
+        };
         ensure!(
             s.fov_y_deg == DEFAULT_FOV_Y_DEGREES,
-            "its field of view is {}°; this version draws {DEFAULT_FOV_Y_DEGREES}°",
+            "the manifest's field of view is {}°; this version draws {DEFAULT_FOV_Y_DEGREES}°",
             s.fov_y_deg
         );
         ensure!(
             s.passes > 0 && manifest.repeats.is_multiple_of(s.passes),
-            "its {} repeats cannot be split evenly over {} passes",
+            "the manifest's {} repeats cannot be split evenly over {} passes",
             manifest.repeats,
             s.passes
         );
@@ -161,7 +163,7 @@ impl Protocol {
         Ok((protocol, jobs.collect()))
     }
 
-    /// Frame `index` of a job whose rendered volume has `dims` voxels (x, y, z).
+    /// Returns the scene of frame `index` of a job whose rendered volume has `dims` voxels (x, y, z).
     pub fn scene(&self, job: &Job, dims: [usize; 3], index: u64) -> Scene {
         let drawn = self.scenes.draw(self.seed, &job.seed_name(), index);
         Scene {
@@ -181,7 +183,7 @@ impl Protocol {
         }
     }
 
-    /// The volume to render: resampled or enlarged if the protocol says so.
+    /// Returns the volume to render: resampled or enlarged if the protocol says so.
     ///
     /// # Errors
     /// For an edge or a factor that is not accepted.
@@ -193,7 +195,7 @@ impl Protocol {
         }
     }
 
-    /// The manifest of a new table of these jobs.
+    /// Returns the manifest of a new table of these jobs.
     ///
     /// # Errors
     /// For more repeats than can be counted.
@@ -236,13 +238,13 @@ impl Protocol {
         settings
     }
 
-    /// Unit that [`super::Outcome`] counts in.
+    /// Returns the noun that messages put after the numbers of [`super::Outcome`].
     pub(crate) fn counted(&self) -> &'static str {
         if self.passes > 1 { "frames of all passes" } else { "frames" }
     }
 }
 
-/// The manifest of a table that is begun now, without the volumes' files.
+/// Returns the manifest of a new table, without the identities of volume files.
 pub(crate) fn manifest_of(
     renderer: &dyn Renderer,
     seed: u64,
@@ -266,8 +268,8 @@ pub(crate) fn manifest_of(
     }
 }
 
-/// The driver with its version: the end of a Vulkan device's description. Empty for the CPU version, which
-/// has none.
+/// The driver with its version: the end of a Vulkan device's description. Empty for the CPU version of the
+/// raycaster, which has no driver.
 fn driver_of(renderer: &dyn Renderer) -> String {
     let device = renderer.device();
     match device.rsplit_once(", ") {

@@ -77,8 +77,8 @@ fn stopping_anywhere_and_resuming_gives_the_same_table() {
         let path = dir.path().join(format!("{stop_after}.csv"));
         let first = run_until(&path, Some(stop_after), &some_jobs());
         assert!(first.interrupted, "{stop_after}");
-        // A partial frame is not in the table: of a volume's first frame, fewer than five renderings, two of
-        // which are warm-ups.
+        // A partial frame is not in the table. The first frame of a volume is partial until it was rendered
+        // five times (two warm-ups, three repeats).
         assert_eq!(Table::read(&path, 0).map(|t| t.frames.len() as u64).unwrap(), first.done);
         let second = run_until(&path, None, &some_jobs());
         assert!(!second.interrupted && second.done == 8);
@@ -111,7 +111,8 @@ fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere
     let expected = without_times(&whole);
     assert_eq!(expected.len(), 1 + 8 * 4);
     assert!(expected[4].starts_with("0,3,") && expected[5].starts_with("1,0,"), "{}", expected[4]);
-    // The first pass's repeats come first: those of a single pass with the same renderer.
+    // The first two repeats of each frame are those of the first pass: they equal the repeats of a table that
+    // the same renderer makes in a single pass.
     let single = dir.path().join("single.csv");
     let once = Protocol { passes: 1, ..protocol.clone() };
     let (mut table, mut renderer) = (Writer::create(&single).unwrap(), noisy());
@@ -202,7 +203,7 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     // A manifest that was written to text and read again has equal numbers.
     let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
     assert_eq!(differences(&back, &base), Vec::<String>::new());
-    // The protocol that is read from a manifest is the one that wrote it.
+    // The protocol that is read from a manifest equals the protocol that the manifest was written from.
     let twice = Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
     for p in [protocol(), twice] {
         let mut written = manifest(&p, &some_jobs(), "d");
@@ -212,7 +213,7 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     let mut other = back.clone();
     other.settings["shading"] = json!("path tracing");
     let error = Protocol::of_manifest(&other).unwrap_err().to_string();
-    assert_eq!(error, "its shading is \"path tracing\", which this version does not know");
+    assert_eq!(error, "the manifest's shading is \"path tracing\", which this version does not know");
     let changed = |f: &dyn Fn(&mut Protocol)| {
         let mut p = protocol();
         f(&mut p);

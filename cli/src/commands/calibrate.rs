@@ -37,11 +37,11 @@ use std::path::{Path, PathBuf};
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
         frames that a renderer of your own logged: nothing is rendered")]
 pub(crate) struct Options {
-    /// Volume files; default: those in data/, and of its ensembles only the training members.
+    /// Volume files; default: all volumes in data/, but of ensembles only the training members.
     #[arg(value_name = "VOLUME")]
     pub(crate) volumes: Vec<PathBuf>,
-    /// Timing tables logged by your own renderer: nothing is rendered, and the model is fitted to their
-    /// frames of --shade and --clock. Needs --out.
+    /// Timing tables logged by your own renderer: nothing is rendered. The model is fitted to their frames
+    /// with the shading --shade that have a time by --clock. Needs --out.
     #[arg(
         long,
         num_args = 1..,
@@ -68,10 +68,10 @@ pub(crate) struct Options {
     /// Prior model, of kind analytic or residual; default: the shipped models of the shading mode.
     #[arg(long, value_name = "SAFETENSORS")]
     pub(crate) prior: Option<PathBuf>,
-    /// Wall seconds that each mode may take.
+    /// Time limit for each shading mode, in wall seconds.
     #[arg(long, default_value_t = 85.0, value_name = "SECONDS", value_parser = parse_seconds)]
     pub(crate) seconds: f64,
-    /// Maximum number of frames.
+    /// Maximum number of frames for each shading mode.
     #[arg(long, default_value_t = 500, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=100_000))]
     pub(crate) frames: u32,
     /// Reading of the volumes.
@@ -143,7 +143,7 @@ pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Path of the model of a mode.
+/// Returns the path of the model file of a shading mode.
 fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
     match &options.out {
         None => file_of(shading).context(
@@ -237,11 +237,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 /// The manifest of the measured frames' table.
 fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
     let settings = json!({ "calibration": true, "reading": options.volume_args.reading() });
-    // The number of repeats differs between frames.
+    // The number of repeats differs between frames, so the manifest states 0.
     Manifest { files: report.files.clone(), ..manifest_of(renderer, options.seed, 0, settings) }
 }
 
-/// The priors with their names: the given one, else the shipped ones.
+/// Returns the priors with their names: the model of --prior, else the shipped models of the shading mode.
 fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
     match &options.prior {
         Some(path) => Ok(vec![(path.display().to_string(), read_model_file(path)?.0)]),
@@ -267,8 +267,8 @@ fn from_tables(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let threads = thread_pool(options.threads)?;
-    // Device timestamps of a software renderer are no better than wall time, so `auto` means wall time, as it
-    // does where frames are rendered.
+    // Device timestamps of a software renderer are no better than wall time, so `auto` means wall time, as in
+    // a calibration that renders frames.
     let software = |table: &entire_io::dataset::Table| {
         table.manifest.as_ref().is_some_and(|m| device::names_software(&m.renderer, &m.device))
     };

@@ -50,10 +50,10 @@ const CONTROLLERS: [ControllerKind; 5] = [
 
 /// Calibrate, play a path under several controllers, and report.
 ///
-/// If this machine has no model, calibrates one with other volumes. Then plays 120 frames of a volume that no
-/// model was trained on, with three abrupt switches of the transfer function, under five controllers (fixed
-/// step, OLP, PID, Algorithm 1, entire's). Prints each controller's distance from the target frame time, and
-/// writes a report.
+/// If this machine has no model, the command calibrates one with other volumes. It then plays 120 frames of a
+/// volume that no model was trained on, with three abrupt switches of the transfer function, under five
+/// controllers (fixed step, OLP, PID, Algorithm 1, entire's). It prints the distance of each controller's
+/// frame times from the target, and writes a report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire demo
@@ -91,8 +91,8 @@ pub(crate) struct Options {
     /// Enlarge the volume by this factor at load, trilinearly; default: 2 for small volumes, 1 for others.
     #[arg(long, value_name = "FACTOR")]
     pub(crate) enlarge: Option<usize>,
-    /// Coarsest image of entire's controller, in pixels between rays along each side; it coarsens step or
-    /// image, whichever adds less error. 1 keeps the full image size.
+    /// Coarsest image of entire's controller, in pixels between rays along each side; this controller
+    /// coarsens step or image size, whichever adds less error. 1 keeps the full image size.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub(crate) max_image_sample_distance: f32,
     /// Seed of the random scenes.
@@ -100,8 +100,9 @@ pub(crate) struct Options {
     pub(crate) seed: u64,
 }
 
-/// A model of this machine, calibrated with other volumes than the played one: those in data/, and of its
-/// ensembles only the training members. `None` where there are no such volumes.
+/// Calibrates a model of this machine with the volumes in data/, but without the played volume and with only
+/// the training members of ensembles. Returns the model and its description; `None` if there are no such
+/// volumes.
 fn calibrated(
     options: &Options,
     draw: &DrawSettings,
@@ -141,8 +142,8 @@ fn calibrated(
     Ok(Some((title, file)))
 }
 
-/// Reduces the image until all rendering fits the time limit, estimated by a typical frame that is rendered a
-/// few times.
+/// Returns `draw` with an image size at which `renderings` frames take at most [`RENDERING_BUDGET`], or with
+/// sides of [`SMALLEST_SIDE`]. The time is estimated by rendering a typical frame a few times.
 fn fit_size(
     mut draw: DrawSettings,
     view: &VolumeView<'_>,
@@ -169,7 +170,8 @@ fn fit_size(
     Ok(draw)
 }
 
-/// Comparison of predicting and reactive controllers at switches, in a sentence.
+/// Returns a sentence that compares predicting and reactive controllers at switches; empty if one of the four
+/// is missing.
 fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     let at = |name: &str| {
         let i = names.iter().position(|n| n == name)?;
@@ -283,11 +285,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut remarks = vec![
         "Every frame was drawn under every controller before the next one began, in rotating order, so that \
          load by other programs affected all controllers alike. Each frame was also drawn at the reference \
-         step; this time counts for no controller. Changes of the transfer function are not part of frame \
-         times."
+         step; the time of that drawing counts for no controller. Changes of the transfer function are not \
+         part of frame times."
             .to_owned(),
         format!(
-            "The fixed step ({:.2}) is the one that the median random scene needs for the target. OLP takes \
+            "The fixed step ({:.2}) is the step at which the median random scene meets the target. OLP takes \
              the mean of the last three frames, converted to the reference step by G, the curve of frame \
              time over step; PID has the gains 0.3, 0.05, 0.1; Algorithm 1 converts the prediction at the \
              reference step by G; the hybrid predicts every step, corrects the prediction by the \

@@ -32,13 +32,13 @@ pub(crate) struct Options {
 /// Python interpreter of the system; Linux distributions package VTK for it.
 const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 
-/// Time limit of another program's answer.
+/// Time limit of each program that this command runs.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Python packages, with their use.
 const PACKAGES: [(&str, &str); 5] = [
-    ("vtk", "three lines hold a volume's frame time in Python"),
-    ("pyvista", "pl.entire.hold(fps=15) in PyVista"),
+    ("vtk", "steering of VTK in Python"),
+    ("pyvista", "steering of PyVista by pl.entire.hold(fps=15)"),
     ("trame", "volumes in a browser"),
     ("napari", "steering of napari's volumes"),
     ("entire", "this project's Python package"),
@@ -46,9 +46,9 @@ const PACKAGES: [(&str, &str); 5] = [
 
 /// A line of the report.
 enum Finding {
-    /// Found: its version or place.
+    /// The part was found: its version or location.
     There(String),
-    /// Missing: its use, and the remedy.
+    /// The part is missing: its use, and the command that installs it.
     Missing(&'static str, &'static str),
 }
 
@@ -60,7 +60,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     println!("entire {}", machine::version());
     heading("Machine");
     found("processor", &machine::machine());
-    found("inference", &format!("by {} instructions", Level::detect().isa()));
+    found("inference", &format!("with {} instructions", Level::detect().isa()));
     found("raycaster", &raycaster());
 
     heading("Models");
@@ -72,7 +72,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 format!("{}, {} time", path.display(), clock.map_or("unstated", |c| c.name()))
             }
             None => format!(
-                "{shipped} shipped; none of this machine (`entire calibrate --shade {name}` makes {})",
+                "{shipped} shipped, no model of this machine (`entire calibrate --shade {name}` makes {})",
                 file_of(shading).map_or("one with --out".into(), |p| p.display().to_string())
             ),
         };
@@ -146,7 +146,7 @@ fn raycaster() -> String {
     }
 }
 
-/// The output of a program, or `None` if it is missing, fails, or takes too long.
+/// Returns the output of a program, or `None` if it is missing, fails, or takes too long.
 fn output_of(program: &str, arguments: &[&str]) -> Option<String> {
     let mut child = Command::new(program)
         .args(arguments)
@@ -174,7 +174,7 @@ fn version_of(program: &str, arguments: &[&str], used_for: &'static str, remedy:
     }
 }
 
-/// The newest CMake package of VTK in the places where CMake looks by itself.
+/// Returns the version of the newest CMake package of VTK in folders that CMake searches by default.
 fn vtk_for_cxx() -> Finding {
     let children = |folder: &Path| -> Vec<PathBuf> {
         std::fs::read_dir(folder)
@@ -197,8 +197,8 @@ fn vtk_for_cxx() -> Finding {
     }
 }
 
-/// Python code that prints name and version of each package among its arguments that is installed. It reads
-/// the packages' metadata and does not import them, except Debian's VTK, which has no metadata.
+/// Python code that prints the name and the version of each installed package among its arguments. It reads
+/// metadata instead of importing packages. Only Debian's VTK is imported, since it has no metadata.
 const LIST_PACKAGES: &str = "
 import importlib.metadata, importlib.util, sys
 for name in sys.argv[1:]:
@@ -219,7 +219,7 @@ fn packages_of(python: &str) -> BTreeMap<String, String> {
     text.lines().filter_map(|l| l.split_once(' ')).map(|(n, v)| (n.to_owned(), v.to_owned())).collect()
 }
 
-/// Looks for a package in the Python interpreter of `--python`, then in the system's.
+/// Returns the version of a package in the Python interpreter of `--python`, else in [`SYSTEM_PYTHON`].
 fn python_package(
     package: &str,
     used_for: &'static str,

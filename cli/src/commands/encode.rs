@@ -10,9 +10,9 @@ use std::path::PathBuf;
 
 /// Turn a volume into its feature vector.
 ///
-/// The volume is mapped to [0, 1] over its range (--range sets another, such as an ensemble's), resampled to
-/// the network's input size and encoded. Prints the features on one line, comma-separated, 9 significant
-/// digits.
+/// The volume is mapped to [0, 1] over its range (--range sets another range, such as an ensemble's),
+/// resampled to the network's input size and encoded. Prints the features on one line, comma-separated, 9
+/// significant digits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire encode --model volumenet.safetensors data/mr_banana.nrrd

@@ -1,4 +1,4 @@
-//! `entire explore`: a window on a volume that holds a target frame time.
+//! `entire explore`: an interactive window that shows a volume at a target frame time.
 
 #[cfg(feature = "explore")]
 mod host;
@@ -11,9 +11,9 @@ use std::path::PathBuf;
 
 /// View a volume in an interactive window that holds a target frame time.
 ///
-/// Every frame is predicted before it is drawn, and the predictor learns from its measured time; a graph
-/// shows both beside the target. While nothing changes, the picture is refined to full quality in slices no
-/// longer than the target. Without --model, the model of this machine is used
+/// The time of every frame is predicted before the frame is drawn, and the measured time corrects later
+/// predictions; a graph shows both times beside the target. While nothing changes, the picture is refined to
+/// full quality in slices no longer than the target. Without --model, the model of this machine is used
 /// (`entire calibrate --clock wall`), else the shipped model. Drag to turn, shift-drag to pan, scroll to
 /// zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to undo.
 #[derive(Debug, clap::Args)]
@@ -23,7 +23,7 @@ use std::path::PathBuf;
   entire explore t1.nrrd t2.nrrd t3.nrrd --model out/calibrated.safetensors
   xvfb-run -s '-screen 0 1280x900x24' entire explore skull.nrrd --script events.jsonl --log frames.csv")]
 pub struct Options {
-    /// The volume file, or those of a time series in order; none for an empty window.
+    /// The volume file, or the files of a time series in order; without a file, the window is empty.
     #[arg(value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
     /// Reading of the volumes.
@@ -35,7 +35,8 @@ pub struct Options {
     /// Model file, calibrated to this machine.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// Controller at the start. Rules that act on image resolution elsewhere act on the ray step here.
+    /// Controller at the start. Controllers that change the image size in `entire steer` change the ray step
+    /// here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
     /// Shading of each sample.
@@ -61,7 +62,7 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// Without a display or a Vulkan device that shows pictures on it; a model that cannot be read.
+/// When there is no display, no Vulkan device can show pictures on it, or a model cannot be read.
 pub fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
     check_termination(options.termination)?;

@@ -29,7 +29,7 @@ pub enum EngineOption {
 /// Order in which tasks are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum OrderOption {
-    /// Longest expected first.
+    /// Longest expected time first.
     #[default]
     Longest,
     /// In the order of the job.
@@ -58,7 +58,7 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t)]
     pub engine: EngineOption,
     /// Number of bundles (groups of tasks) that run at once: workers of this machine or of HyperQueue, nodes
-    /// of Slurm. Default: the processors of this machine; for Slurm, the nodes that it lists.
+    /// of Slurm. Default: the processors of this machine; for Slurm, the nodes that Slurm lists.
     #[arg(long, value_name = "N")]
     pub slots: Option<usize>,
     /// Continue an unfinished database.
@@ -88,7 +88,7 @@ pub struct Options {
     /// Order in which tasks are sent.
     #[arg(long, value_enum, default_value_t)]
     pub order: OrderOption,
-    /// Overhead per bundle, seconds, instead of the engine's own figure.
+    /// Overhead per bundle, seconds; default: the engine's usual overhead.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
     /// Time limit of a bundle (90s, 30m, 2h): that of HyperQueue's workers or Slurm's partition.
@@ -109,10 +109,12 @@ pub struct Options {
     /// Write a report (HTML) when done; with --dry-run it covers the finished tasks.
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Write the tasks with their expected seconds as a list (CSV) for `entire schedule` and predict.list.
+    /// Write the tasks with their expected seconds as a list (CSV) for `entire schedule` and for `list` in
+    /// the job file's table `[predict]`.
     #[arg(long, value_name = "TASKS.csv")]
     pub save_tasks: Option<PathBuf>,
-    /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of equal expected time.
+    /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of about equal expected
+    /// time.
     #[arg(long, value_name = "FILE.json", conflicts_with = "dry_run")]
     pub openjd: Option<PathBuf>,
 }
@@ -144,7 +146,7 @@ pub fn run(options: &Options) -> Result<()> {
     );
     ensure!(
         options.overhead.is_none_or(|p| p.is_finite() && p >= 0.0),
-        "--overhead is {}; it must be seconds, not negative",
+        "--overhead is {}; it must be a number of seconds that is not negative",
         options.overhead.unwrap_or(f64::NAN)
     );
     if options.list {

@@ -13,8 +13,8 @@ use std::path::PathBuf;
 
 /// Compute the scene features of collected frames and keep them beside the tables.
 ///
-/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then do not need the volumes. Run it again
-/// after an update that changes the features.
+/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then do not need the volumes. Run this
+/// command again after an update of the program that changes the features.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire features --data frames.csv
@@ -27,7 +27,7 @@ pub struct Options {
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
     /// Rays along each side of additional probes, 1 to 24, for models with cheaper or finer probes than the
-    /// standard one of 11, which is always computed.
+    /// standard probe with 11, which is always computed.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
     /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
@@ -178,8 +178,8 @@ mod tests {
                 let ascending = [0.3, 0.05, 0.4, 0.8, 0.01, 0.9];
                 assert_eq!(lobes, if log { ascending } else { [0.8, 0.01, 0.9, 0.3, 0.05, 0.4] });
                 for (i, (a, b)) in kept.iter().zip(&measured).enumerate() {
-                    // Quantities are stored bit for bit in single precision; logarithms are taken of these
-                    // rounded values.
+                    // Quantities are stored in single precision, so they are equal bit for bit. A logarithm
+                    // of a stored quantity may differ by rounding.
                     let close = (a - b).abs() <= f32::EPSILON * b.abs().max(1.0);
                     assert!(
                         if log { close } else { a.to_bits() == b.to_bits() },

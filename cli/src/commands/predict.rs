@@ -13,9 +13,10 @@ use std::path::{Path, PathBuf};
 /// Predict seconds for rows of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Inputs are taken as they are: sessions and `entire evaluate` clamp them to the range of the
+/// model's order. Inputs are not changed; sessions and `entire evaluate` clamp them to the range of the
 /// model's training frames. Prints one line per row: seconds, at least 1e-6, 9 significant digits. If any row
-/// is invalid, nothing is printed. The clock of the seconds, if the model states it, goes to standard error.
+/// is invalid, nothing is printed. If the model states the clock of its seconds, a note on standard error
+/// names it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs inputs.csv

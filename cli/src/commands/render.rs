@@ -52,13 +52,13 @@ pub(crate) struct Options {
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub(crate) fov: f32,
-    /// Parallel (orthographic) projection: half of the height that is seen, in bounding-sphere radii.
+    /// Parallel (orthographic) projection: half of its visible height, in bounding-sphere radii.
     #[arg(long, value_name = "RADII", conflicts_with = "fov", allow_hyphen_values = true)]
     pub(crate) parallel_scale: Option<f32>,
     /// Reading of the volume.
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
-    /// Renderings of the frame.
+    /// Number of timed renderings of the frame.
     #[arg(
         long,
         default_value_t = 1,
@@ -119,7 +119,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
     let table_time = renderer.set_transfer(&table)?;
-    // The first rendering is not timed: it creates resources that the later ones reuse.
+    // The first rendering is not timed: it creates resources that later renderings reuse.
     renderer.render(&frame)?;
     let mut repeats = Vec::new();
     let mut last: Option<Rendered> = None;
@@ -130,7 +130,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     let Rendered { image, mut counts, .. } = last.context("--repeats is 0; render at least once")?;
     if counts.is_none() {
-        // One more rendering, not timed: this renderer counts only on request.
+        // This renderer counts work only on request, so the frame is rendered once more, without timing.
         renderer.count_work(true);
         counts = renderer.render(&frame)?.counts;
     }
@@ -140,8 +140,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if counts.is_some_and(|c| c.samples == 0) {
         let (low, high) = view.range();
         note(&format!(
-            "nothing is visible: the transfer function has no opacity at the volume's scalars (0 stands for \
-             {low}, 1 for {high}), or the camera does not see the volume"
+            "nothing is visible: the transfer function has no opacity at the volume's scalars (position 0 is \
+             the scalar {low}, position 1 is {high}), or the camera does not see the volume"
         ));
     }
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
@@ -204,7 +204,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The double with the shortest decimal text that denotes this number, for JSON: 0.35, not
+/// Returns the double that is nearest to the shortest decimal text of `value`, for JSON: 0.35, not
 /// 0.3499999940395355.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))

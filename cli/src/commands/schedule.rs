@@ -7,12 +7,12 @@ use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Assign the tasks of a render farm to its nodes and predict when they end.
+/// Assign the tasks of a render farm to its nodes and predict when the last task ends.
 ///
 /// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either
 /// may be missing, not both), and optionally `task` (a name), `volume` (the data it needs) and `load_s`
 /// (seconds to load that data). All seconds are wall time on a node of speed 1; `entire predict` names the
-/// clock of its seconds, and those of another clock are wrong by a factor. Writes the assignment or the order
+/// clock of its seconds; seconds of another clock are wrong by a factor. Writes the assignment or the order
 /// as CSV or JSON, by the file's ending.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -23,10 +23,10 @@ pub(crate) struct Options {
     /// The task list.
     #[arg(value_name = "TASKS")]
     pub(crate) tasks: PathBuf,
-    /// Nodes of equal speed.
+    /// Number of nodes, all of equal speed.
     #[arg(long, value_name = "N", conflicts_with = "speeds")]
     pub(crate) nodes: Option<usize>,
-    /// Nodes by speed; a node of speed 2 takes half of a task's seconds.
+    /// Speed of each node; a node of speed 2 needs half of a task's seconds.
     #[arg(long, value_delimiter = ',', value_name = "SPEED,…")]
     pub(crate) speeds: Vec<f64>,
     /// Assignment method.
@@ -61,13 +61,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let name = options.method.name();
     ensure!(
         options.dispatch.is_none() || !matches!(options.method, Method::Static | Method::Longest),
-        "--dispatch is the cost of a queue; --method {name} has none: leave it out, or choose queue, arrival \
-         or affinity"
+        "--dispatch is the cost of a queue; --method {name} has no queue: leave --dispatch out, or choose \
+         queue, arrival or affinity"
     );
     ensure!(
         options.window.is_none() || options.method == Method::Affinity,
-        "--window is for --method affinity; --method {name} searches no queue: leave it out, or choose \
-         affinity"
+        "--window is for --method affinity; --method {name} searches no queue: leave --window out, or \
+         choose affinity"
     );
     let farm =
         Farm { speeds, dispatch: options.dispatch.unwrap_or(0.0), window: options.window.unwrap_or(64) };

@@ -58,7 +58,7 @@ pub struct Options {
     /// for equal pictures). Each scene is drawn at the same settings, full quality among them.
     #[arg(long, value_name = "CSV")]
     pub pictures: Option<PathBuf>,
-    /// Model file to write; its card goes beside it as Markdown.
+    /// Model file to write; its model card is written beside it as Markdown.
     #[arg(long, value_name = "SAFETENSORS")]
     pub out: PathBuf,
     /// Kind of the model.
@@ -87,7 +87,8 @@ pub struct Options {
         conflicts_with = "fine_tune"
     )]
     pub inputs: Vec<String>,
-    /// Scene features, in order, if `--inputs` names that group; default: the standard ones.
+    /// Scene features, in order, if `--inputs` names the group scene_features; default: the standard
+    /// features.
     #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
     /// Sort the Gaussian lobes of `transfer_function` by center: their sum does not depend on the order, and
@@ -131,7 +132,7 @@ pub struct Options {
     /// Model file with the VolumeNet that encodes volumes; it is also written into the new file.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
-    /// Unit that stays together in the 80/10/10 split into training, validation and test frames.
+    /// Group of frames that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub split: GroupBy,
     /// Members or volumes (as --split says) for validation, instead of a random tenth.
@@ -146,8 +147,8 @@ pub struct Options {
     /// Members or volumes for testing, instead of a random tenth.
     #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
     pub test_groups: Vec<String>,
-    /// Clock of the learned seconds. Default: that of the model that training starts from, else cpu
-    /// (processor time) if every frame has it.
+    /// Clock of the learned seconds. Default: the clock of the model that training starts from, else cpu
+    /// (processor time); if some frame has no time by that clock, auto.
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
     /// Only frames with this shading: none, local or scatter.
@@ -257,7 +258,8 @@ pub fn run(options: &Options) -> Result<()> {
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
-            // The bound is fitted to frames that the weights were not fitted to, if there are any.
+            // The bound is fitted to the validation frames, to which the weights were not fitted; without
+            // any, to the training frames.
             if upper.log_factor.is_nan() {
                 upper = bound::from_predictions(&predicted, &measured);
             }
@@ -363,8 +365,8 @@ struct Trained {
     clock: Clock,
 }
 
-/// The requested clock, else that of the model that training starts from, else processor time, as
-/// [`entire_io::clock::for_training`] chooses.
+/// Returns the requested clock, else the clock of the model that training starts from, else processor time,
+/// as [`entire_io::clock::for_training`] chooses.
 fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let base = match &options.fine_tune {
         Some(path) => {
@@ -456,7 +458,7 @@ fn card(
         md,
         "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the \
          machine and with the \
-         renderer that it was measured on. On another machine, fine-tune it first:\n\n```\nentire train \
+         renderer of its training frames. On another machine, fine-tune it first:\n\n```\nentire train \
          --data FRAMES.csv \
          --fine-tune {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate \
          --model {name}.safetensors \
@@ -561,7 +563,7 @@ fn card(
     }
     match noise {
         Some(n) => {
-            let _ = writeln!(md, "\nNoise floor: {}. No predictor can do better than that.", n.describe());
+            let _ = writeln!(md, "\nNoise floor: {}. No predictor can have a smaller error.", n.describe());
         }
         None => {
             let _ = writeln!(md, "\nNoise floor: unknown, since no frame was repeated.");
@@ -575,7 +577,7 @@ fn card(
          check the \
          prediction's out-of-range score. {}",
         if split.test.is_empty() {
-            "Nothing was held out for testing, so the numbers above are those of its training frames."
+            "Nothing was held out for testing, so the errors above are not those of unseen data."
         } else {
             "Test groups were not used in training."
         }

@@ -35,7 +35,8 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// A predictor's inputs for the sample, with the volume's features where there are any.
+    /// Returns a predictor's inputs for the sample; `volume_features` is VolumeNet's output for the volume,
+    /// if it is used.
     pub fn predictor_inputs<'a>(&'a self, volume_features: Option<&'a [f32]>) -> Inputs<'a> {
         Inputs {
             features: &self.features,
@@ -47,10 +48,10 @@ impl Sample {
         }
     }
 
-    /// The sample's row of inputs in this layout.
+    /// Returns the sample's row of inputs in this layout.
     ///
     /// # Errors
-    /// As [`InputLayout::write`].
+    /// Those of [`InputLayout::write`].
     pub fn inputs(&self, layout: &InputLayout) -> Result<Vec<f32>> {
         let mut out = vec![0.0; layout.width()];
         layout.write(&self.predictor_inputs(None), &mut out)?;
@@ -66,7 +67,7 @@ impl Sample {
 ///
 /// # Errors
 /// When the renderer fails or has no clock of that name.
-#[expect(clippy::too_many_arguments, reason = "a calibration is told everything once, in one place")]
+#[expect(clippy::too_many_arguments, reason = "each parameter is one setting of the measurement")]
 pub fn measure(
     volume: &VolumeView<'_>,
     summary: &VolumeSummary,
@@ -123,8 +124,8 @@ pub fn measure(
     Ok(Some(samples))
 }
 
-/// G from the random scenes: for each scene, the time at every step divided by the time at the reference
-/// step.
+/// Returns G, the curve of relative frame time over ray step, from random scenes: the time of each scene at
+/// every step is divided by its time at the reference step.
 ///
 /// # Errors
 /// When no scene was timed at two steps.
@@ -132,7 +133,7 @@ pub fn response(samples: &[Sample]) -> Result<StepResponse> {
     StepResponse::from_samples(&response_pairs(samples))
 }
 
-/// The (step, time ratio) pairs that [`response`] uses, scene after scene.
+/// Returns the (step, time ratio) pairs that [`response`] uses, scene after scene.
 pub(crate) fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
     samples
         .iter()
@@ -147,18 +148,19 @@ pub(crate) fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
 /// Errors of predictions on samples.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Quality {
-    /// Frames judged.
+    /// Number of evaluated frames.
     pub frames: usize,
     /// Median of |predicted / measured − 1|.
     pub median_error: f64,
     /// 95th percentile of |predicted / measured − 1| (nearest rank).
     pub p95_error: f64,
-    /// Root mean square of ln(measured / predicted), without the tenth of largest magnitude.
+    /// Root mean square of ln(measured / predicted), without the tenth of the values that has the largest
+    /// magnitudes.
     pub log_sd: f64,
 }
 
 impl Quality {
-    /// From (predicted, measured) pairs; `None` without finite positive ones.
+    /// Returns the errors of (predicted, measured) pairs of seconds; `None` if no pair has a finite error.
     pub fn of(pairs: &[(f64, f64)]) -> Option<Self> {
         let mut logs: Vec<f64> =
             pairs.iter().map(|(p, m)| (m / p).ln().abs()).filter(|l| l.is_finite()).collect();

@@ -9,23 +9,23 @@ use entire_steer::control::Prior;
 use entire_steer::control::{Controller, Hybrid, HybridOptions, Session};
 use entire_steer::predict::Predictor;
 
-/// A controller by name.
+/// Names of the controllers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, ValueEnum)]
 pub enum ControllerKind {
     /// Always the same step.
     Fixed,
-    /// Mean of the last three frames, converted to the reference step by G, the curve of frame time over
+    /// Mean of the last three frame times, converted to the reference step by G, the curve of frame time over
     /// step.
     Olp,
-    /// The last frame, converted to the reference step by G.
+    /// The last frame time, converted to the reference step by G.
     Last,
-    /// The larger of the last two frames, converted to the reference step by G.
+    /// The longer one of the last two frame times, converted to the reference step by G.
     LargerOfTwo,
     /// Proportional, integral and differential feedback on the step, gains 0.3, 0.05, 0.1.
     Pid,
     /// The paper's Algorithm 1: prediction at the reference step, converted to other steps by G.
     Algorithm1,
-    /// entire's: prediction for every step, corrected online, with a safety margin.
+    /// entire's controller: a prediction for every step, corrected by observed frames, with a safety margin.
     Hybrid,
     /// VTK's rule for GPU ray casting, on the ray step.
     VtkGpu,
@@ -76,8 +76,9 @@ impl ControllerKind {
         }
     }
 
-    /// Quantity that the rule sets, with the range of the original rule: image sample distances up to 10
-    /// (VTK) and 20 pixels (vtk.js), image sides of at least half the full length (Unreal and Filament).
+    /// Returns the quantity that the controller sets, with the range of the original rule: image sample
+    /// distances up to 10 (VTK) and 20 pixels (vtk.js), image sides of at least half the full length (Unreal
+    /// and Filament).
     pub const fn acts_on(self) -> ActsOn {
         match self {
             Self::VtkFixedPoint => ActsOn::ImageResolution { coarsest: 100.0 },
@@ -94,14 +95,14 @@ impl ControllerKind {
         }
     }
 
-    /// The controller with this name; `None` for an unknown name.
+    /// Returns the controller with this name; `None` for an unknown name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::value_variants().iter().copied().find(|k| k.name() == name)
     }
 }
 
-/// A new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior` is the
-/// prior of the predictor's error on this machine.
+/// Returns a new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior`
+/// is the prior of the predictor's error on this machine.
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,
@@ -124,7 +125,7 @@ pub fn controller(
     }
 }
 
-/// A contender: a controller (see [`controller`]) with its own predictor, before any frame.
+/// Returns a contender before its first frame: a controller (see [`controller`]) with its own predictor.
 pub fn contender(
     kind: ControllerKind,
     fixed_step: f32,

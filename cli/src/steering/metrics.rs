@@ -23,25 +23,25 @@ pub(crate) struct Played {
     pub(crate) coarsest: f64,
     /// PSNR against the picture at the reference step, decibels; `None` where no reference was drawn.
     pub(crate) psnr: Option<f64>,
-    /// True if something switched abruptly at this frame.
+    /// True if the path switches abruptly at this frame, or the volume or the image size changes.
     pub(crate) switched: bool,
 }
 
 impl Played {
-    /// (t − target) / target.
+    /// Returns the relative error of the frame time: (seconds − target) / target.
     pub(crate) fn error(&self) -> f64 {
         (self.seconds - self.target) / self.target
     }
 
-    /// True if the frame is on target: within a quarter of it, or faster with the finest step, or slower with
-    /// the coarsest.
+    /// True if the frame time is within 25 % of the target, or shorter at the finest step, or longer at the
+    /// coarsest step.
     pub(crate) fn on_target(&self) -> bool {
         let (finest, coarsest) = (self.step <= self.finest * 1.001, self.step >= self.coarsest * 0.999);
         (self.error() <= 0.25 || coarsest) && (self.error() >= -0.25 || finest)
     }
 }
 
-/// A controller's figures over a path. Shares are 0 to 1, times seconds.
+/// A controller's figures over a path. Shares are 0 to 1, times are in seconds; t is a frame time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Metrics {
     /// Frames played.
@@ -58,8 +58,8 @@ pub(crate) struct Metrics {
     /// Mean of |t − target| / target over all other frames, except the first [`SWITCH_FRAMES`] of the path.
     pub(crate) mean_error_in_calm: Option<f64>,
     /// Number of frames from each switch until two in a row are on target (see [`Played::on_target`]); 0 if
-    /// the switch's own frame and the next one are. If no two in a row are, the number of frames to the next
-    /// switch or the end.
+    /// these are the switch's own frame and the next one. Without two such frames, the number of frames to
+    /// the next switch or the end.
     pub(crate) recovery_frames: Vec<usize>,
     /// 95th percentile of the frame time (nearest rank).
     pub(crate) p95_seconds: f64,
@@ -69,7 +69,7 @@ pub(crate) struct Metrics {
     pub(crate) mean_psnr: Option<f64>,
     /// Mean of [`Played::step`].
     pub(crate) mean_step: f64,
-    /// Share of calm frames whose step differs by over 20 % from that of the frame before.
+    /// Share of calm frames whose step differs by over 20 % from the step of the frame before.
     pub(crate) step_jumps_in_calm: f64,
 }
 
@@ -155,7 +155,7 @@ mod tests {
         assert!((m.mean_psnr.unwrap() - 46.0).abs() < 1e-9 && (m.mean_step - 2.2).abs() < 1e-12);
         assert_eq!(m.mean_error_at_switches, None);
         assert!(m.recovery_frames.is_empty());
-        // Calm frames are 3…9; one of them jumps.
+        // Calm frames are 3…9; the step of one of them jumps.
         assert!((m.step_jumps_in_calm - 1.0 / 7.0).abs() < 1e-12);
         assert!((m.mean_error_in_calm.unwrap() - 0.3 / 7.0).abs() < 1e-12);
         assert_eq!(Metrics::of(&[]), None);
@@ -174,12 +174,12 @@ mod tests {
         let mut frames = vec![frame(0.1); 16];
         // A switch whose first frame is on target.
         frames[3].switched = true;
-        // One that takes four frames: a single on-target frame in between does not count.
+        // A switch with a recovery of four frames: a single on-target frame in between does not count.
         frames[7].switched = true;
         for (i, t) in [(7, 0.3), (8, 0.11), (9, 0.2), (10, 0.04)] {
             frames[i].seconds = t;
         }
-        // One that never settles before the end.
+        // A switch after which no frame is on target.
         frames[13].switched = true;
         for f in &mut frames[13..] {
             f.seconds = 0.5;

@@ -71,7 +71,7 @@ impl SteeringModel {
                 s.seconds,
             ));
         }
-        Quality::of(&pairs).context("there is no frame to judge the model by")
+        Quality::of(&pairs).context("there is no frame to evaluate the model on")
     }
 }
 
@@ -80,12 +80,12 @@ impl SteeringModel {
 pub(crate) struct Steers {
     /// Name of the predictor.
     pub(crate) title: String,
-    /// Its errors on the random frames of the volume, which it was not fitted to.
+    /// Errors of the predictor on random frames of the played volume, to which it was not fitted.
     pub(crate) on_this_volume: Quality,
 }
 
 impl Steers {
-    /// The predictor and its errors, in a sentence.
+    /// Returns a sentence with the predictor's name and errors.
     pub(crate) fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         format!(

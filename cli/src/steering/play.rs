@@ -19,8 +19,8 @@ use indicatif::ProgressBar;
 pub enum ActsOn {
     /// The ray step.
     RayStep,
-    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, each side
-    /// divided by √s.
+    /// Image resolution, at the reference step. A decision's step s means an image with 1/s of the pixels:
+    /// each side is divided by √s.
     ImageResolution {
         /// Largest s by the rule's published constants; the smallest is 1.
         coarsest: f32,
@@ -44,7 +44,8 @@ impl ActsOn {
         }
     }
 
-    /// Ray step and image sample distance (pixels between rays along each side) of a decision.
+    /// Returns ray step and image sample distance (pixels between rays along each side) for a decision's step
+    /// `chosen`.
     pub fn drawn(self, chosen: f32) -> (f32, f32) {
         match self {
             Self::RayStep => (chosen, 1.0),
@@ -110,13 +111,14 @@ impl DrawSettings {
 
 /// A controller in the comparison, with its predictor and its learned state.
 pub struct Contender {
-    /// Its name for tables.
+    /// Name of the controller in tables.
     pub name: String,
-    /// The session that plans its frames and learns from their times.
+    /// The session that plans the controller's frames and learns from their times.
     pub session: Session,
-    /// True if it may choose the image sample distance in addition to the step, up to the task's maximum.
+    /// True if the controller may choose the image sample distance in addition to the step, up to the task's
+    /// maximum.
     pub chooses_image_sample_distance: bool,
-    /// Quantity that its decisions set.
+    /// Quantity that the controller's decisions set.
     pub acts_on: ActsOn,
 }
 
@@ -133,8 +135,8 @@ pub(crate) struct Record {
     pub(crate) predicted: f32,
     /// Upper bound, seconds; NaN where there is none.
     pub(crate) upper: f32,
-    /// Out-of-range score: 0 inside the predictor's training range; above 1 the prediction is unreliable; NaN
-    /// where unknown.
+    /// Out-of-range score: 0 inside the predictor's training range; outside, it grows with the distance from
+    /// that range. NaN where unknown.
     pub(crate) out_of_range: f32,
     /// Reason for this step.
     pub(crate) reason: Reason,
@@ -168,7 +170,7 @@ pub(crate) struct Playback {
     pub(crate) records: Vec<Vec<Record>>,
     /// Reference rendering of each frame.
     pub(crate) references: Vec<Reference>,
-    /// Frames at which something switched: the path, the volume or the image size.
+    /// Frames at which the path switches abruptly, or the volume or the image size changes.
     pub(crate) switches: Vec<usize>,
     /// Target of each frame, seconds.
     pub(crate) targets: Vec<f64>,
@@ -181,7 +183,7 @@ pub(crate) struct Playback {
 }
 
 impl Playback {
-    /// A controller's frames, as the metrics need them.
+    /// Returns a controller's frames, as the metrics need them.
     pub(crate) fn played(&self, controller: usize) -> Vec<Played> {
         let acts_on = self.acts_on[controller];
         let limits = acts_on.limits(self.limits);
@@ -204,7 +206,7 @@ impl Playback {
             .collect()
     }
 
-    /// Every controller's figures, in the order of the names.
+    /// Returns every controller's metrics, in the order of the names.
     pub(crate) fn metrics(&self) -> Vec<Metrics> {
         (0..self.names.len()).filter_map(|c| Metrics::of(&self.played(c))).collect()
     }
@@ -213,16 +215,16 @@ impl Playback {
 /// A volume of the path.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shown<'a> {
-    /// Its voxels.
+    /// Voxels of the volume.
     pub(crate) view: &'a VolumeView<'a>,
-    /// Its summary.
+    /// Summary of the volume.
     pub(crate) summary: &'a VolumeSummary,
 }
 
 /// A path to play, with its volumes, targets and limits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Task<'a> {
-    /// The volume, or those of a series in order.
+    /// The volume, or the volumes of a series in order.
     pub(crate) volumes: &'a [Shown<'a>],
     /// Frames per volume of a series; 0 for a single volume.
     pub(crate) hold: u32,
@@ -258,13 +260,13 @@ pub(crate) const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
 /// Plays a path under all contenders. Each frame is drawn at the reference step first, then under every
-/// contender with its own step, so that noise of the machine affects all contenders alike. The contender that
-/// begins changes every frame. Changes of the transfer function are not timed.
+/// contender with its own step, so that noise of the machine affects all contenders alike. The order of the
+/// contenders rotates by one from frame to frame. Changes of the transfer function are not timed.
 ///
 /// Returns `None` when `stop` returned true.
 ///
 /// # Errors
-/// When the renderer or a prediction fails; names the frame.
+/// When the renderer or a prediction fails; the error names the frame.
 pub(crate) fn play(
     task: &Task<'_>,
     draw: &DrawSettings,
@@ -395,7 +397,7 @@ mod tests {
     use entire_steer::control::Prior;
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
-    /// A predictor that knows the law of the scripted renderer up to a factor.
+    /// A predictor that gives the seconds of the scripted renderer times `bias`.
     struct Insider {
         bias: f64,
     }
@@ -456,7 +458,7 @@ mod tests {
         let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
         let summary = VolumeSummary::new(&view).unwrap();
         let law = ScriptedRenderer::default();
-        // G of the law at a medium opacity, as samples of several scenes would give it.
+        // G of the scripted renderer at a medium opacity, as samples of several scenes would give it.
         let at = |step: f64| law.fixed + 1e4 * 0.1 * law.per_sample * 100.0 / step;
         let samples: Vec<(f32, f32)> =
             [1.0, 2.0, 4.0, 8.0, 16.0].map(|s| (s as f32, (at(s) / at(1.0)) as f32)).to_vec();
@@ -505,10 +507,10 @@ mod tests {
         let metrics = playback.metrics();
         let at_switches: Vec<f64> = metrics.iter().map(|m| m.mean_error_at_switches.unwrap()).collect();
         let [_, olp, pid, algorithm1, hybrid] = at_switches[..] else { panic!() };
-        // A single G for all scenes costs Algorithm 1 some of its advantage.
+        // Algorithm 1 uses a single G for all scenes, so its limit is higher than the hybrid's.
         assert!(algorithm1 < 0.7 * olp.min(pid), "{at_switches:?}");
         assert!(hybrid < 0.3 * olp.min(pid), "{at_switches:?}");
-        // The hybrid learns the bias; Algorithm 1 keeps it.
+        // The hybrid corrects the bias, so its error in calm phases is smaller than that of Algorithm 1.
         assert!(metrics[4].mean_error_in_calm.unwrap() < metrics[3].mean_error_in_calm.unwrap());
         let worst = |m: &Metrics| m.recovery_frames.iter().copied().max().unwrap();
         assert!(worst(&metrics[4]) == 0 && worst(&metrics[1]) > 0 && worst(&metrics[2]) > 0);
@@ -524,7 +526,7 @@ mod tests {
                 assert!(r.seconds > 0.0 && r.step >= 1.0 && r.step <= 16.0);
             }
         }
-        // The fixed controller draws the reference picture.
+        // The fixed controller draws at the reference step, so its pictures equal the reference pictures.
         assert!(playback.records[0].iter().all(|r| r.psnr == f64::INFINITY && r.step == 1.0));
         let again = play_scripted(0.0, 1.0, None).unwrap();
         for (a, b) in playback.records.iter().flatten().zip(again.records.iter().flatten()) {
@@ -550,8 +552,8 @@ mod tests {
         }
         let smaller = sized.records[hybrid].iter().filter(|r| r.image_sample_distance > 1.0).count();
         assert!(smaller > 0, "no smaller picture");
-        // By the quality law, choosing both is never worse than choosing the step alone, and as few frames
-        // miss the target.
+        // By the quality law, a contender that chooses step and size has less error than one that chooses the
+        // step alone; at most one more frame misses the target.
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..]
                 .iter()
@@ -581,13 +583,13 @@ mod tests {
             assert_eq!((kept.width, kept.height), (100, 100));
         }
         assert!(gpu.iter().all(|r| r.image_sample_distance == 1.0) && gpu.iter().any(|r| r.step > 1.0));
-        // VTK's rule draws the first frame with 1/25 of the pixels, so it is short.
+        // VTK's rule draws the first frame with 1/25 of the pixels, so its work is 1/25 of the full image's.
         let law = ScriptedRenderer::default();
         let work = |r: &Record| r.seconds - law.fixed;
         let whole = playback.references[0].seconds - law.fixed;
         assert_eq!(fixed_point[0].image_sample_distance, 5.0);
         assert!((work(&fixed_point[0]) / whole * 25.0 - 1.0).abs() < 1e-3);
-        // Limits and decisions are of image resolution.
+        // The metrics state step and limits as pixels of the full image per drawn pixel.
         let played = playback.played(0);
         assert_eq!((played[0].step, played[0].finest, played[0].coarsest), (25.0, 1.0, 100.0));
         assert!(playback.metrics()[0].mean_step > 1.1);

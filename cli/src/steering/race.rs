@@ -53,12 +53,12 @@ pub(crate) struct Race<'a> {
     pub(crate) target: Option<f64>,
     /// The predictor, for controllers that use one.
     pub(crate) model: &'a SteeringModel,
-    /// Prior knowledge of the predictor's errors, for controllers that correct it.
+    /// Prior knowledge of the predictor's errors, for controllers that correct the predictor.
     pub(crate) prior: Prior,
 }
 
-/// Chooses the predictor: the given model, else the machine's, else the shipped model, which sessions scale
-/// to this machine frame by frame. The second value is the prior for controllers.
+/// Returns the model that predicts, and the prior of its errors for controllers. The model is the given one,
+/// else the machine's, else the shipped model, which sessions scale to this machine frame by frame.
 ///
 /// # Errors
 /// When a model cannot be read, or holds no predictor.
@@ -89,8 +89,9 @@ pub(crate) fn steering_model(
     Ok((model, prior))
 }
 
-/// The machine's model for a shading mode, with its name, and the clock of frame times: with [`Clock::Auto`]
-/// the clock of the machine's model. A model of another clock than the requested one is ignored, with a note.
+/// Returns the machine's model for a shading mode, with its name, and the clock of frame times: with
+/// [`Clock::Auto`] the clock of the machine's model. A model of another clock than the requested one is
+/// ignored, with a note.
 ///
 /// # Errors
 /// When the file of the machine's model holds no model.
@@ -106,7 +107,7 @@ pub(crate) fn machine_model_for(
     Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
 }
 
-/// Reason why the machine's model is ignored, and the remedy.
+/// Returns the reason why the machine's model is ignored, and the remedy.
 fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
     let remedy = match asked {
         Clock::Auto => String::new(),
@@ -148,13 +149,13 @@ pub(crate) struct Prepared {
 }
 
 impl Prepared {
-    /// G, and its samples.
+    /// Returns G and its samples, for the report.
     pub(crate) fn response_curve(&self) -> ResponseCurve {
         ResponseCurve::new(&self.samples, &self.response)
     }
 }
 
-/// Seconds of the random scenes at a step, ascending.
+/// Returns the seconds of the random scenes at a step, ascending.
 fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     let mut times: Vec<f64> = samples.iter().filter(|s| s.setting.step == step).map(|s| s.seconds).collect();
     times.sort_by(f64::total_cmp);
@@ -165,21 +166,21 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
 /// most scenes must be drawn at coarser steps, and few at the coarsest step.
 pub(crate) const TARGET_SHARE: f64 = 0.5;
 
-/// [`TARGET_SHARE`] of the median time at the reference step, seconds, rounded to a tenth of a millisecond if
-/// it is over a millisecond; `None` without samples.
+/// Returns the default target, in seconds: [`TARGET_SHARE`] of the random scenes' median time at the
+/// reference step, rounded to a tenth of a millisecond if it is over a millisecond. `None` without samples.
 pub(crate) fn sane_target(samples: &[Sample]) -> Option<f64> {
     let target = TARGET_SHARE * median(&mut times_at(samples, 1.0))?;
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
-/// Distribution of random scenes: as in collections, but with one to three lobes, so that nearly empty
-/// volumes are among them.
+/// Returns the distribution of random scenes: as in collections, but with one to three lobes, so that some
+/// scenes show a nearly empty volume.
 pub fn calibration_scenes() -> SceneDistribution {
     SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
 }
 
 /// Renders random scenes of the volume at several steps and derives from them G, the predictor's errors, the
-/// default target and the fixed step. The predictor is not fitted to them.
+/// default target and the fixed step. The predictor is not fitted to these scenes.
 ///
 /// Returns `None` when `stop` returned true.
 ///

@@ -14,7 +14,7 @@ use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// G as (step ratio, time ratio): the samples, scene after scene, and the curve's points.
+/// G, the curve of relative frame time over ray step: its samples, scene after scene, and its points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResponseCurve {
     /// Measured pairs (step ratio, time ratio).
@@ -24,12 +24,12 @@ pub struct ResponseCurve {
 }
 
 impl ResponseCurve {
-    /// A curve and its samples.
+    /// Returns a curve with its samples.
     pub fn new(samples: &[Sample], response: &StepResponse) -> Self {
         Self { samples: response_pairs(samples), points: response.points().collect() }
     }
 
-    /// Chart of the curve and its samples.
+    /// Returns a chart of the curve and its samples.
     pub fn chart(&self) -> Chart {
         let wide = |p: &(f32, f32)| (f64::from(p.0), f64::from(p.1));
         let samples = self.samples.iter().map(wide).map(|(x, y)| (x, y, String::new())).collect();
@@ -72,7 +72,7 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
-/// Name of the setting that a controller chooses.
+/// Returns the name of the setting that a controller chooses.
 fn acts_on(playback: &Playback, controller: usize) -> &'static str {
     let smaller = playback.records[controller].iter().any(|r| r.image_sample_distance > 1.0);
     match playback.acts_on[controller] {
@@ -101,7 +101,7 @@ fn percent(v: f64) -> String {
     format!("{:.1}", 100.0 * v)
 }
 
-/// The table of figures, best values marked.
+/// Returns the table of the controllers' metrics, with the best value of each column marked.
 pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     let mut table = Table::new(vec![
         Column::text("controller"),
@@ -152,7 +152,7 @@ pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     table
 }
 
-/// A picture's step and image size, as text.
+/// Returns a picture's step and image sample distance, as text.
 fn setting(r: &Record) -> String {
     match r.image_sample_distance {
         1.0 => format!("step {:.2}", r.step),
@@ -164,8 +164,8 @@ fn setting(r: &Record) -> String {
 fn table_caption() -> String {
     format!(
         "T is the target, t a frame time. \"> 1.1 T\" and \"> 1.25 T\": shares of frames that took longer. \
-         |t - T| / T: mean over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames of each \
-         abrupt switch; \"calm\": over all other frames except the first {SWITCH_FRAMES} of the path. The \
+         |t - T| / T: mean over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames from each \
+         abrupt switch on; \"calm\": over all other frames except the first {SWITCH_FRAMES} of the path. The \
          best value of each column is bold. Recovery: frames from a switch until two in a row are on target \
          (within 25 %, or at a limit of the step), mean over the switches; 0 if these two are the first \
          after the switch. \
@@ -253,8 +253,8 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
     })
 }
 
-/// A controller's errors around the switches: (frames since the switch, mean of |t − target| / target over
-/// the switches, %), from `before` frames before a switch to `after` frames after it.
+/// Returns a controller's errors around the switches: (frames since the switch, mean of |frame time − target|
+/// / target over the switches, in %), from `before` frames before a switch to `after` frames after it.
 fn around_switches(playback: &Playback, controller: usize, before: usize, after: usize) -> Vec<(f64, f64)> {
     let played = playback.played(controller);
     (0..=before + after)
@@ -272,7 +272,7 @@ fn around_switches(playback: &Playback, controller: usize, before: usize, after:
         .collect()
 }
 
-/// (frame, target in milliseconds) of every frame.
+/// Returns (frame, target in milliseconds) of every frame.
 fn numbered_targets(playback: &Playback) -> Vec<(f64, f64)> {
     playback.targets.iter().enumerate().map(|(i, t)| (i as f64, t * 1e3)).collect()
 }
@@ -292,7 +292,7 @@ fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) ->
     chart
 }
 
-/// The HTML report.
+/// Returns the HTML report.
 ///
 /// # Errors
 /// When a picture cannot be encoded.
@@ -343,8 +343,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
         page.chart(
             &chart,
-            "Mean over the switches. Reactive controllers notice a switch one frame late; predicting ones \
-             plan its first frame.",
+            "Mean over the switches. Reactive controllers notice a switch one frame late; predicting \
+             controllers plan its first frame.",
         );
     }
 
@@ -355,8 +355,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     });
     page.chart(
         &chart,
-        "The step that each controller chose: coarser is faster and less exact. Rules that \
-         act on image resolution keep the reference step.",
+        "Ray step of each controller: at a coarser step, frames are faster and pictures less exact. \
+         Controllers that act on image resolution keep the reference step.",
     );
 
     if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
@@ -371,8 +371,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         });
         page.chart(
             &chart,
-            "The image sample distance that each controller chose: rules that act on image resolution, and, \
-             where it may, the hybrid, by predicted image error.",
+            "Image sample distance of each controller. It changes only under controllers that act on image \
+             resolution, and under the hybrid, if the hybrid may coarsen the image.",
         );
     }
 
@@ -381,7 +381,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
         Mark::Line(numbered(c, &|i| playback.records[c][i].psnr.min(60.0)))
     });
-    page.chart(&chart, "Similarity to the picture at the reference step; higher values are drawn at 60 dB.");
+    page.chart(&chart, "Similarity to the picture at the reference step; values over 60 dB are drawn at 60.");
 
     page.heading("Predictions");
     page.paragraph(&format!("{}.", story.predictor.sentence()));
@@ -411,7 +411,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         page.chart(
             &story.response.chart(),
             "Algorithm 1 and OLP use this one curve for all scenes. The scatter of the scenes about the \
-             curve is their error; the hybrid predicts each scene's own curve.",
+             curve is the error of these two; the hybrid predicts each scene's own curve.",
         );
     }
 
@@ -421,7 +421,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     for (frame, reference) in playback.references.iter().enumerate() {
         let Some(image) = &reference.image else { continue };
         let what = match playback.switches.iter().position(|s| *s == frame) {
-            Some(i) => format!("Frame {frame}, the first of switch {}:", i + 1),
+            Some(i) => format!("Frame {frame}, the first after switch {}:", i + 1),
             None => format!("Frame {frame} of {frames}:"),
         };
         page.paragraph(&what);
@@ -468,11 +468,11 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     Ok(page)
 }
 
-/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made where it does not
-/// exist.
+/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made if it does not exist.
+/// Returns the metrics of the controllers.
 ///
 /// # Errors
-/// When a file cannot be written; names it.
+/// When a file cannot be written; the error names the file.
 pub(crate) fn write(
     folder: &Path,
     story: &Story,

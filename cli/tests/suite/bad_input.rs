@@ -1,5 +1,5 @@
-//! Bad input: every command answers with status 1 and one line with cause and remedy, or with the defined
-//! result for input that is merely extreme.
+//! Bad input: every command ends with status 1 and one line with cause and remedy, or with the defined result
+//! for input that is merely extreme.
 
 use crate::support::*;
 
@@ -36,7 +36,7 @@ fn missing_and_truncated_files() {
                     refuses(at, &["predict", "--model", name, "--inputs", "rows.csv"], &[name])
                 }
                 "volume.safetensors" => refuses(at, &["encode", "--model", name, "ball.nrrd"], &[name]),
-                // A table may lose whole rows, or digits, without notice.
+                // A truncated table may lack rows or digits without being invalid.
                 _ if keep == 0 => {
                     refuses(
                         at,
@@ -236,7 +236,7 @@ fn frames_that_cannot_be() {
             vec!["--out ball.nrrd is an input"],
         ),
     ] {
-        // A case with its own --out replaces the usual one, since an option may be given once.
+        // The --out of a case replaces the usual --out, since an option may be given only once.
         let arguments: Vec<&str> = match arguments.iter().rposition(|a| *a == "--out") {
             Some(last) if last != 10 => {
                 arguments.iter().enumerate().filter(|(i, _)| !(10..12).contains(i)).map(|(_, a)| *a).collect()
@@ -247,7 +247,7 @@ fn frames_that_cannot_be() {
     }
 }
 
-/// The pixels of a volume under a transfer function; the run must succeed.
+/// Returns the pixels of a volume under a transfer function; the run must succeed.
 fn pixels(at: &std::path::Path, volume: &str, camera: &str, tf: &str, size: &str, more: &[&str]) -> Vec<u8> {
     succeeds(at, &render(volume, camera, tf, size, more));
     picture(&at.join("out.png")).2
@@ -272,7 +272,7 @@ fn extreme_transfer_functions_cameras_and_sizes_render() {
             assert_eq!(pixels(at, "ball.nrrd", "0,0,2", TF, "1x1", &more).len(), 3);
         }
     }
-    // So far away that no ray hits.
+    // The camera is so far away that no ray hits the volume.
     assert!(pixels(at, "ball.nrrd", "0,0,1e6", TF, "16x16", &[]).iter().all(|&v| v == 0));
     assert!(pixels(at, "ball.nrrd", "-720,36000,2", TF, "16x16", &[]).iter().any(|&v| v > 10));
     assert_eq!(pixels(at, "ball.nrrd", "0,0,2", TF, "1x64", &["--step", "4096"]).len(), 64 * 3);
@@ -314,7 +314,7 @@ fn volumes_with_broken_constant_or_thin_voxels_have_an_answer() {
     let encode = |name: &str| number(succeeds(at, &["encode", "--model", "volume.safetensors", name]));
     assert_eq!(encode("dirty.nrrd"), encode("clean.nrrd"));
 
-    // Without any finite value: the low end everywhere.
+    // A volume without finite values is drawn and encoded as the low end everywhere.
     put("nan.nrrd", &float_nrrd([4, 4, 4], (0..64).map(|_| f32::NAN)));
     put("same.nrrd", &float_nrrd([4, 4, 4], (0..64).map(|_| 7.0)));
     assert_eq!(encode("nan.nrrd"), encode("same.nrrd"));
@@ -344,7 +344,8 @@ fn volumes_with_broken_constant_or_thin_voxels_have_an_answer() {
 
 #[test]
 fn commands_of_other_programs_never_see_a_panic() {
-    // A damaged byte anywhere in a model or a volume: success or one line, never a panic.
+    // One byte of a model is damaged, at every 37th position: the command succeeds or prints one line, and
+    // never panics.
     let folder = workshop();
     let at = folder.path();
     let model = std::fs::read(at.join("pred.safetensors")).unwrap();

@@ -9,7 +9,7 @@ use entire_steer::predict::load;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// Small volumes of three kinds of content.
+/// Writes three small volumes with different content.
 fn volumes(folder: &Path) {
     for (name, value) in [
         ("a", (|i: usize| (i * 7 % 251) as u8) as fn(usize) -> u8),
@@ -54,7 +54,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     for part in ["to expect", "median error", "RMSE/SD", "clock cpu", "3 volumes"] {
         assert!(said.contains(part), "{part}: {said}");
     }
-    // Images of at most 64 pixels are too small for comparing pictures.
+    // Image sides of at most 64 pixels are too short for comparing pictures.
     assert!(said.contains("too few were compared"), "{said}");
     let path = at.join("home/entire/machine-none.safetensors");
     let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
@@ -76,7 +76,8 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
         assert!(!text.contains(&format!("\"{}", at.display())), "a path of this machine: {text}");
     }
 
-    // The measured frames are a table; the model is evaluated on it by its own clock, and by no other.
+    // The measured frames form a timing table. The model is evaluated on it by the model's clock; another
+    // clock is refused.
     let judged = run(at, &["evaluate", "--model", path.to_str().unwrap(), "--data", "frames.csv", "--quiet"]);
     assert!(judged.status.success(), "{}", stderr(&judged));
     let arguments =
@@ -145,9 +146,10 @@ fn a_model_states_what_coarser_pictures_cost() {
         assert_eq!((&pictures["error"], &pictures["settings"]), (&error.into(), &20.into()));
         let of = |name: &str| pictures[name].as_f64();
         let (chosen, least) = (of("over_best").unwrap(), of("step_least_time").unwrap());
-        // A coarse picture may be better than the law predicts.
+        // The error of the law's choices is at least 0.95 times the best error: a coarse picture may be
+        // better than interpolation between drawn settings predicts.
         assert!(chosen > 0.95 && least > 0.0 && least < 1.0, "{pictures}");
-        // The step alone is compared unless it never reaches the longest time in the comparison.
+        // A coarser step alone is compared, unless it cannot even reach the longest compared frame time.
         match of("step_over_best") {
             Some(alone) => assert!(chosen <= alone + 1e-9, "{pictures}"),
             None => assert!(least > 0.7, "{pictures}"),
@@ -191,7 +193,7 @@ fn what_cannot_be_calibrated_is_said() {
     assert!(!at.join("m.safetensors").exists());
 }
 
-/// As [`refuses`], when output may have been printed before.
+/// Checks that a command is refused, as [`refuses`] does; output before the error is allowed.
 fn refuses_after_output(folder: &Path, arguments: &[&str], parts: &[&str]) {
     let output = entire(folder, arguments);
     assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", stderr(&output));

@@ -6,7 +6,7 @@ mod example;
 
 use quick_xml::events::Event;
 
-/// Names and classes of the elements; fails where the text is not well-formed.
+/// Returns the names and classes of the elements; fails if the text is not well-formed.
 fn walk(svg: &str) -> Vec<String> {
     let mut reader = quick_xml::Reader::from_str(svg);
     let mut found = Vec::new();

@@ -65,7 +65,7 @@ fn a_second_writer_of_a_table_is_refused_and_ruins_nothing() {
     }
     first.kill().unwrap();
     first.wait().unwrap();
-    // Every whole line has all columns, and frames follow one another: one writer wrote them.
+    // Every whole line has all columns and the frames are in order, so only one process wrote them.
     let text = std::fs::read_to_string(&out).unwrap();
     let columns = text.lines().next().unwrap().split(',').count();
     let whole = &text[..text.rfind('\n').unwrap()];
@@ -236,7 +236,7 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
         assert!(said.contains("v.nrrd changed after the frames of t.csv"), "{arguments:?}: {said}");
     }
 
-    // The restored file is the same, although it was written later.
+    // A file with the original content is accepted, although it was written later.
     std::fs::write(&volume, &bytes).unwrap();
     let output = program(&["features", "--quiet", "--data", "t.csv"]);
     assert!(output.status.success(), "{}", stderr(&output));

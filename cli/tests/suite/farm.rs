@@ -11,7 +11,7 @@ use crate::support::{entire, refuses, stderr, succeeds};
 
 const RENDERER: &str = "[renderer]\nkind = \"entire\"\ndevice = \"cpu\"\n";
 
-/// A folder with a volume and a job of 2 x 10 x 2 tasks.
+/// Returns a folder with two volumes and a job of 2 x 10 x 2 tasks (volumes, views, steps).
 fn setting(renderer: &str) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     ball::write(&dir.path().join("a ball's $(x).nrrd"));
@@ -69,7 +69,7 @@ fn a_database_is_rendered_and_its_table_names_every_image() {
     assert_eq!(rows.iter().map(|r| r["time"].as_str()).collect::<HashSet<_>>().len(), 2);
     let page = std::fs::read_to_string(dir.path().join("r.html")).unwrap();
     assert!(page.contains("Predicted against measured") && page.contains("local-0"));
-    // The same picture that `entire render` draws.
+    // The image equals the picture that `entire render` draws.
     let row = &rows[7];
     let camera = format!("{},{},{}", row["rx_deg"], row["ry_deg"], row["dz_radii"]);
     succeeds(
@@ -93,7 +93,7 @@ fn a_database_is_rendered_and_its_table_names_every_image() {
     );
     let (one, other) = (dir.path().join("one.png"), dir.path().join("db.cdb").join(&row["FILE"]));
     assert_eq!(std::fs::read(one).unwrap(), std::fs::read(other).unwrap());
-    // Finished tasks are neither restarted nor done twice.
+    // Without --resume, the finished database is refused; with --resume, no task is rendered again.
     refuses(dir.path(), &["farm", "job.toml", "--quiet"], &["--resume"]);
     let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--quiet"]);
     assert!(said.contains("40 of 40 images, 0 of them"), "{said}");
@@ -159,7 +159,7 @@ fn drivers_and_workers_are_killed_and_nothing_is_lost() {
             arguments.push("--resume");
         }
     }
-    // Ctrl-C: current tasks are finished, and the message names the command that continues.
+    // Ctrl-C ends the driver after the current tasks; the next run continues the database.
     let mut driver = start(dir.path(), &arguments);
     std::thread::sleep(Duration::from_millis(60));
     kill(driver.id(), "-INT");
@@ -217,7 +217,8 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     let logs: Vec<String> = logs.map(|f| std::fs::read_to_string(f.unwrap().path()).unwrap()).collect();
     assert_eq!(logs.len(), 4);
     assert!(logs.iter().all(|l| l.contains("this view is broken")), "{logs:?}");
-    // Each task has three attempts: the journal has two as failed, the last one gives the task up.
+    // Each task has three attempts: the journal records two of them as failed, and the third one gives the
+    // task up.
     assert_eq!(journal(dir.path()).matches("\"failed\"").count(), 8);
     // After the repair, failed tasks are rendered; the others are not rendered again.
     std::fs::write(dir.path().join("draw.sh"), script.replace("= 36", "= 999")).unwrap();
@@ -266,14 +267,14 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         dir.path(),
         &[&schedule[..], &["--method", "affinity", "--dispatch", "1", "--window", "2"]].concat(),
     );
-    // Options that would have no effect.
+    // Options that would have no effect are refused.
     for (more, parts) in [
         (&["--dispatch", "1"][..], ["--dispatch", "--method static"]),
         (&["--method", "queue", "--window", "2"], ["--window", "--method queue"]),
     ] {
         refuses(dir.path(), &[&schedule[..], more].concat(), &parts);
     }
-    // With the list as the source of the tasks' expected times.
+    // The saved list can be the source of the tasks' expected times.
     let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
     std::fs::write(dir.path().join("told.toml"), text + "\n[predict]\nlist = \"tasks.csv\"\n").unwrap();
     let said = succeeds(dir.path(), &["farm", "told.toml", "--dry-run"]);
@@ -355,7 +356,7 @@ fn a_resumed_database_shows_what_its_files_are_now() {
     assert!(said.contains("4 of 4 images"), "{said}");
     let first = shown(dir.path(), "db.cdb");
     assert_ne!(first[0].1, first[2].1);
-    // A file that is rewritten with the same bytes is the same.
+    // A file that is rewritten with the same bytes counts as unchanged.
     write_level(&at("step20.nrrd"), 160);
     assert_eq!(resumed("touched", "4 of 4 images, 0 of them"), "");
     write_level(&at("step20.nrrd"), 240);
@@ -366,22 +367,23 @@ fn a_resumed_database_shows_what_its_files_are_now() {
     );
     assert_eq!(notes.lines().count(), 1, "{notes}");
     assert_eq!(resumed("said once", "4 of 4 images, 0 of them"), "");
-    // A new step between two, and one before: existing pictures are kept, at their new times.
+    // One time step is added between the two, and one before them: existing pictures are kept, at their new
+    // times.
     write_level(&at("step15.nrrd"), 100);
     write_level(&at("step9.nrrd"), 30);
     resumed("addition", "8 of 8 images, 4 of them");
     std::fs::remove_file(at("step10.nrrd")).unwrap();
     let notes = resumed("deletion", "6 of 6 images, 0 of them");
     assert!(notes.contains("2 pictures") && notes.contains("no task"), "{notes}");
-    // A returning file has its pictures again.
+    // If a removed file is restored, its pictures are used again.
     write_level(&at("step10.nrrd"), 60);
     resumed("the same again", "8 of 8 images, 0 of them");
-    // Another content under the same name, while others come and go.
+    // One file gets other content under its name; another file is removed, and a new one is added.
     write_level(&at("step10.nrrd"), 61);
     std::fs::remove_file(at("step9.nrrd")).unwrap();
     write_level(&at("step12.nrrd"), 30);
     resumed("all at once", "8 of 8 images, 4 of them");
-    // Two files change places.
+    // Two files exchange their names.
     std::fs::rename(at("step12.nrrd"), at("x")).unwrap();
     std::fs::rename(at("step20.nrrd"), at("step12.nrrd")).unwrap();
     std::fs::rename(at("x"), at("step20.nrrd")).unwrap();
@@ -407,7 +409,7 @@ fn a_resumed_database_follows_the_settings() {
         ("name = \"db\"", "name = \"db\"\nfov_y_deg = 40.0", 4),
         // Names of volumes do not change the raycaster's pictures.
         ("name = \"run\"", "name = \"other\"", 0),
-        // Nor do their folders.
+        // Neither do the order of the files and their time steps.
         ("files = [\"step*.nrrd\"]", "files = [\"step20.nrrd\", \"step10.nrrd\"]", 0),
         ("series = true\nname = \"run\"", "series = false", 0),
     ] {
@@ -416,7 +418,7 @@ fn a_resumed_database_follows_the_settings() {
         write_job(dir.path(), &text);
         let (said, _) = resumed_is_fresh(dir.path(), to);
         assert!(said.contains(&format!("images, {now} of them")), "{to}: {said}");
-        // Earlier pictures come back without rendering.
+        // With the first job file, the earlier pictures are used again without rendering.
         write_job(dir.path(), &job);
         let (said, _) = resumed_is_fresh(dir.path(), from);
         assert!(said.contains("4 of 4 images, 0 of them"), "{from}: {said}");
@@ -484,7 +486,8 @@ fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
 fn a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew() {
     let dir = steps(RENDERER);
     succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
-    // A database of format farm-journal-1: its journal has no inputs, and its ids are of names and positions.
+    // A database of format farm-journal-1: its journal records no input files, and its task ids are made of
+    // names and positions.
     std::fs::remove_dir_all(dir.path().join("db.cdb/.farm/spool")).unwrap();
     let text = journal(dir.path());
     let old: Vec<String> = text

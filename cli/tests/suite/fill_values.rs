@@ -17,8 +17,8 @@ fn ends(values: impl Iterator<Item = f32>) -> (f32, f32) {
     values.fold((f32::MAX, f32::MIN), |(lo, hi), v| (lo.min(v), hi.max(v)))
 }
 
-/// Each file has 1920 of 7680 voxels of one value; the range is that of the other voxels, as pynrrd reads
-/// them.
+/// In each file, 1920 of 7680 voxels have a fill value. The range must be that of the other voxels, as pynrrd
+/// reads them.
 #[test]
 fn fill_values_do_not_decide_the_range() {
     let fields = ["minus-9999", "netcdf", "minus-flt-max", "1e20"];
@@ -95,8 +95,8 @@ fn bytes_of_a_narrow_range_are_said_and_can_be_spanned() {
     assert_eq!((volume.view().range(), volume.data()), ((3.0, 17.0), &VolumeData::U8(bytes)));
 }
 
-/// A table stores the options by which its volumes were read; the features of its frames are those of the
-/// same volume.
+/// Checks that a table stores the options by which its volumes were read: `entire features` reads the volumes
+/// with these options.
 #[test]
 fn tables_keep_how_volumes_are_read() {
     let folder = tempfile::tempdir().unwrap();

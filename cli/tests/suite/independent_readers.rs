@@ -69,9 +69,9 @@ fn stored(data: &VolumeData) -> (&'static str, Vec<u8>) {
     }
 }
 
-/// The difference between a file as it is read and its row, if there is one.
+/// Returns the difference between a file as it is read and its row; `None` if they agree.
 fn difference(name: &str, row: &Row) -> Option<String> {
-    // Every stored value; other tests cover fill values.
+    // Fill values are read as they are stored; other tests cover their replacement.
     let stored_values = Reading { fill: Fill::None, ..Reading::default() };
     let volume = match Volume::open_as(fixtures().join(name), &stored_values, None) {
         Ok(volume) => volume,

@@ -1,6 +1,6 @@
 //! Predictions of shipped models for every committed table, and for a hundred thousand random inputs,
-//! ordinary and extreme. All predicted seconds are finite and positive. The raw outputs of the networks that
-//! are not positive, which the predictor replaces, are no more than the known ones.
+//! ordinary and extreme. All predicted seconds are finite and positive. The networks have no more raw outputs
+//! that are not positive than the known number; the predictor replaces such outputs.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{Model, ModelFile};
@@ -56,7 +56,8 @@ fn known(model: &str) -> (usize, usize) {
     KNOWN.iter().find(|k| k.0 == model).map_or((0, 0), |k| (k.1, k.2))
 }
 
-/// True if a network's output was zero, negative, or shorter than any frame.
+/// True if the predicted seconds are the shortest time, which replaces outputs that are zero, negative or
+/// shorter.
 fn brought_up(seconds: f64) -> bool {
     seconds <= f64::from(*PREDICTED_SECONDS.start())
 }
@@ -102,13 +103,13 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
     for ((name, model), count) in models.iter().zip(&mut of_random) {
         let parts = model.prednet().unwrap();
         let net = PredNet::new(parts).unwrap();
-        // Unit costs take counts, of any size and never negative.
+        // The inputs of unit costs are counts: of any size, and never negative.
         let counts = Normalization { mean: vec![1e8; net.inputs()], std: vec![1e8; net.inputs()] };
         let (norm, least) = match &parts.input {
             Some(norm) => (norm, f32::NEG_INFINITY),
             None => (&counts, 0.0),
         };
-        // Ordinary inputs, inputs far outside, and inputs that no scene has.
+        // Inputs about the training range, inputs far outside of it, and inputs that no scene has.
         for (reach, rows) in [(3.0, RANDOM / 2), (30.0, RANDOM / 4), (1e6, RANDOM / 4)] {
             let inputs: Vec<f32> = (0..rows)
                 .flat_map(|_| norm.mean.iter().zip(&norm.std))

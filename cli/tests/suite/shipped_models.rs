@@ -13,7 +13,7 @@ use entire_train::inputs::Layout;
 use entire_train::split::TimedFrames;
 use std::path::Path;
 
-/// Features by `lab/volumenet/encode.py --double`.
+/// Expected features, computed by `lab/volumenet/encode.py --double`.
 const GOLDEN: [(&str, &str, [f64; 2]); 6] = [
     ("volumenet-64f2", "castro_blast/m05/t0012.nrrd", [-0.890949843, 2.90556979]),
     ("volumenet-64f2", "maestroex_bubbles/m03/t0015.nrrd", [2.42874764, -7.57150944]),
@@ -67,7 +67,7 @@ fn every_shipped_model_has_a_card_and_provenance() {
     assert!(models >= 2);
 }
 
-/// A card's row of a split: RMSE/SD and MdAPE in per cent.
+/// Returns RMSE/SD and MdAPE (in percent) from a card's row of a split.
 fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
     let start = format!("| {split} |");
     let row = card.lines().find(|l| l.starts_with(&start)).unwrap();
@@ -80,7 +80,7 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
 fn shipped_predictors_reach_the_figures_on_their_cards() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    // The last number is the limit of RMSE/SD. That of the paper's distilled network, which ships for
+    // The last number is the limit of RMSE/SD. The limit of the paper's distilled network, which ships for
     // comparison, is larger.
     for (set, table, kind, judged, worst) in [
         ("unshaded", "none", "selected", "none-members", 0.08),
@@ -129,7 +129,8 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
         let out = rows.chunks_exact(layout.width()).filter(|r| predictor.out_of_range(r) > 0.0).count();
         out as f64 / frames.len() as f64
     };
-    // Unseen members of known codes are within the training range.
+    // Most frames of unseen members are within the training range if their simulation code is in the training
+    // data.
     for known in ["castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05"] {
         let share = share_out("local-members.csv.gz", known);
         assert!(share < 0.2, "{known}: {share}");

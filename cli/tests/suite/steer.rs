@@ -20,7 +20,7 @@ fn setting() -> (tempfile::TempDir, PathBuf, PathBuf) {
 
 fn check_report(out: &Path, controllers: usize, frames: usize) {
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    // Without the pictures' own bytes, which may hold any letters.
+    // The bytes of pictures are left out, since they may contain any letters.
     let html: String = page
         .split("base64,")
         .enumerate()
@@ -80,7 +80,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     let log = dir.path().join("log.csv");
     let (volume, out_text, log_text) =
         (volume.to_str().unwrap(), out.to_str().unwrap(), log.to_str().unwrap());
-    // Shorter than any frame on any machine, so that the smallest pictures are chosen.
+    // The target is shorter than any frame on any machine, so that the smallest pictures are chosen.
     let output = entire(&[
         "steer",
         volume,
@@ -116,7 +116,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     for row in frames.lines().skip(1).map(|l| l.split(',').collect::<Vec<_>>()) {
         assert!(row[who] == "hybrid" || row[distance] == "1", "{row:?}");
         chosen.insert(row[distance].to_owned());
-        // Rounded down, as a plan states it.
+        // The width is rounded down, as for a plan.
         drawn.push((121.0 / row[distance].parse::<f64>().unwrap()) as u32);
     }
     assert!(
@@ -136,7 +136,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
 
-/// The machine's model is made from the volumes in data/, without the played one.
+/// Checks that the machine's model is calibrated with the volumes in data/, but not with the played volume.
 #[test]
 fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     let (dir, volume, out) = setting();
@@ -144,7 +144,7 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     for name in ["a.nrrd", "b.nrrd", "c.nrrd"] {
         ball::write(&dir.path().join("data").join(name));
     }
-    // A copy of the volume counts as another one; a link to it does not.
+    // A copy of the volume counts as another volume; a link to the volume does not.
     std::os::unix::fs::symlink(&volume, dir.path().join("data/same.nrrd")).unwrap();
     let (volume, out_text) = (volume.to_str().unwrap(), out.to_str().unwrap());
     let small = ["--frames", "16", "--scenes", "4", "--seconds", "12", "--size", "40x40", "--device", "cpu"];

@@ -110,7 +110,7 @@ proptest! {
             };
             beyond += usize::from(differs(1e-6) && differs(1e-7));
         }
-        // One kink within both may remain.
+        // For a few parameters, a kink may lie within both steps.
         prop_assert!(beyond <= 1 + trainer.gradient().len() / 50, "{beyond} of {}", trainer.gradient().len());
     }
 }
@@ -257,7 +257,7 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
         errors.sort_by(f64::total_cmp);
         let median = errors[errors.len() / 2];
         assert!(median < limit, "{target:?} {loss:?}: median relative error {median}");
-        // The file's network gives the same seconds.
+        // The inference network with the trained weights gives the same seconds.
         let parts = trained.to_parts();
         let net = entire_core::nn::PredNet::new(&parts).unwrap();
         let mut scratch = net.scratch(1).unwrap();
@@ -292,7 +292,7 @@ fn a_high_quantile_lies_above_that_share_of_frames() {
 
 #[test]
 fn early_stopping_keeps_the_best_weights() {
-    // Noise cannot be learned: validation gets worse while training gets better.
+    // Noise cannot be learned: the validation loss rises while the training loss falls.
     let (x, _) = frames(40, 7);
     let t: Vec<f64> = noise(40, 8).iter().map(|u| u.exp()).collect();
     let (vx, _) = frames(40, 9);

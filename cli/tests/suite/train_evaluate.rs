@@ -1,4 +1,4 @@
-//! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known law.
+//! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known formula.
 
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
@@ -45,8 +45,9 @@ impl Data {
     }
 }
 
-/// Four members with two volumes each and `frames` frames per volume; seconds are a fixed cost, one per pixel
-/// and one that depends on the distance, each repeat 1 % above or below.
+/// Returns four members with two volumes each and `frames` frames per volume. A frame takes a fixed time plus
+/// a time per pixel that is inversely proportional to the camera distance; its two repeats are 1 % below and
+/// above that.
 fn data(frames: usize) -> Data {
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("t.csv");
@@ -157,7 +158,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         assert!(card.contains(heading), "{heading}\n{card}");
     }
 
-    // Evaluated on held-out frames: the same numbers.
+    // `entire evaluate` computes the same errors on the held-out frames.
     let folder = data.path("evaluation");
     let shown =
         works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--unseen", "--out", &folder]);
@@ -179,7 +180,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         assert!(std::fs::metadata(format!("{folder}/{name}")).unwrap().len() > 500, "{name}");
     }
 
-    // Fine-tuning keeps layers, inputs and standardization; on times twice as long it learns the factor.
+    // Fine-tuning keeps the standardization of the inputs and changes the weights.
     let tuned = data.path("tuned.safetensors");
     works(&[
         "train",
@@ -204,7 +205,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         "--preset",
     );
 
-    // All groups were in training: no frame is left.
+    // All groups were in training or validation, so --unseen leaves no frame.
     works(&[
         "train",
         "--quiet",
@@ -217,7 +218,11 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         "--validation-groups",
         "blobs/m03",
     ]);
-    fails(&["evaluate", "--model", &tuned, "--data", data.csv(), "--unseen"], 1, "a model was trained on");
+    fails(
+        &["evaluate", "--model", &tuned, "--data", data.csv(), "--unseen"],
+        1,
+        "a model was trained or validated on",
+    );
 }
 
 #[test]
@@ -271,7 +276,7 @@ fn the_paper_configuration_writes_encoder_and_network_into_one_file() {
     let widths: Vec<usize> = m.prednet().unwrap().layers.iter().map(|l| l.outputs).collect();
     assert_eq!(widths, [32, 32, 16, 1]);
     assert_eq!(m.prednet().unwrap().layers[0].dtype, Dtype::F16);
-    // The header names every tensor; those unknown to training stay.
+    // The header names every tensor. Tensors that training does not use are kept.
     let kept = std::fs::read(&out).unwrap();
     let header = 8 + u64::from_le_bytes(kept[..8].try_into().unwrap()) as usize;
     let header: serde_json::Value = serde_json::from_slice(&kept[8..header]).unwrap();
@@ -333,7 +338,7 @@ fn compared_pictures_put_their_law_into_the_model() {
         assert!((own / wanted - 1.0).abs() < 0.02, "{found:?}");
     }
 
-    // A quality law that is bound to a renderer must name it.
+    // A quality law applies to one renderer; a note says that the model cannot name this renderer.
     let told = entire(&arguments);
     assert!(String::from_utf8_lossy(&told.stderr).contains("the frames have no manifest"));
 
@@ -417,7 +422,7 @@ fn what_cannot_be_done_is_said() {
         1,
         "takes scene_features alone",
     );
-    // Options that would have no effect.
+    // Options that would have no effect are refused.
     train(&["--model-kind", "residual", "--preset", "4C64"], 1, "--preset is for --model-kind prednet");
     train(
         &["--model-kind", "analytic", "--epochs", "9"],
@@ -435,7 +440,7 @@ fn what_cannot_be_done_is_said() {
     );
     fails(&["evaluate", "--model", data.csv(), "--data", data.csv()], 1, "safetensors");
 
-    // A manifest of another format, and a missing volume.
+    // A manifest of another format and a missing volume are refused.
     let manifest = Manifest {
         format: MANIFEST_FORMAT.replace('1', "9"),
         created: String::new(),

@@ -7,8 +7,8 @@ fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes")
 }
 
-/// The voxels of a file of volumes/ with this stored type, in memory; `values` of fixtures/make_volumes.py
-/// defines them.
+/// Returns the voxels that a file of volumes/ with this stored type must have in memory, as defined by
+/// `values` in fixtures/make_volumes.py.
 fn expected(kind: &str) -> VolumeData {
     let whole = |bits: u32, signed: bool| {
         let spread = (1u128 << bits) / 385;
@@ -86,7 +86,7 @@ fn slopes_names_and_descriptions_are_used() {
     assert_eq!(volume.data(), &VolumeData::F32(scaled));
     assert_eq!(volume.name(), "scaled");
 
-    // The scaled value is rounded once, to single precision, for 32-bit integers and 64-bit floats too.
+    // A scaled 32-bit integer is rounded only once, to single precision.
     let scaled = reported("nii-wide-scaled.nii");
     let right =
         (0..24).map(|i| (f64::from(i * 89_478_485 - 1_000_000_007) * 0.300_000_011_920_928_96 - 7.5) as f32);
@@ -164,7 +164,8 @@ fn several_components_and_missing_files_are_refused() {
     assert!(message.contains("is a folder"), "{message}");
 }
 
-/// Opens in a separate thread, so that a reader that waits for ever fails the test.
+/// Opens a file that must be refused and returns the message. The file is opened in a separate thread, so
+/// that the test fails if a reader waits for ever.
 #[cfg(unix)]
 fn refused_at_once(path: &Path) -> String {
     let (send, receive) = std::sync::mpsc::channel();
@@ -234,7 +235,7 @@ fn truncated_files_say_what_is_missing() {
         "pynrrd_gzip_int16_little.nrrd",
     ] {
         let whole = std::fs::read(fixtures().join(name)).unwrap();
-        // A cut that surely removes voxels, and one within the header; no cut may panic or succeed.
+        // The file is cut within the voxels or within the header; reading must fail without a panic.
         for keep in [whole.len() * 3 / 5, whole.len() / 2, 100, 10, 0] {
             let message = refused(name, &whole[..keep]);
             assert!(message.len() > name.len() + 20, "{name} cut to {keep}: {message}");
@@ -342,8 +343,8 @@ fn lying_headers_do_not_allocate() {
     check("a_1x1x2_uint8.raw", b"1234", "need 2 bytes, the data has 4");
 }
 
-/// Small files after public bug reports of other readers; the right values are those of pynrrd, SimpleITK,
-/// nibabel and VTK.
+/// Opens a small file that is made after a public bug report of another reader. The expected values in the
+/// tests are those of pynrrd, SimpleITK, nibabel and VTK.
 fn reported(name: &str) -> Volume {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports").join(name);
     Volume::open(path).unwrap_or_else(|error| panic!("{error:#}"))
@@ -392,7 +393,7 @@ fn the_active_scalars_are_read_and_arrays_of_vtk_itself_never() {
     refused_report("vti-rgb-active.vti", "with one component: \"d\"");
 }
 
-/// An image of 1 x 1 x 2 cells with the given arrays of both sections.
+/// Returns a VTI file of 1 x 1 x 2 cells with the given arrays of points and cells.
 fn vti_of(points: &str, cells: &str) -> String {
     format!(
         "<VTKFile type=\"ImageData\"><ImageData WholeExtent=\"0 1 0 1 0 2\"><Piece><PointData {points}\
@@ -468,7 +469,7 @@ fn pieces_and_compressors_of_vtk_are_read() {
         let volume = read(&pieces).unwrap();
         assert_eq!((volume.dims(), volume.data()), ([3, 2, 1], &VolumeData::I16((0..6).collect())));
     }
-    // A single piece, too, is placed in the whole extent.
+    // A single piece must cover the whole extent, too, and must not exceed it.
     let alone = [left.clone()];
     assert!(read(&alone).unwrap_err().contains("hold 4 of the 6 voxels of WholeExtent"));
     let larger = [piece("4 7 0 1 -1 -1", "9 0 1 2 9 3 4 5")];

@@ -23,20 +23,20 @@ pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Standard output of a run that must succeed.
+/// Returns the standard output of a run that must succeed.
 pub(crate) fn succeeds(folder: &Path, arguments: &[&str]) -> String {
     let output = entire(folder, arguments);
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", stderr(&output));
     stdout(&output)
 }
 
-/// A run that must end with status 1, nothing on standard output and one line on standard error that contains
-/// every one of `parts`.
+/// Checks that a run ends with status 1, prints nothing on standard output, and prints one line on standard
+/// error that contains every one of `parts`.
 pub(crate) fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
     refuses_in(folder, &[], arguments, parts);
 }
 
-/// As [`refuses`] with variables in the environment.
+/// Checks the same as [`refuses`], with additional environment variables.
 pub(crate) fn refuses_in(folder: &Path, environment: &[(&str, &str)], arguments: &[&str], parts: &[&str]) {
     let output = entire_in(folder, environment, arguments);
     let told = stderr(&output);
@@ -54,7 +54,7 @@ pub(crate) fn refuses_in(folder: &Path, environment: &[(&str, &str)], arguments:
 /// A tensor for [`safetensors`].
 pub(crate) type Tensor<'a> = (&'a str, Vec<usize>, Vec<f32>);
 
-/// A safetensors file, valid or not.
+/// Returns a safetensors file, valid or not.
 pub(crate) fn safetensors(metadata: &[(&str, &str)], tensors: &[Tensor<'_>]) -> Vec<u8> {
     let mut header = serde_json::Map::new();
     let pairs: serde_json::Map<String, serde_json::Value> =
@@ -152,7 +152,7 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes").join(name)
 }
 
-/// The pixels of a PNG picture: width, height, RGB.
+/// Returns width, height and RGB pixels of a PNG picture.
 pub(crate) fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
     let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
     let mut reader = png::Decoder::new(file).read_info().unwrap();

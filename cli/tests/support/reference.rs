@@ -33,7 +33,7 @@ pub(crate) fn check_examples(program: impl Fn() -> Command) {
     }
 }
 
-/// The words of a command line without nested quotes.
+/// Returns the words of a command line without nested quotes.
 fn words(line: &str) -> Vec<String> {
     let mut words = Vec::new();
     for (i, part) in line.split('\'').enumerate() {

@@ -4,8 +4,8 @@ use super::Level;
 use super::simd::{Kernel, Simd};
 
 #[cfg(test)]
-/// Bound on the relative error of [`selu`] against float64 for every finite f32 whose result is a normal
-/// number; subnormal results are within one unit in the last place.
+/// Upper bound of the relative error of [`selu`] against float64, for every finite f32 whose result is a
+/// normal number. The error of subnormal results is at most one unit in the last place.
 const SELU_TOLERANCE: f64 = 2e-7;
 
 /// Applies SELU to every element: relative error at most 2e-7 against float64 wherever the result is a normal
@@ -83,8 +83,8 @@ mod tests {
     #[test]
     fn selu_keeps_its_bound_on_a_dense_sweep() {
         for level in Level::available() {
-            // The multiplier is odd: 2²¹ bit patterns, spread evenly over both signs and all exponents, no
-            // two with the same mantissa.
+            // 2²¹ bit patterns, spread evenly over both signs and all exponents. The multiplier is odd, so no
+            // two patterns have the same mantissa.
             let (error, at) = worst(level, (0..1 << 21).map(|i: u32| i.wrapping_mul(2477 * 1024 + 1)));
             assert!(error <= SELU_TOLERANCE, "{level}: {error:e} at {at:e}");
         }

@@ -1,4 +1,4 @@
-//! Dispatch from a level to a kernel compiled for it: the only module that names every instruction set.
+//! Runs a kernel in the version that is compiled for a level. Only this module names every instruction set.
 
 #[cfg(target_arch = "x86_64")]
 use super::Isa;
@@ -12,12 +12,12 @@ impl Level {
         match self.isa() {
             #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 => {
-                // SAFETY: the level proves AVX-512 F, BW, DQ and VL.
+                // SAFETY: this level exists only if the CPU has AVX-512 F, BW, DQ and VL.
                 unsafe { super::x86_64::avx512::enter(kernel) }
             }
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 => {
-                // SAFETY: the level proves AVX2, FMA, F16C and POPCNT.
+                // SAFETY: this level exists only if the CPU has AVX2, FMA, F16C and POPCNT.
                 unsafe { super::x86_64::avx2::enter(kernel) }
             }
             _ => kernel.run(super::scalar::Scalar),
@@ -31,12 +31,13 @@ impl Level {
         match self.isa() {
             #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 if self.has_vnni() => {
-                // SAFETY: the level proves AVX-512 F, BW, DQ, VL and VNNI.
+                // SAFETY: this level exists only if the CPU has AVX-512 F, BW, DQ and VL; `has_vnni` is true
+                // only if it has VNNI.
                 unsafe { super::x86_64::avx512::enter_vnni(kernel) }
             }
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 | Isa::Avx512 => {
-                // SAFETY: both levels prove AVX2, FMA, F16C and POPCNT.
+                // SAFETY: both levels exist only if the CPU has AVX2, FMA, F16C and POPCNT.
                 unsafe { super::x86_64::avx2::enter(kernel) }
             }
             _ => kernel.run(super::scalar::Scalar),

@@ -35,12 +35,12 @@ pub(crate) trait Join {
     fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B);
 }
 
-/// A thread provided by the caller, for networks whose weights exceed one core's cache: each core then caches
-/// its half.
+/// A thread that the caller provides, for networks whose weights exceed one core's cache: each of the two
+/// cores then caches one half of the weights.
 ///
 /// The thread calls [`serve`](Self::serve) and spins there until [`stop`](Self::stop): it keeps one core busy
-/// for as long as it serves. Where no thread serves, or it works for another caller, the caller does all the
-/// work itself, with the same result.
+/// for as long as it serves. If no thread serves, or if the thread works for another caller, the caller does
+/// all the work itself, with the same result.
 ///
 /// ```
 /// let helper = entire_core::kernels::Helper::new();
@@ -87,8 +87,8 @@ impl Helper {
         self.state.load(Ordering::Relaxed) != ABSENT
     }
 
-    /// Does posted work until [`stop`](Self::stop) is called. Returns at once where another thread serves
-    /// already.
+    /// Does the work that callers post, until [`stop`](Self::stop) is called. Returns at once if another
+    /// thread serves already.
     pub fn serve(&self) {
         if self.state.compare_exchange(ABSENT, IDLE, Ordering::Relaxed, Ordering::Relaxed).is_err() {
             return;

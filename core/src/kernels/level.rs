@@ -9,14 +9,14 @@ use core::sync::atomic::{AtomicU32, Ordering};
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
 ///
 /// Read once, and only with the feature `std`: at the first [`Level::detect`] or [`Level::check_override`] of
-/// the process. It can lower the level, never raise it above the CPU's.
+/// the process. It can lower the level, but never raise it above the highest level of the CPU.
 pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 /// Instruction sets that kernels are written for, in rising order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum Isa {
-    /// Portable Rust, vectorized by the compiler; the reference in tests of the others.
+    /// Portable Rust, vectorized by the compiler; the reference in the tests of the other instruction sets.
     Scalar,
     /// x86-64 with AVX2, FMA, F16C and POPCNT.
     Avx2,
@@ -75,7 +75,7 @@ const PROBED: u32 = 1 << 31;
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Level {
     isa: Isa,
-    /// True where the level includes AVX512_VNNI (8-bit integer dot products).
+    /// True if the level includes AVX512_VNNI (8-bit integer dot products).
     vnni: bool,
 }
 
@@ -84,8 +84,8 @@ impl Level {
     pub(crate) const SCALAR: Level = Level { isa: Isa::Scalar, vnni: false };
 
     /// The highest level of this CPU, capped by the environment variable `ENTIRE_LEVEL` (`scalar`, `avx2` or
-    /// `avx512`) where the feature `std` is on. An unknown value there is ignored here and reported by
-    /// [`Level::check_override`].
+    /// `avx512`) if the feature `std` is on. An unknown value of the variable is ignored;
+    /// [`Level::check_override`] reports it.
     pub fn detect() -> Self {
         #[cfg(feature = "std")]
         if let Ok(Some(cap)) = Self::override_isa() {
@@ -100,7 +100,7 @@ impl Level {
         best.unwrap_or(Self::SCALAR)
     }
 
-    /// The level of exactly this instruction set; `None` where the CPU or the architecture lacks it.
+    /// The level of exactly this instruction set; `None` if the CPU or the architecture lacks it.
     pub(crate) fn exactly(isa: Isa) -> Option<Self> {
         let found = features();
         match isa {
@@ -154,7 +154,7 @@ impl Level {
         self.isa
     }
 
-    /// True where the level includes AVX512_VNNI (8-bit integer dot products).
+    /// True if the level includes AVX512_VNNI (8-bit integer dot products).
     pub(crate) const fn has_vnni(self) -> bool {
         self.vnni
     }

@@ -1,4 +1,4 @@
-//! Vector kernels behind a level token: the only module of this crate with `unsafe`.
+//! Vector kernels, which run only with a [`Level`]. This is the only module of the crate with `unsafe`.
 //!
 //! Only detection on the CPU creates a [`Level`], so a value of this type proves that the instructions of its
 //! ISA may be used. Networks keep the level for which they were built and dispatch once per call, not once

@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn every_half_widens_exactly() {
-        // Miri tests a sample of them.
+        // Miri tests a sample of the half-precision numbers.
         for bits in (0..=u16::MAX).step_by(if cfg!(miri) { 97 } else { 1 }) {
             let expected = half::f16::from_bits(bits).to_f32_const();
             let found = f16_to_f32(bits);

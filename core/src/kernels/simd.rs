@@ -1,9 +1,9 @@
-//! The vector operations used by the kernels, one vocabulary for every instruction set.
+//! Vector operations of the kernels, with the same names for every instruction set.
 //!
 //! A kernel implements [`Kernel`]: one generic body in which every function is `#[inline(always)]`. The
 //! module `dispatch` enters a function that has a level's instructions enabled and passes the level's
-//! [`Simd`] token to the body, so a network is dispatched once per call and compiled once per instruction
-//! set.
+//! [`Simd`] token to the body. So the level is chosen once per call of a network, and the network's code is
+//! compiled once per instruction set.
 
 /// SELU's scale λ (Klambauer et al. 2017, self-normalizing networks).
 pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
@@ -20,8 +20,8 @@ pub trait Kernel {
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// Token of one instruction set. Holding a token proves that the instructions may be used, so its methods are
-/// safe except for those that read or write through a pointer.
+/// Token of one instruction set. A token exists only if the CPU has the instructions, so its methods are
+/// safe, except for those that read or write through a pointer.
 ///
 /// Pointers need no alignment beyond that of their element.
 #[allow(dead_code, reason = "one vocabulary for all kernels, whichever of them are compiled in")]
@@ -70,11 +70,11 @@ pub trait Simd: Copy + 'static {
     fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
     /// c − a·b, fused where the instruction set allows.
     fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
-    /// The larger; `b` where either is NaN.
+    /// The larger of `a` and `b`; `b` if one of them is NaN.
     fn max(self, a: Self::F, b: Self::F) -> Self::F;
-    /// The smaller; `b` where either is NaN.
+    /// The smaller of `a` and `b`; `b` if one of them is NaN.
     fn min(self, a: Self::F, b: Self::F) -> Self::F;
-    /// `positive` in the lanes where `x > 0`, `other` in the rest (NaN included).
+    /// `positive` in the lanes where `x > 0`, `other` in all other lanes (also where `x` is NaN).
     fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F;
     /// `scale`·2ⁿ for `shifted` = 1.5·2²³ + n, computed by adding n to the exponent; the result must be a
     /// normal number.
@@ -111,7 +111,7 @@ pub trait Simd: Copy + 'static {
     /// Loads the first `LANES` floats.
     ///
     /// # Panics
-    /// Where `from` is shorter.
+    /// If `from` has fewer than `LANES` elements.
     #[inline(always)]
     fn read(self, from: &[f32]) -> Self::F {
         assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
@@ -121,17 +121,17 @@ pub trait Simd: Copy + 'static {
     /// Stores `v` to the first `LANES` floats.
     ///
     /// # Panics
-    /// Where `to` is shorter.
+    /// If `to` has fewer than `LANES` elements.
     #[inline(always)]
     fn write(self, v: Self::F, to: &mut [f32]) {
-        assert!(to.len() >= Self::LANES, "less room than lanes");
+        assert!(to.len() >= Self::LANES, "fewer elements than lanes");
         // SAFETY: the assertion has checked the length.
         unsafe { self.store(to.as_mut_ptr(), v) }
     }
     /// Loads the first `LANES` integers.
     ///
     /// # Panics
-    /// Where `from` is shorter.
+    /// If `from` has fewer than `LANES` elements.
     #[inline(always)]
     fn read_i(self, from: &[i32]) -> Self::I {
         assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
@@ -144,15 +144,15 @@ pub trait Simd: Copy + 'static {
     fn div(self, a: Self::F, b: Self::F) -> Self::F;
     /// Square root, correctly rounded.
     fn sqrt(self, a: Self::F) -> Self::F;
-    /// a < b; false where either is NaN.
+    /// a < b; false in lanes where a or b is NaN.
     fn lt(self, a: Self::F, b: Self::F) -> Self::M;
-    /// a ≤ b; false where either is NaN.
+    /// a ≤ b; false in lanes where a or b is NaN.
     fn le(self, a: Self::F, b: Self::F) -> Self::M;
     /// Intersection of two masks.
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M;
     /// Lanes of `a` that are not in `b`.
     fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M;
-    /// True where the mask has a lane set.
+    /// True if the mask has a lane set.
     fn any(self, m: Self::M) -> bool;
     /// The mask as bits, the first lane lowest.
     fn lane_bits(self, m: Self::M) -> u32;
@@ -179,7 +179,7 @@ pub trait Simd: Copy + 'static {
     fn xor_i(self, a: Self::I, b: Self::I) -> Self::I;
     /// Mask of the lanes that are not zero.
     fn nonzero(self, a: Self::I) -> Self::M;
-    /// Stores the lanes of `m` contiguously and returns their number. `to` must have room for 16.
+    /// Stores the lanes of `m` contiguously and returns their number. `to` must have at least 16 elements.
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize;
 
     /// One bit per pair of bounds, set where `low` ≤ `last` and `high` ≥ `first`.
@@ -187,8 +187,8 @@ pub trait Simd: Copy + 'static {
     /// Largest number of distinct values for which [`count_eight`](Self::count_eight) counts bytes faster
     /// than a table does.
     const COUNTED: usize;
-    /// Number of bytes with each of the eight values from `first` on, which is 248 at most. There must be
-    /// fewer than 2³² bytes.
+    /// Counts the bytes with each of the eight values from `first` to `first + 7`; `first` is at most 248.
+    /// There must be fewer than 2³² bytes.
     fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8];
 
     /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within the tolerance of [`selu`](super::selu). NaN

@@ -1,4 +1,4 @@
-//! The container: tensors and metadata, read from and written to safetensors bytes.
+//! Container of a model: tensors and metadata, read from and written to safetensors bytes.
 
 use super::key::{FORMAT, Key};
 use super::read::{InputGroup, Model, Source};
@@ -14,7 +14,7 @@ use alloc::vec::Vec;
 use safetensors::Dtype as Stored;
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-/// Length of the field that opens a safetensors file, in bytes.
+/// Length of the first field of a safetensors file, in bytes. The field states the length of the header.
 const PREFIX: usize = 8;
 /// Largest accepted header, in bytes.
 const MAX_HEADER: usize = 16 << 20;
@@ -205,7 +205,7 @@ impl ModelFile {
         Ok(self)
     }
 
-    /// Checks the content as [`Model::from_bytes`] would.
+    /// Returns the file's model; checks the content as [`Model::from_bytes`] does.
     ///
     /// # Errors
     ///
@@ -215,7 +215,7 @@ impl ModelFile {
         Source { tensors: self.tensors.iter().map(borrow).collect(), metadata: self.metadata.clone() }.model()
     }
 
-    /// The file's bytes. Refuses content that could not be read back as a model.
+    /// Returns the bytes of the file. Refuses content that could not be read back as a model.
     ///
     /// # Errors
     ///

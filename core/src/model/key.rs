@@ -28,7 +28,8 @@ pub enum Key {
     Renderer,
     /// `entire.device`: the device of the timings (free text).
     Device,
-    /// `entire.clock`: the clock whose seconds the model predicts: `cpu` (processor time), `wall` or `device`.
+    /// `entire.clock`: the clock whose seconds the model predicts: `cpu` (processor time), `wall` or
+    /// `device`.
     Clock,
     /// `entire.step_reference`: the meaning of step 1 in the timings (free text).
     StepReference,
@@ -97,15 +98,15 @@ impl From<Key> for String {
 pub enum GroupKind {
     /// `volume_features`: VolumeNet's output.
     VolumeFeatures,
-    /// `camera`: R_x, R_y (degrees) and D_z (bounding-sphere radii).
+    /// `camera`: rotations R_x and R_y in degrees, and camera distance D_z in radii of the bounding sphere.
     Camera,
     /// `resolution`: the image's width and height in pixels.
     Resolution,
-    /// `transfer_function`: (c, w, h) per Gaussian lobe.
+    /// `transfer_function`: center, width and height of each Gaussian lobe.
     TransferFunction,
     /// `step_size`: the ray step in multiples of the reference step.
     StepSize,
-    /// `scene_features`: the physical features named by [`Key::SceneFeatures`].
+    /// `scene_features`: the scene features that [`Key::SceneFeatures`] names.
     SceneFeatures,
 }
 
@@ -119,7 +120,7 @@ impl GroupKind {
         Self::SceneFeatures,
     ];
 
-    /// The group with this name; `None` where this version lacks it.
+    /// Returns the group with this name, or `None` if this version has no such group.
     pub(crate) fn find(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|g| g.name() == name)
     }

@@ -1,4 +1,4 @@
-//! The safetensors model file, read all or nothing.
+//! The safetensors model file, which is read completely or refused.
 //!
 //! [`Model::from_bytes`] checks the whole file; a model that it returns can be run. [`ModelFile`] writes: it
 //! keeps unknown tensors and metadata, so that a fine-tuned file loses nothing.

@@ -50,8 +50,8 @@ impl Model {
     ///
     /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not a model file or for invalid metadata;
     /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, has a wrong shape or is not
-    /// finite; [`OutOfMemory`](ErrorKind::OutOfMemory) where there is no room for the weights. No model is
-    /// returned in part.
+    /// finite; [`OutOfMemory`](ErrorKind::OutOfMemory) if the weights cannot be allocated. An invalid file is
+    /// refused as a whole.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         source.model()
@@ -62,17 +62,17 @@ impl Model {
         &self.inputs
     }
 
-    /// Size of an input group; `None` where the model has no such group.
+    /// Size of an input group; `None` if the model has no such group.
     pub fn input_size(&self, group: GroupKind) -> Option<usize> {
         self.inputs.iter().find(|own| own.name == group.name()).map(|group| group.size)
     }
 
-    /// PredNet's weights; `None` where the file has none.
+    /// PredNet's weights; `None` if the file has none.
     pub fn prednet(&self) -> Option<&PredNetParts> {
         self.prednet.as_ref()
     }
 
-    /// VolumeNet's weights, with batch normalization folded into the convolutions; `None` where the file has
+    /// VolumeNet's weights, with batch normalization folded into the convolutions; `None` if the file has
     /// none.
     pub fn volumenet(&self) -> Option<&VolumeNetParts> {
         self.volumenet.as_ref()
@@ -136,7 +136,7 @@ impl Source<'_> {
         }
     }
 
-    /// Number of PredNet's layers; `None` where the file has no tensor of PredNet.
+    /// Number of PredNet's layers; `None` if the file has no tensor of PredNet.
     fn prednet_layers(&self) -> Result<Option<usize>> {
         let last =
             self.tensors.keys().filter_map(|name| numbered(name, "prednet.", &["weight", "bias"])).max();

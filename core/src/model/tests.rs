@@ -251,8 +251,8 @@ fn metadata_is_checked() {
     fails(&set(Key::VolumeNet, &two(padded, good)), invalid, &["padding 3"]);
 }
 
-/// A file with an encoder of blocks of (outputs, kernel, stride, padding) and a dense layer of `features`
-/// outputs.
+/// Returns a file with an encoder. A block is (outputs, kernel, stride, padding); the dense layer has
+/// `features` outputs.
 fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features: usize) -> ModelFile {
     let mut file = ModelFile::default();
     let (mut edge, mut channels, mut layout) = (input, 1, Vec::new());

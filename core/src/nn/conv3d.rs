@@ -4,8 +4,8 @@ use super::parts::ConvBlockParts;
 use crate::kernels::{SELU_ALPHA, SELU_SCALE};
 use alloc::vec::Vec;
 
-/// SELU of the convolution, as [`VolumeNet`](super::VolumeNet) defines it. Tensors are (C, D, H, W), the last
-/// axis fastest.
+/// Returns the block's output: SELU(convolution of `x` + bias), see [`VolumeNet`](super::VolumeNet). Tensors
+/// have the axes (channel, z, y, x), the last axis fastest.
 pub(crate) fn reference(block: &ConvBlockParts, x: &[f64]) -> Vec<f64> {
     let (n, m, k) = (block.input_edge, block.output_edge, block.kernel);
     let inside =

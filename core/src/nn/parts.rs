@@ -103,12 +103,13 @@ impl DenseParts {
 pub struct Normalization {
     /// Mean of each value.
     pub mean: Vec<f32>,
-    /// Standard deviation of each value; finite and above zero.
+    /// Standard deviation of each value: finite, above zero and not subnormal.
     pub std: Vec<f32>,
 }
 
 impl Normalization {
-    /// Checks lengths, that every value is finite and that every standard deviation is above zero.
+    /// Checks the lengths, that every value is finite, and that every standard deviation is above zero and
+    /// not subnormal.
     ///
     /// # Errors
     ///
@@ -124,7 +125,7 @@ impl Normalization {
         if let Some(i) = self.std.iter().position(|&s| s < f32::MIN_POSITIVE) {
             bail!(
                 InvalidTensor,
-                "{name}.std[{i}] is {}: it must be above zero (drop or rescale an input that never varies)",
+                "{name}.std[{i}] is {}: it must exceed 1.2e-38 (drop or rescale an input that never varies)",
                 self.std[i]
             );
         }
@@ -150,7 +151,7 @@ pub struct PredNetParts {
     pub layers: Vec<DenseParts>,
     /// Normalization of the inputs, if any.
     pub input: Option<Normalization>,
-    /// Mean and standard deviation that undo the normalization of the output, one each; `None` for an output
+    /// The mean and the standard deviation that undo the normalization of the output; `None` if the output is
     /// in the target's unit.
     pub output: Option<Normalization>,
     /// Quantity of the output.
@@ -241,7 +242,7 @@ pub struct VolumeNetParts {
     pub input: usize,
     /// The blocks, first to last; the first has one input channel.
     pub blocks: Vec<ConvBlockParts>,
-    /// Dense layer from the last block's output, flattened in (C, D, H, W) order, to the features.
+    /// Dense layer from the last block's output, flattened in the order (channel, z, y, x), to the features.
     pub fc: DenseParts,
 }
 

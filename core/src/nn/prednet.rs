@@ -48,19 +48,19 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) or [`SizeMismatch`](crate::ErrorKind::SizeMismatch)
-    /// for parts that do not fit together, values that are not finite, or a standard deviation that is not
-    /// positive.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) for parts that do not fit together, values that are
+    /// not finite, a standard deviation that is not positive, or a weight that overflows half precision;
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
     pub fn new(parts: &PredNetParts) -> Result<Self> {
         let storage = parts.layers.first().map_or(Storage::F32, |layer| layer.dtype.into());
         Self::with(parts, Level::detect(), storage)
     }
 
-    /// Bound on a prediction's error against a float64 evaluation of the same file. `storage` is the weights'
-    /// format in memory, `file` their format in the file.
+    /// Returns the upper bound of a prediction's error against a float64 evaluation of the same file.
+    /// `storage` is the weights' format in memory, `file` their format in the file.
     ///
-    /// Where no weight is rounded ([`Storage::F32`], or the file's own format), the bound is 1e-5 of the
-    /// prediction. Otherwise it is a fraction of the largest output over the inputs: 5e-3 for
+    /// If no weight is rounded ([`Storage::F32`], or the file's own format), the bound is 1e-5 of the
+    /// prediction. Otherwise it is a fraction of the largest output over all inputs: 5e-3 for
     /// [`Storage::F16`], 5e-2 for [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. The error of
     /// [`Storage::Int8`] depends on the network: measure it on your own frames first.
     pub fn tolerance(storage: Storage, file: Dtype) -> f64 {
@@ -74,13 +74,11 @@ impl PredNet {
     }
 
     /// Builds the network for a given level and storage. A storage wider than the file's costs memory and
-    /// changes no result; a narrower one rounds the weights.
+    /// changes no result; a narrower storage rounds the weights.
     ///
     /// # Errors
     ///
-    /// As [`PredNet::new`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where a weight overflows half
-    /// precision; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed
-    /// weights.
+    /// As [`PredNet::new`].
     pub fn with(parts: &PredNetParts, level: Level, storage: Storage) -> Result<Self> {
         parts.check()?;
         if matches!(storage, Storage::F16 | Storage::Bf16) {
@@ -132,7 +130,7 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the memory cannot be allocated.
     pub fn scratch(&self, rows: usize) -> Result<PredScratch> {
         Ok(PredScratch { mlp: self.mlp.scratch(rows)? })
     }
@@ -141,7 +139,7 @@ impl PredNet {
     ///
     /// The result is not clamped: it may be zero, negative (target `seconds`) or infinite. It is NaN for a
     /// NaN input (with [`Storage::Int8`], for any input that is not finite), for a wrong number of inputs and
-    /// for another network's scratch. Never allocates.
+    /// for a scratch of another network that is too small. Never allocates.
     #[inline]
     pub fn predict(&self, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward(inputs, &mut scratch.mlp) {
@@ -168,8 +166,8 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where the lengths disagree or a scratch belongs to
-    /// another network; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any scratch.
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) if the lengths disagree or a scratch of another
+    /// network is too small; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any scratch.
     pub fn predict_batch(
         &self,
         executor: Executor<'_>,
@@ -291,7 +289,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
-        /// Random widths that need every kind of panel and padding, on every level, with any number of rows.
+        /// Compares networks of random widths, which need every kind of panel and padding, with plain loops:
+        /// on every level, with any number of rows.
         #[test]
         fn any_shape_agrees_with_plain_loops(
             sizes in prop::collection::vec(1usize..150, 1..5),
@@ -329,8 +328,8 @@ mod tests {
         }
     }
 
-    /// Small enough for Miri: every storage on the portable level, single rows and batches, whole and partial
-    /// panels.
+    /// Compares networks that are small enough for Miri with plain loops: every storage, single rows and
+    /// batches, whole and partial panels.
     #[test]
     fn small_networks_agree_with_plain_loops() {
         for (sizes, rows) in [(&[3, 5, 1][..], 2), (&[7, 17, 4, 1], 7), (&[2, 1], 1)] {

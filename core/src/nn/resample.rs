@@ -20,8 +20,8 @@ use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
 #[cfg(test)]
-/// Bound on the absolute difference between [`Resampler::resample`]'s values and the exact average of the
-/// exactly normalized voxels, for at most 64 input voxels per output voxel and axis.
+/// Upper bound of the absolute difference between [`Resampler::resample`]'s values and the exact average of
+/// the exactly normalized voxels, for at most 64 input voxels per output voxel and axis.
 const RESAMPLE_TOLERANCE: f32 = 2e-6;
 
 /// Longest axis that [`Resampler::resample`] accepts, in voxels.
@@ -50,14 +50,14 @@ impl Resampler {
 
     /// Resamples a volume to `n`³ values in [0, 1], written to `out` with x fastest, then y, then z.
     ///
-    /// The result depends on the volume, its range and `n`, and not on the executor or the level. Up to 64
-    /// input voxels per output voxel and axis, values are within 2e-6 of the exact average of the exactly
-    /// normalized voxels; beyond, the error grows with the ratio.
+    /// The result depends on the volume, its range and `n`, and not on the executor or the level. With at
+    /// most 64 input voxels per output voxel and axis, values are within 2e-6 of the exact average of the
+    /// exactly normalized voxels; with more, the error grows with their number.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`](crate::ErrorKind) when `n` is 0 or an axis is longer than 2³¹ voxels,
     /// [`ErrorKind::SizeMismatch`](crate::ErrorKind) when `out` does not hold exactly `n`³ values,
-    /// [`ErrorKind::OutOfMemory`](crate::ErrorKind) where there is no room for a row.
+    /// [`ErrorKind::OutOfMemory`](crate::ErrorKind) if the scratch for rows cannot be allocated.
     pub fn resample(
         &mut self,
         view: &VolumeView<'_>,
@@ -176,8 +176,9 @@ impl Job<'_> {
         });
     }
 
-    /// Fills the planes of the output, split over the executor's threads. Where z grows, the input's planes
-    /// are stored in the last planes of the output and then interpolated in place.
+    /// Fills the planes of the output, split over the executor's threads. If the output has more planes than
+    /// the input, the input's planes are stored in the last planes of the output and then interpolated in
+    /// place.
     fn run(&self, out: &mut [f32], rows: &mut [f32], fill: &Fill<'_>) {
         let g = self.geometry;
         let plane = g.n * g.n;
@@ -190,7 +191,7 @@ impl Job<'_> {
     }
 }
 
-/// Halves planes and scratch recursively, until one piece of scratch is left.
+/// Halves planes and scratch recursively, and fills each part of the planes with one piece of scratch.
 fn split(
     executor: Executor<'_>,
     plane: usize,
@@ -313,7 +314,7 @@ mod tests {
         ([23, 130, 140], 2),
     ];
 
-    /// Rows long enough for every width of the inner loops.
+    /// The rows are long enough for every width of the inner loops.
     #[test]
     fn bytes_give_the_same_bits_on_every_level() {
         for (dims, n) in
@@ -334,7 +335,7 @@ mod tests {
         }
     }
 
-    /// The same voxels over another range.
+    /// Returns a view of the same voxels with another range.
     fn ranged<'a>(view: &VolumeView<'a>, range: (f32, f32)) -> VolumeView<'a> {
         let options = VolumeOptions { range: Some(range), ..VolumeOptions::default() };
         VolumeView::with(view.scalars(), view.dims(), options).unwrap()

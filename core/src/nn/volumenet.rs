@@ -31,12 +31,12 @@ pub struct EncodeScratch {
 }
 
 /// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense
-/// layer (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
+/// layer (paper, section on the volume network). Blocks can have any kernel edge, stride and padding.
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
 /// [`input_size`](Self::input_size)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
-/// = (z, y, x). A block maps a tensor `x` of `Cin × n³` values to `Cout × m³` values, m = (n + 2·padding − k)
-/// / stride + 1 rounded down:
+/// = (z, y, x). A block with a kernel of k³ taps maps a tensor `x` of `Cin × n³` values to `Cout × m³`
+/// values, where m = (n + 2·padding − k) / stride + 1, rounded down:
 ///
 /// ```text
 /// y[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · x[i, z·stride + a − padding,
@@ -44,8 +44,8 @@ pub struct EncodeScratch {
 ///                                                                           x·stride + c − padding] )
 /// ```
 ///
-/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D,
-/// H, W) order, is the input of the dense layer, which has no activation.
+/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in the
+/// order (channel, z, y, x), is the input of the dense layer, which has no activation.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
     input: usize,
@@ -60,7 +60,7 @@ impl VolumeNet {
     /// # Errors
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together;
     /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than 2 GiB;
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for its weights.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if its weights cannot be allocated.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {
         Self::with(parts, Level::detect())
     }
@@ -112,9 +112,9 @@ impl VolumeNet {
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds
-    /// [`feature_len`](Self::feature_len) values; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there
-    /// is no room for the working memory; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume
-    /// that [`Resampler::resample`] refuses.
+    /// [`feature_len`](Self::feature_len) values; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the
+    /// working memory cannot be allocated; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a
+    /// volume that [`Resampler::resample`] refuses.
     pub fn encode(
         &self,
         view: &VolumeView<'_>,
@@ -163,8 +163,8 @@ fn in_place<T: Scalar>(view: &VolumeView<'_>, scalars: &[T], z: usize, plane: &m
     }
 }
 
-/// Upper bound on the bytes of an encoder's packed weights and of one thread's working memory, for the
-/// widest vectors of any level. Sums saturate.
+/// Returns an upper bound of the bytes of an encoder's packed weights and of one thread's working memory, for
+/// the widest vectors of any level. Sums saturate.
 fn memory(parts: &VolumeNetParts) -> u64 {
     /// Floats per vector and per cache line.
     const LANES: u128 = 16;
@@ -216,7 +216,8 @@ pub(crate) fn check(parts: &VolumeNetParts) -> Result<()> {
         if block.inputs != channels || block.outputs == 0 || block.input_edge != edge {
             bail!(
                 InvalidTensor,
-                "{name}: {} channels of edge {} in, {} out; the layer before gives {channels} channels of edge {edge}",
+                "{name} takes {} channels of edge {} and gives {} channels; the layer before it gives \
+                 {channels} channels of edge {edge}",
                 block.inputs,
                 block.input_edge,
                 block.outputs
@@ -393,7 +394,8 @@ mod tests {
         }
     }
 
-    /// Small enough for Miri: every path of the portable kernels, one, two and three layers.
+    /// Compares networks that are small enough for Miri with the definition: every path of the portable
+    /// kernels, one, two and three layers.
     #[test]
     fn small_networks_meet_the_definition() {
         let small: [(usize, &[Layer]); 5] = [

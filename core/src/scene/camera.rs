@@ -4,7 +4,7 @@ use crate::Result;
 use crate::error::bail;
 use glam::{Mat3, Mat4, Vec3};
 
-/// Vertical field of view used where none is given, in degrees.
+/// Default vertical field of view, in degrees.
 pub const DEFAULT_FOV_Y_DEGREES: f32 = 45.0;
 
 /// Arcball pose about the volume's center (paper, section "PredNet: Rendering Time Prediction").
@@ -14,7 +14,7 @@ pub struct Arcball {
     pub rx: f32,
     /// Rotation about the y axis, degrees. Positive moves the eye to the volume's right (+x).
     pub ry: f32,
-    /// Distance of the eye from the center along z, in multiples of the bounding-sphere radius.
+    /// Distance of the eye from the center, in multiples of the bounding-sphere radius.
     pub dz: f32,
 }
 
@@ -34,15 +34,15 @@ impl Lens {
 
 /// A camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It looks along −z
 /// of its own space, y up. Its projection is perspective ([`Camera::with_fov_y_degrees`]) or parallel
-/// ([`Camera::with_parallel_scale`]). Anything behind the eye, or behind the plane that parallel rays leave,
-/// is invisible.
+/// ([`Camera::with_parallel_scale`]). Anything behind the eye, or behind the plane from which parallel rays
+/// start, is invisible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     view: Mat4,
     lens: Lens,
 }
 
-/// Range of [`Camera::with_parallel_scale`], in bounding-sphere radii.
+/// Scales that [`Camera::with_parallel_scale`] accepts, in bounding-sphere radii.
 const PARALLEL_SCALES: core::ops::RangeInclusive<f32> = 1e-6..=1e6;
 
 /// Largest distance between the volume's center and the plane from which parallel rays start, in
@@ -51,8 +51,8 @@ const PARALLEL_SCALES: core::ops::RangeInclusive<f32> = 1e-6..=1e6;
 const PARALLEL_DISTANCE: f32 = 2.0;
 
 impl Camera {
-    /// A camera on the arcball, with the default field of view. With all angles 0 the eye is at (0, 0, dz)
-    /// and looks at the center.
+    /// Returns a camera on the arcball, with the default field of view. With both angles 0, the eye is at
+    /// (0, 0, dz) and looks at the center.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for values that are not finite, or a distance that is not
@@ -282,8 +282,8 @@ mod tests {
     fn world_view_matches_arcball() {
         let camera = arc(20.0, -40.0, 3.0).with_fov_y_degrees(30.0).unwrap();
         let (center, radius) = (Vec3::new(5.0, -7.0, 11.0), 40.0);
-        // World to scene: subtract the center, divide by the radius; eye space in world units is scene eye
-        // space × radius.
+        // The world-to-scene transform subtracts the center and divides by the radius. So eye-space positions
+        // in world units are those in scene units times the radius.
         let r = Mat4::from_mat3(Mat3::from_mat4(camera.view()));
         let view = Mat4::from_translation(camera.view().w_axis.truncate() * radius)
             * r

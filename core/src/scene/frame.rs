@@ -72,7 +72,7 @@ pub struct Frame {
     pub skipping: Skipping,
     /// Accumulated opacity at which a ray stops, in (0, 1]; 1 disables early termination.
     pub termination: f32,
-    /// True where ray starts are jittered.
+    /// True if ray starts are jittered.
     pub jitter: bool,
 }
 
@@ -99,8 +99,8 @@ impl Frame {
     /// Returns the frame if it is valid.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`], a step outside of [1/64, 4096]
-    /// or a termination outside of (0, 1].
+    /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`], a step outside of
+    /// [1/64, 4096] or a termination outside of (0, 1].
     #[inline]
     pub fn checked(self) -> Result<Self> {
         let Self { width, height, step, termination, .. } = self;
@@ -114,7 +114,7 @@ impl Frame {
             bail!(InvalidArgument, "ray step is {step} reference steps; it must lie in [0.015625, 4096]");
         }
         if !(termination > 0.0 && termination <= 1.0) {
-            bail!(InvalidArgument, "termination opacity is {termination}; it must lie in (0, 1] (1: never)");
+            bail!(InvalidArgument, "termination opacity is {termination}; it must lie in (0, 1]");
         }
         Ok(self)
     }

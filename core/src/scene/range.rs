@@ -22,10 +22,10 @@ const DISTINCT: usize = 16;
 const MOST: usize = 4;
 
 impl VolumeView<'_> {
-    /// Fill values: values of voxels without data, such as -9999, 9.97e36, or the padding of a CT. A fill
-    /// value is the minimum or maximum of the volume, at least one voxel in 1024 has it, and its distance
-    /// from all other values is at least an eighth of the width of their range. The default range excludes
-    /// fill values; unsigned bytes have none.
+    /// Fill values: values of voxels without data, such as -9999, 9.97e36, or the padding of a CT scan. A
+    /// fill value is the minimum or maximum of the volume, at least one voxel in 1024 has it, and its
+    /// distance from all other values is at least an eighth of the width of their range. The default range
+    /// excludes fill values; unsigned bytes have none.
     ///
     /// Samples 4096 voxels. If the sample suggests a fill value, scans all voxels.
     pub fn fill_values(&self) -> Vec<f32> {
@@ -42,8 +42,8 @@ impl VolumeView<'_> {
             let highs = left.len() - left.partition_point(|v| *v < high);
             let frequent = |count: usize| count >= 4 && count as f32 >= FREQUENT * sample.len() as f32;
             let candidates = [(low, lows, &left[lows..]), (high, highs, &left[..left.len() - highs])];
-            // Takes the end that lies farther away first: while it remains, it widens the range with which
-            // the other end's distance is compared.
+            // Of the minimum and the maximum, the value that lies farther from all others is taken first:
+            // until it is removed, it widens the range with which the other one's distance is compared.
             let far = |rest: &[f32], value: f32| {
                 let (Some(&least), Some(&most)) = (rest.first(), rest.last()) else { return None };
                 let gap = if value < least { half(least) - half(value) } else { half(value) - half(most) };
@@ -68,8 +68,8 @@ impl VolumeView<'_> {
         fill
     }
 
-    /// 0…255 for unsigned bytes, otherwise the finite minimum…maximum without fill values. 0…1 if no value
-    /// remains.
+    /// Returns 0…255 for unsigned bytes, otherwise the finite minimum…maximum without fill values, or 0…1 if
+    /// no value remains.
     pub(super) fn default_range(&self) -> (f32, f32) {
         if matches!(self.scalars(), Scalars::U8(_)) {
             return (0.0, 255.0);
@@ -198,7 +198,7 @@ mod tests {
         for fill in [-9999.0, 1e20, 9.969_21e36, -f32::MAX, f32::MAX, -1.0, 1.126] {
             assert_eq!(fill_of(&data(50, fill)), (alloc::vec![fill], (0.0, 1.0)), "{fill}");
         }
-        // Too near, too rare, not isolated.
+        // No fill values: 1.12 lies too near, three copies are too rare, and -10 in `trail` has near values.
         assert_eq!(fill_of(&data(50, 1.12)), (Vec::new(), (0.0, 1.12)));
         assert_eq!(fill_of(&data(3, -9999.0)).1, (-9999.0, 1.0));
         let mut trail = data(50, -10.0);

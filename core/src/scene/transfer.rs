@@ -16,8 +16,8 @@ pub const TABLE_LEN: usize = 256;
 /// threshold would accumulate an opacity of at most 0.03.
 pub(crate) const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
 
-/// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) (paper, section "PredNet: Rendering
-/// Time Prediction").
+/// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) of the normalized scalar value s
+/// (paper, section "PredNet: Rendering Time Prediction").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GaussianLobe {
     /// c: position of the peak, in normalized scalar values [0, 1].
@@ -64,8 +64,8 @@ pub const COLOR_RAMP: [(f32, [f32; 3]); 6] = [
 ];
 
 impl TransferFunction {
-    /// A piecewise-linear function through evenly spaced samples, the first at 0 and the last at 1, each of
-    /// red, green, blue and opacity.
+    /// Returns the piecewise-linear function through evenly spaced samples (red, green, blue, opacity), the
+    /// first at 0 and the last at 1.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for fewer than two samples, or a component outside [0, 1].
@@ -84,7 +84,8 @@ impl TransferFunction {
         Ok(Self::Points(points))
     }
 
-    /// Checks the description and samples it into a table, entry i at s = i/255.
+    /// Checks the description and samples it into a table; entry i is sampled at the normalized scalar value
+    /// i/255.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`], naming the lobe or point, the fault and the accepted range.
@@ -156,8 +157,8 @@ impl TransferTable {
         self.unit_distance
     }
 
-    /// The table for a ray step of `step` reference steps: same colors; opacities are 1 − (1 − α)^ratio, with
-    /// the ratio of the ray step to the unit distance.
+    /// Returns the table for a ray step of `step` reference steps. The colors are the same. An opacity α
+    /// becomes 1 − (1 − α)^ratio, where `ratio` is the ray step divided by the unit distance.
     pub fn corrected(&self, step: f32) -> Box<[[f32; 4]; TABLE_LEN]> {
         let mut out = self.rgba.clone();
         for entry in out.iter_mut() {
@@ -166,7 +167,7 @@ impl TransferTable {
         out
     }
 
-    /// True where entry `index` has an opacity of at least 1/32768 per reference step.
+    /// True if entry `index` has an opacity of at least 1/32768 per reference step.
     ///
     /// # Panics
     /// When `index` is not below [`TABLE_LEN`].
@@ -181,8 +182,8 @@ impl TransferTable {
     }
 }
 
-/// Opacity over `ratio` unit distances, in a medium with opacity `alpha` per unit distance: 1 − (1 −
-/// α)^ratio.
+/// Returns the opacity over `ratio` unit distances of a medium with opacity `alpha` per unit distance:
+/// 1 − (1 − `alpha`)^`ratio`.
 #[inline]
 pub(crate) fn corrected_opacity(alpha: f32, ratio: f32) -> f32 {
     if alpha >= 1.0 {

@@ -138,9 +138,9 @@ pub struct VolumeOptions {
     pub strides: Option<[usize; 3]>,
     /// Voxel spacing along x, y, z, in any common unit of length; 1 by default.
     pub spacing: [f32; 3],
-    /// The scalar range that maps to [0, 1] (members of an ensemble share one). `None` for the default: 0…255
-    /// for unsigned bytes, the finite minimum…maximum without [fill values](VolumeView::fill_values) for
-    /// other types, which scans the voxels.
+    /// The scalar range that maps to [0, 1] (the same for all members of an ensemble). `None` is the default:
+    /// 0…255 for unsigned bytes, the finite minimum…maximum without [fill values](VolumeView::fill_values)
+    /// for other types, which scans the voxels.
     pub range: Option<(f32, f32)>,
 }
 
@@ -179,10 +179,10 @@ impl<'a> VolumeView<'a> {
     /// As [`VolumeView::new`], with strides, spacing and range. If `options` has a range, no voxel is read.
     ///
     /// # Errors
-    /// As [`VolumeView::new`]; [`ErrorKind::SizeMismatch`] for strides that repeat elements of more than
-    /// [`MAX_REPEATED_VOXELS`] voxels; [`ErrorKind::InvalidArgument`] for a spacing outside 1e-30…1e30, for a
-    /// largest spacing over 1e6 times the smallest, and for a range unless both ends are finite and `low <=
-    /// high`.
+    /// As [`VolumeView::new`]; [`ErrorKind::SizeMismatch`] for more than [`MAX_REPEATED_VOXELS`] voxels with
+    /// strides that read elements more than once; [`ErrorKind::InvalidArgument`] for a spacing outside
+    /// 1e-30…1e30, for a largest spacing over 1e6 times the smallest, and for a range unless both ends are
+    /// finite and `low <= high`.
     pub fn with(scalars: Scalars<'a>, dims: [usize; 3], options: VolumeOptions) -> Result<Self> {
         let strides = match options.strides {
             Some(strides) => strides,
@@ -224,8 +224,9 @@ impl<'a> VolumeView<'a> {
         if voxels > last + 1 && voxels > MAX_REPEATED_VOXELS {
             bail!(
                 SizeMismatch,
-                "volume of {} x {} x {} voxels with strides {strides:?} reads {} elements over and over, {voxels} times in \
-                 all; at most {MAX_REPEATED_VOXELS} voxels are accepted where strides repeat elements",
+                "volume of {} x {} x {} voxels with strides {strides:?} reads {} elements repeatedly, \
+                 {voxels} times in total; at most {MAX_REPEATED_VOXELS} voxels are accepted if strides \
+                 repeat elements",
                 dims[0],
                 dims[1],
                 dims[2],
@@ -255,7 +256,7 @@ impl<'a> VolumeView<'a> {
         self.strides
     }
 
-    /// True where voxels are contiguous, x fastest.
+    /// True if voxels are contiguous, x fastest.
     #[cfg(test)]
     pub(crate) fn is_contiguous(&self) -> bool {
         self.strides == [1, self.dims[0], self.dims[0] * self.dims[1]]
@@ -367,8 +368,8 @@ fn bounding_radius(extent: Vec3) -> f32 {
     libm::ldexpf(0.5 * scaled.length(), exponent)
 }
 
-/// The spacing, scaled by the power of two that brings its largest component into 0.5…1: bit-identical in
-/// units of length that differ by a power of two.
+/// Returns the spacing, scaled by the power of two that brings its largest component into 0.5…1. The result
+/// has the same bits in all units of length that differ by a power of two.
 pub fn ratios(spacing: Vec3) -> Vec3 {
     normalized(spacing).0
 }

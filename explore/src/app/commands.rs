@@ -101,7 +101,7 @@ impl App {
 
     fn crop(&mut self, crop: Option<Crop>) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
-        // A part that is the whole volume is not cropped.
+        // A part that is the whole volume counts as uncropped.
         let all = scene.facts.dims.map(|n| [0, n - 1]);
         self.start(Job {
             source: Some(scene.whole.clone()),
@@ -111,7 +111,7 @@ impl App {
         })
     }
 
-    /// Maps the voxels' own range to [0, 1]; the transfer function becomes a preset for it.
+    /// Maps the voxels' own range to [0, 1]. The transfer function becomes a preset for this range.
     fn span_data(&mut self) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
         self.start(Job {
@@ -125,7 +125,7 @@ impl App {
     /// close.
     ///
     /// # Errors
-    /// For an event that cannot be carried out.
+    /// When an event cannot be carried out.
     pub(super) fn play_script(&mut self, event_loop: &ActiveEventLoop) -> Result<bool> {
         if !self.is_scripted() || self.scene.is_none() {
             return Ok(true);

@@ -23,7 +23,7 @@ struct Drawn {
     planned: Planned,
     /// Seconds of ray casting.
     cast: f64,
-    /// Seconds of the frame before its plan.
+    /// Seconds from the beginning of the frame to its plan.
     before: f64,
     /// True if camera or transfer function changed abruptly.
     switched: bool,
@@ -145,8 +145,8 @@ impl App {
         state.path = Some(scene.path.clone());
         state.work = None;
         match scene.whole.notes() {
-            [] => state.say(format!("{title} in {seconds:.2} s")),
-            notes => state.say(format!("{title} in {seconds:.2} s; {}", notes.join("; "))),
+            [] => state.say(format!("opened {title} in {seconds:.2} s")),
+            notes => state.say(format!("opened {title} in {seconds:.2} s; {}", notes.join("; "))),
         }
         state.changed.transfer = true;
         state.changed.replaced = true;
@@ -162,7 +162,7 @@ impl App {
         Ok(())
     }
 
-    /// Makes pictures of the view's size, unless there are some. Returns true if they are new.
+    /// Makes pictures of the view's size, unless they exist. Returns true if they are new.
     fn prepare_pictures(&mut self) -> Result<bool> {
         let size = self.state.viewport;
         if self.pictures.as_ref().is_some_and(|p| p.size == size) {
@@ -289,9 +289,9 @@ fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
 }
 
 /// Replaces the placeholders [`STEERED`] and [`FULL`] by the texture ids of the pictures, and shows only the
-/// used part of the steered one. Removes pictures that must not be shown: the one at full quality after a
-/// `cast`, which makes it outdated; the steered one if the other is complete (`refined`); and any that was
-/// never drawn.
+/// used part of the steered picture. Removes pictures that must not be shown: the full-quality picture after
+/// a `cast`, which makes it outdated; the steered picture if the full-quality picture is complete
+/// (`refined`); and every picture that was never drawn.
 fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);

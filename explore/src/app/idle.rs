@@ -18,7 +18,7 @@ const REST: Duration = Duration::from_millis(150);
 /// Interval between updates of a progress display.
 const SHOW_EVERY: Duration = Duration::from_millis(250);
 
-/// Share of the target for which a slice is planned; the remainder is for slices that cost more than
+/// Share of the target for which a slice is planned. The remainder is for slices that take longer than
 /// expected.
 const SLICE_SHARE: f64 = 0.75;
 
@@ -77,14 +77,14 @@ impl App {
     }
 
     /// Requests a redraw of the interface if `at_once` is true or [`SHOW_EVERY`] has passed since the last
-    /// request.
+    /// frame.
     fn show_now_and_then(&self, at_once: bool) {
         if at_once || self.last_paint.elapsed() > SHOW_EVERY {
             self.redraw();
         }
     }
 
-    /// The frame of the view at full quality.
+    /// Returns the frame of the view at full quality.
     pub(super) fn full_frame(&self, [width, height]: [u32; 2]) -> Result<Frame> {
         let placement = self.scene.as_ref().map_or(crate::camera::Placement::WHOLE, |s| s.placement);
         Ok(Frame {
@@ -96,7 +96,7 @@ impl App {
         .checked()?)
     }
 
-    /// Expected seconds of a frame; NaN without a prediction.
+    /// Returns the expected seconds of a frame; NaN without a prediction.
     fn expected(&mut self, frame: &Frame) -> f64 {
         self.state.steer.predict(frame).map_or(f64::NAN, |(seconds, _)| seconds)
     }
@@ -179,7 +179,7 @@ impl App {
         Ok(())
     }
 
-    /// Ends a screenshot, complete or not. Its display ends too, and a script stops waiting for it.
+    /// Ends a screenshot, complete or not. Its progress display ends too, and a script stops waiting for it.
     pub(super) fn end_screenshot(&mut self) {
         (self.screenshot, self.state.screenshot_share) = (None, None);
         if self.waiting == Waiting::Screenshot {

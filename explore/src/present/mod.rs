@@ -25,7 +25,7 @@ const MOST_PICTURES: u32 = 16;
 /// Time limit of a wait for the device or for a swapchain image, nanoseconds.
 const LONGEST_WAIT: u64 = 60_000_000_000;
 
-/// The instance extensions for windows of a display.
+/// Returns the Vulkan instance extensions that windows of a display need.
 ///
 /// # Errors
 /// When Vulkan has no surface for this kind of display.
@@ -68,8 +68,8 @@ pub(crate) struct Presenter {
 }
 
 impl Presenter {
-    /// A surface on a window that outlives the presenter, and all resources for the interface except the
-    /// swapchain, which the first frame makes.
+    /// Returns a presenter for a window, which must outlive it: a surface, and all resources of the interface
+    /// except the swapchain. The first frame makes the swapchain.
     ///
     /// # Errors
     /// When the device cannot present on this window.
@@ -81,8 +81,8 @@ impl Presenter {
         let display = window.display_handle().context("the window has no display")?;
         let handle = window.window_handle().context("the window has no handle")?;
         let surface_functions = ash::khr::surface::Instance::new(device.entry(), device.instance());
-        // SAFETY: both handles are alive, and the window outlives the presenter (its caller's contract, kept
-        // by the application, which drops the presenter first).
+        // SAFETY: both handles are alive. The window outlives the presenter, as this function requires: the
+        // application drops the presenter first.
         let surface = unsafe {
             ash_window::create_surface(
                 device.entry(),
@@ -102,7 +102,7 @@ impl Presenter {
             )
         };
         if !matches!(presents, Ok(true)) {
-            // SAFETY: made above, not used.
+            // SAFETY: the surface was made above and is not in use.
             unsafe { surface_functions.destroy_surface(surface, None) };
             return Err(anyhow!(
                 "{} cannot show pictures on this display; choose another device (ENTIRE_DEVICE)",
@@ -155,7 +155,7 @@ impl Presenter {
     /// Registers a picture with the interface.
     ///
     /// # Errors
-    /// When there are too many.
+    /// When there are too many pictures.
     pub(crate) fn add_picture(&mut self, picture: &Picture) -> Result<TextureId> {
         let set = vulkan::create_vulkan_descriptor_set(
             self.device.device(),
@@ -171,7 +171,7 @@ impl Presenter {
         Ok(id)
     }
 
-    /// Removes a picture. The device must not be drawing it; after [`Presenter::show`] it is not.
+    /// Removes a picture. The device must not be drawing it; after [`Presenter::show`] this is ensured.
     pub(crate) fn remove_picture(&mut self, id: TextureId) {
         if let Some(egui) = &mut self.egui {
             egui.remove_user_texture(id);
@@ -228,7 +228,7 @@ impl Presenter {
     /// Draws the interface and presents it. Returns once the device has finished.
     ///
     /// # Errors
-    /// When the device fails; a surface that changed meanwhile is no error (see [`Presented::shown`]).
+    /// When the device fails. A surface that has changed meanwhile is no error (see [`Presented::shown`]).
     pub(crate) fn show(
         &mut self,
         pixels_per_point: f32,
@@ -264,7 +264,8 @@ impl Presenter {
         Ok(presented)
     }
 
-    /// Records, submits, presents and waits; returns [`Presented::handing`].
+    /// Records and submits the commands, presents the image and waits for the device. Returns
+    /// [`Presented::handing`].
     fn draw(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<f64> {
         let (Some(egui), Some(swapchain)) = (&mut self.egui, &mut self.swapchain) else {
             return Ok(0.0);
@@ -296,8 +297,8 @@ impl Presenter {
             .wait_dst_stage_mask(&stages)
             .command_buffers(&buffers)
             .signal_semaphores(&signals)];
-        // SAFETY: as above; the queue is locked during the call, the semaphores are of this frame, and the
-        // fence is unsignaled.
+        // SAFETY: the command buffer is alive and in recording, the queue is locked during the call, the
+        // semaphores belong to this frame, and the fence is unsignaled.
         unsafe {
             d.cmd_end_render_pass(self.commands);
             d.end_command_buffer(self.commands).map_err(failed("vkEndCommandBuffer"))?;

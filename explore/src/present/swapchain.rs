@@ -30,8 +30,8 @@ pub(super) struct Swapchain {
 }
 
 impl Swapchain {
-    /// A swapchain in place of an old one, which the device must not be using; `None` if the surface has no
-    /// area (a minimized window).
+    /// Returns a swapchain in place of an old one, which the device must not be using; `None` if the surface
+    /// has no area (a minimized window).
     pub(super) fn new(
         device: &SharedDevice,
         surface_functions: &ash::khr::surface::Instance,
@@ -194,8 +194,8 @@ impl Swapchain {
         self.frames[index as usize].drawn
     }
 
-    /// Index of the next image to draw into; `None` if the surface has changed. `acquired` is signaled once
-    /// the image may be written; `longest`: time limit, nanoseconds.
+    /// Returns the index of the next image to draw into; `None` if the surface has changed. `acquired` is
+    /// signaled once the image may be written; `longest`: time limit, nanoseconds.
     pub(super) fn acquire(&mut self, acquired: vk::Semaphore, longest: u64) -> Result<Option<u32>> {
         // SAFETY: the semaphore is unsignaled, since the previous frame, which waited for it, is done.
         let found =
@@ -229,8 +229,8 @@ impl Swapchain {
     }
 }
 
-/// An 8-bit sRGB format, since the interface's pictures are sampled as linear values; else an 8-bit format
-/// without encoding, or else the first format.
+/// Returns an 8-bit sRGB format, since the interface's pictures are sampled as linear values; else an 8-bit
+/// format without encoding, or else the first format.
 fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     let wanted = [
         vk::Format::B8G8R8A8_SRGB,
@@ -244,8 +244,8 @@ fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     wanted.into_iter().find_map(at).or(formats.first()).copied().unwrap_or_default()
 }
 
-/// A mode that does not wait for the display's refresh, if there is one, so that a frame's time contains only
-/// work.
+/// Returns a mode that does not wait for the display's refresh, if there is one, so that a frame's time
+/// contains only work.
 fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
     [vk::PresentModeKHR::MAILBOX, vk::PresentModeKHR::IMMEDIATE]
         .into_iter()

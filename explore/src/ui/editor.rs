@@ -28,7 +28,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
             curve.opacity = Opacity::Lobes(vec![lobe]);
             state.replace(curve);
         }
-        ui.checkbox(&mut state.fine, "fine near 0").on_hover_text("Shows opacity by its cube root");
+        ui.checkbox(&mut state.fine, "fine near 0").on_hover_text("Draws opacity by its cube root");
     });
     curve(ui, state);
     colors(ui, state);
@@ -37,7 +37,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
         ui.weak("Presets");
         for name in PRESETS {
             if ui.small_button(name).clicked() && !state.preset(name) {
-                state.say("presets are made to fit a volume; open one");
+                state.say("presets depend on the volume's values; open a volume first");
             }
         }
     });
@@ -55,7 +55,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
     ui.horizontal(|ui| {
         ui.add(egui::TextEdit::singleline(&mut state.texts.transfer).desired_width(130.0));
         let file = || state.texts.transfer.trim().into();
-        if ui.button("Load").on_hover_text("JSON of this window, or a preset of ParaView's").clicked() {
+        if ui.button("Load").on_hover_text("A JSON file of this window, or a ParaView preset").clicked() {
             state.commands.push(Command::LoadTransfer(file()));
         }
         if ui.button("Save").clicked() {
@@ -123,7 +123,7 @@ fn curve(ui: &mut Ui, state: &mut State) {
         painter.circle(*at, radius, color, Stroke::new(1.0, Color32::BLACK));
     }
     response.on_hover_text_at_pointer(
-        "Drag a handle. Double-click adds one, right-click removes it, numbers can be typed below.",
+        "Drag moves a handle, double-click adds a handle, right-click removes a handle. Type numbers below.",
     );
 }
 
@@ -334,7 +334,7 @@ mod tests {
             log: None,
         };
         let mut state = State::new(&options, Steer::new(vec![("a", "A")], 0, 0.03));
-        // Scalars of this range are rounded to a sixteenth.
+        // f32 rounds scalars of this range to a sixteenth.
         let range = Some((1e6, 1e6 + 10.0));
         let options = VolumeOptions { range, ..VolumeOptions::default() };
         let view = VolumeView::with(Scalars::F32(&[1e6; 8]), [2; 3], options).unwrap();

@@ -40,7 +40,8 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
     let high: Vec<f64> = bounded.iter().map(|r| r.upper.max(r.predicted) * 1e3).collect();
     let target = steer.target * 1e3;
     let most = history.iter().map(|r| r.seconds * 1e3).fold(2.0 * target, f64::max);
-    // The two plots fill the panel exactly: otherwise its height, which follows its content, would change.
+    // The two plots fill the panel exactly. Otherwise the panel would change its height to that of its
+    // content.
     let height = ui.available_height() - ui.spacing().item_spacing.y;
     let plot = |id: &str, height: f32| {
         Plot::new(id)

@@ -59,8 +59,8 @@ fn steering(ui: &mut Ui, state: &mut State) {
             state.commands.push(Command::Forget);
         }
         let copy = ui.button("Calibrate …").on_hover_text(
-            "Copies a command that makes a model of this machine by wall time, the clock of the window, and \
-             opens the volume again with that model",
+            "Copies a command line that calibrates this machine by wall time, the clock of the window, and \
+             then opens the volume again with the new model",
         );
         if copy.clicked() && !state.calibration.is_empty() {
             ui.ctx().copy_text(state.calibration.clone());
@@ -238,7 +238,7 @@ fn about(ui: &mut Ui, state: &mut State) {
         let (low, high) = facts.own_range;
         if facts.range != facts.own_range && low < high {
             ui.horizontal(|ui| {
-                ui.label(format!("its voxels hold {low} … {high}"));
+                ui.label(format!("values of the voxels: {low} … {high}"));
                 let why = "The transfer function spans the voxels' own range";
                 if ui.button("Span the data").on_hover_text(why).clicked() {
                     state.commands.push(Command::SpanData);

@@ -153,14 +153,14 @@ fn axes(painter: &Painter, facts: &Facts, place: &impl Fn(Vec3) -> Option<Pos2>)
     }
 }
 
-/// Draws the probe's rays: a grid over the rectangle around the volume.
+/// Draws the probe's rays as a grid over the rectangle around the volume.
 fn probe(painter: &Painter, facts: &Facts, state: &State, place: &impl Fn(Vec3) -> Option<Pos2>, rect: Rect) {
     let Some((side, hits)) = state.probe else { return };
     let mut around = Rect::NOTHING;
     for corner in corners(facts, state) {
         match place(corner) {
             Some(at) => around.extend_with(at),
-            // The eye is inside: the rectangle is the whole image.
+            // A corner is behind the eye: the rectangle is the whole image.
             None => around = rect,
         }
     }

@@ -2,7 +2,7 @@
 object per line. Started by `entire farm --engine hyperqueue`; ends when its input is closed.
 
 HyperQueue's Python package cannot change priorities after submission and reports no times. So only few bundles
-wait at once, and workers measure their own seconds."""
+wait in its queue, and workers measure their own seconds."""
 
 import datetime
 import json
@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 
-# Standard output is for events only: what libraries print there goes to standard error.
+# Standard output is for events only. What libraries print to it goes to standard error instead.
 events = os.fdopen(os.dup(1), "w", buffering=1)
 os.dup2(2, 1)
 
@@ -31,7 +31,7 @@ except ImportError as error:
 
 
 class Seen(Exception):
-    """Raised by a callback to end a blocking wait: the first callback already has the states."""
+    """Raised by a callback to end a blocking wait: its first call already received the states."""
 
 
 def states(client, ids):
@@ -80,7 +80,7 @@ def main():
                     if state["finished"]:
                         say(over=bundle)
                     else:
-                        why = "it was canceled"
+                        why = "the bundle was canceled"
                         for task in client.connection.get_failed_tasks([job]).get(job, {}).values():
                             why = task.error
                         say(failed=bundle, why=why)

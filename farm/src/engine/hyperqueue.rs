@@ -20,7 +20,7 @@ const START: Duration = Duration::from_secs(60);
 /// Options of HyperQueue.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The Python interpreter that has the package.
+    /// The Python interpreter in which HyperQueue's package is installed.
     pub python: String,
     /// Number of one-processor workers to start; if a server is given, the assumed number of its workers.
     pub workers: usize,
@@ -66,10 +66,10 @@ impl HyperQueue {
     /// device.
     pub const OVERHEAD: f64 = 0.05;
 
-    /// Starts the script, and through it a server with workers.
+    /// Starts the script. The script starts a server with workers, or connects to the given server.
     ///
     /// # Errors
-    /// Names the way to install HyperQueue if it is missing.
+    /// When HyperQueue is not installed (the message says how to install it), or does not start.
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
         let config = json!({
             "workers": options.workers, "server_dir": options.server_dir, "cpus": options.cpus,
@@ -144,8 +144,8 @@ impl Engine for HyperQueue {
     }
 
     fn limit(&self) -> Option<f64> {
-        // A bundle that requests a worker's whole time limit never starts, since some of that time has
-        // passed.
+        // A bundle that requests the whole time limit of a worker never starts, since some of this time has
+        // passed when it is submitted.
         self.options.worker_limit.map(|l| 0.98 * l - 1.0)
     }
 
@@ -180,7 +180,8 @@ impl Engine for HyperQueue {
     }
 
     fn cancel(&mut self) -> Result<()> {
-        // The Python package cannot cancel: workers find a marker file before their next task and end.
+        // The Python package cannot cancel bundles. Instead, workers end if they find a marker
+        // file before their next task.
         self.open.iter().for_each(|b| super::cancel(&self.places.state, *b));
         Ok(())
     }
@@ -213,7 +214,7 @@ impl Engine for HyperQueue {
         for line in said {
             match serde_json::from_str(&line) {
                 Ok(Said::Over(bundle)) if self.open.remove(&bundle) => {
-                    out.push(Event::Lost(bundle, "its worker ended without an answer".into()));
+                    out.push(Event::Lost(bundle, "the bundle's worker ended without an answer".into()));
                 }
                 Ok(Said::Failed { failed, why }) if self.open.remove(&failed) => {
                     let log = self.places.state.join("logs").join(format!("bundle-{failed}.log"));

@@ -39,7 +39,7 @@ impl Local {
     /// Initial estimate of a bundle's overhead on its slot, seconds: a line through a pipe and a flush.
     pub const OVERHEAD: f64 = 0.005;
 
-    /// Starts this many workers.
+    /// Starts one worker for each of `slots` slots.
     ///
     /// # Errors
     /// When a process cannot be started.
@@ -220,7 +220,7 @@ impl Engine for Local {
 
 impl Drop for Local {
     fn drop(&mut self) {
-        // Workers end when their input is closed; those that have not after 2 s are killed.
+        // Workers end when their input is closed. Workers that have not ended after 2 s are killed.
         for worker in &mut self.workers {
             worker.input = None;
         }

@@ -20,19 +20,20 @@ use std::time::Duration;
 pub struct Bundle {
     /// The planner's record of the bundle.
     pub sent: Sent,
-    /// The orders of its tasks.
+    /// The work orders of the bundle's tasks.
     pub orders: Vec<Order>,
-    /// Its time request: 99 % upper bound on its seconds; infinite for workers of this machine, which need
-    /// none.
+    /// Time that is requested from the engine for the bundle, seconds: the 99 % quantile of its rendering
+    /// time, with loading and overhead, doubled for each loss of a task. Infinite for workers of this machine,
+    /// which need no request.
     pub upper_s: f64,
 }
 
 /// Events of an engine.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// A worker's line about a bundle.
+    /// A line that a worker wrote: the number of its bundle, and the line.
     Line(u64, Line),
-    /// A bundle was lost with its worker.
+    /// A bundle was lost with its worker: the number of the bundle, and the reason.
     Lost(u64, String),
     /// A slot has a new worker, which holds no volume.
     Fresh(usize),
@@ -43,7 +44,7 @@ pub enum Event {
 /// An engine. All engines run the same worker (`entire farm-worker`), which writes images and answers into
 /// the database's folder; that folder must be reachable from every node under the same path.
 pub trait Engine {
-    /// Its name.
+    /// Name of the engine.
     fn name(&self) -> &'static str;
     /// Number of bundles that run at once.
     fn slots(&self) -> usize;
@@ -63,13 +64,13 @@ pub trait Engine {
     /// Sends bundles, the most urgent first.
     ///
     /// # Errors
-    /// When the engine refuses them.
+    /// When the engine refuses the bundles.
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()>;
     /// Changes the order of waiting bundles, the most urgent first. By default it does nothing: the queues of
     /// engines that cannot reorder are kept short instead.
     ///
     /// # Errors
-    /// When the engine refuses.
+    /// When the engine refuses to change the order.
     fn reprioritize(&mut self, bundles: &[u64]) -> Result<()> {
         let _ = bundles;
         Ok(())
@@ -77,14 +78,14 @@ pub trait Engine {
     /// Cancels waiting bundles; running ones end after their current task.
     ///
     /// # Errors
-    /// When the engine refuses.
+    /// When the engine refuses to cancel bundles.
     fn cancel(&mut self) -> Result<()>;
     /// Events since the last call; waits at most `wait` for one.
     ///
     /// # Errors
     /// When the engine does not answer.
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>>;
-    /// Activity of each slot, for display; empty where it is unknown.
+    /// Activity of each slot, for display; empty if it is unknown.
     fn nodes(&self) -> Vec<String> {
         Vec::new()
     }
@@ -118,10 +119,10 @@ impl Places {
         ])
     }
 
-    /// Writes a bundle's description where its worker looks for it.
+    /// Writes the file `orders/NUMBER.json`, from which the bundle's worker reads its tasks.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the file cannot be written.
     pub(crate) fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
         let order =
             super::record::BundleOrder { bundle: bundle.sent.bundle, run, tasks: bundle.orders.clone() };

@@ -13,17 +13,17 @@ use std::time::{Duration, Instant};
 
 /// Interval between queries of the queue; the spool is read at every poll.
 const LOOK: Duration = Duration::from_millis(500);
-/// Time that a request adds for start and end of the worker, seconds.
+/// Seconds that are added to each time request for start and end of the worker.
 const GRACE: f64 = 15.0;
 
 /// Options of Slurm.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Number of bundles that run at once; default: the nodes that sinfo lists.
+    /// Number of bundles that run at once; default: the number of nodes that sinfo lists.
     pub nodes: Option<usize>,
     /// Additional options of sbatch.
     pub sbatch: Vec<String>,
-    /// Longest time request, seconds; default: that of the partition that jobs go to.
+    /// Longest time request, seconds; default: the time limit of the partition that jobs go to.
     pub limit: Option<f64>,
 }
 
@@ -132,7 +132,7 @@ fn longest_request(listed: &str, named: Option<&str>) -> Option<f64> {
     limits.map(|l| l.into_iter().fold(0.0, f64::max)).filter(|l| *l > 0.0)
 }
 
-/// A time request in sbatch's format, whole minutes, with [`GRACE`] added.
+/// Returns a time request in sbatch's format: `seconds` and [`GRACE`], rounded up to whole minutes.
 fn request(seconds: f64) -> String {
     (((seconds + GRACE) / 60.0).ceil().max(1.0) as u64).to_string()
 }
@@ -141,10 +141,10 @@ impl Slurm {
     /// Initial estimate of a bundle's overhead on its node, seconds.
     pub const OVERHEAD: f64 = 0.6;
 
-    /// Checks that Slurm answers, and cancels queued jobs of an earlier run.
+    /// Checks that Slurm answers, and cancels the waiting and running jobs of an earlier run.
     ///
     /// # Errors
-    /// Names the packages to install or the daemon to start if Slurm does not answer.
+    /// When Slurm does not answer; the message names the packages to install or the daemon to start.
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
         let hint = "Slurm does not answer; check that slurmctld runs and SLURM_CONF names its file";
         let listed = ask("sinfo", &words(&["-h", "-N", "-o", "%N"]), None).context(hint)?;
@@ -190,7 +190,8 @@ impl Slurm {
         Ok(queue.jobs.into_iter().filter(|j| j.name == self.name).collect())
     }
 
-    /// Queries the queue. Returns the bundles whose jobs have left it, each with the reason.
+    /// Queries the queue. Returns the bundles whose jobs were missing or ended in three queries, with the
+    /// reason.
     fn look(&mut self) -> Result<Vec<(u64, String)>> {
         let queue: BTreeMap<u64, (String, String)> = self
             .queue()?
@@ -206,7 +207,8 @@ impl Slurm {
                     job.gone = 0;
                 }
                 found => {
-                    // The file system may delay the last lines of the job's spool.
+                    // The file system may delay the last lines of the job's spool, so the bundle counts as
+                    // lost only after three queries.
                     job.gone += 1;
                     if job.gone >= 3 {
                         let state = found.map_or("GONE", |f| f.0.as_str());
@@ -292,7 +294,7 @@ impl Engine for Slurm {
         // Users may only lower the priority of their jobs, by a larger nice value.
         for (place, bundle) in bundles.iter().enumerate() {
             if let Some(job) = self.open.get(bundle).filter(|j| j.state == "PENDING") {
-                // This fails if the job has started, which then needs no priority.
+                // The command fails if the job has started. The job then needs no priority.
                 let _ = ask(
                     "scontrol",
                     &words(&["update", &format!("JobId={}", job.id), &format!("Nice={}", 10 * place)]),

@@ -6,17 +6,18 @@ use anyhow::{Result, bail};
 /// A task that needs a volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AffinityTask {
-    /// Its volume.
+    /// The volume that the task needs.
     pub volume: usize,
-    /// Its seconds on a node of speed 1, without loading.
+    /// Seconds of the task on a node of speed 1, without loading.
     pub seconds: f64,
-    /// Seconds to load its volume on a node with another one, whatever the node's speed.
+    /// Seconds to load the volume on a node that does not hold it. They do not depend on the node's speed.
     pub load: f64,
 }
 
-/// Simulates a queue in which a node keeps its last volume: it takes the first task on that volume among the
-/// next `window` tasks of the order, or the next task if there is none. A window of 1 is
-/// [`super::simulate_queue`] with loading times. Every dispatch costs `dispatch` seconds of the node.
+/// Simulates a queue in which a node keeps its last volume. The node takes the first task on this volume
+/// among the next `window` tasks of the order, or the next task if there is none. With a window of 1, the
+/// result is that of [`super::simulate_queue`] with loading times. Every dispatch costs `dispatch` seconds of
+/// the node.
 ///
 /// # Errors
 /// For unusable times, speeds or dispatch cost, a window of 0, or an order that is not a permutation of the
@@ -35,7 +36,7 @@ pub fn simulate_affinity(
     check_order(order, tasks.len())?;
     check_dispatch(dispatch)?;
     if window == 0 {
-        bail!("a window of 0 tasks was given; at least the next task must be looked at");
+        bail!("the window is 0 tasks; it must be at least 1");
     }
     let mut free = vec![0.0f64; speeds.len()];
     let mut holds: Vec<Option<usize>> = vec![None; speeds.len()];

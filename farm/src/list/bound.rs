@@ -8,7 +8,7 @@ use entire_steer::schedule::{assign_longest_first, longest_first};
 /// nodes).
 ///
 /// # Errors
-/// As [`assign_longest_first`].
+/// When a time is negative or not finite, a speed is not finite and positive, or there is no node.
 pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
     // Checks the speeds.
     assign_longest_first(&[], speeds)?;

@@ -9,7 +9,7 @@ const ROUNDS_PER_NODE: usize = 40;
 const LEAST_GAIN: f64 = 1.0e-6;
 
 /// Change of one round: the node that ends last gives the task `give` to the node `to`, and takes the task
-/// `take`, if any, from it.
+/// `take`, if any, from the node `to`.
 struct Change {
     give: usize,
     to: usize,
@@ -26,7 +26,7 @@ struct Change {
 /// reduced.
 ///
 /// # Errors
-/// As [`Assignment::makespan`].
+/// When the numbers of tasks or nodes differ from those of the assignment, or a time or speed is invalid.
 pub(super) fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64]) -> Result<()> {
     // Checks times and speeds.
     assignment.makespan(times, speeds)?;
@@ -63,7 +63,7 @@ pub(super) fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64
     Ok(())
 }
 
-/// The change that makes the longer load of its two nodes, `last` and another node, shortest.
+/// Returns the change that makes the longer load of two nodes, `last` and any other node, shortest.
 fn best_change(
     last: usize,
     times: &[f64],
@@ -74,8 +74,8 @@ fn best_change(
     let mut best: Option<Change> = None;
     for &give in &held[last] {
         for to in (0..loads.len()).filter(|&n| n != last) {
-            // Seconds of a task with which both nodes would end together if `last` took it in exchange for
-            // `give`.
+            // Seconds of an ideal task to take: if `last` took this task in exchange for `give`, both nodes
+            // would end at the same time.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
             let even = times[give] - (loads[last] - loads[to]) / (own + other);
             let above = held[to].partition_point(|&t| times[t] < even);

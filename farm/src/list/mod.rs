@@ -26,7 +26,7 @@ use std::path::Path;
 pub struct Farm {
     /// Speed of each node; a node of speed 2 takes half of a task's seconds.
     pub speeds: Vec<f64>,
-    /// Node seconds per dispatch from a queue.
+    /// Time that each dispatch from a queue costs its node, seconds.
     pub dispatch: f64,
     /// Number of queue entries that a node searches for a task on its loaded volume.
     pub window: usize,
@@ -78,34 +78,34 @@ pub enum By {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Task {
-    /// Its name; default: its number.
+    /// Name of the task; default: its number in the list.
     pub task: String,
     /// Predicted seconds on a node of speed 1.
     pub predicted_s: Option<f64>,
     /// Measured seconds on a node of speed 1.
     pub measured_s: Option<f64>,
-    /// The data that it needs.
+    /// Name of the data that the task needs.
     pub volume: String,
-    /// Seconds to load that data.
+    /// Seconds to load these data.
     pub load_s: f64,
 }
 
-/// Reads a task list: JSON if the file's name ends in `.json`, else CSV. Fields are separated by commas, or
-/// by semicolons or tabs; in the latter case numbers may have decimal commas. The text is UTF-8, or UTF-16
+/// Reads a task list: JSON if the file's name ends in `.json`, else CSV. Fields are separated by commas,
+/// semicolons or tabs. With semicolons or tabs, numbers may have decimal commas. The text is UTF-8, or UTF-16
 /// with a byte order mark.
 ///
 /// # Errors
-/// Names the file, the task and the error.
+/// When the list cannot be read or a task is invalid. The message names the file, the task and the error.
 pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
     let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
     let json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     parse_tasks(&bytes, json).with_context(|| format!("task list {}", path.display()))
 }
 
-/// Reads a task list's bytes, JSON or CSV.
+/// Parses a task list, JSON or CSV.
 ///
 /// # Errors
-/// Names the task and the error.
+/// When the list or a task is invalid. The message names the task and the error.
 pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
     let text = decode_text(bytes)?;
     let mut tasks: Vec<Task> = if json { serde_json::from_str(&text)? } else { parse_csv(&text)? };
@@ -162,10 +162,10 @@ fn parse_csv(text: &str) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
-/// The task times that a schedule uses.
+/// Returns the task times that a schedule uses.
 ///
 /// # Errors
-/// Names the first task that lacks its time.
+/// When a task lacks its time. The message names the first such task.
 pub fn times(tasks: &[Task], by: By) -> Result<Vec<f64>> {
     tasks
         .iter()
@@ -177,7 +177,7 @@ pub fn times(tasks: &[Task], by: By) -> Result<Vec<f64>> {
         .collect()
 }
 
-/// Numbers of the tasks' volumes, in order of first appearance.
+/// Returns the number of each task's volume. Volumes are numbered in order of first appearance.
 pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
     let mut numbers: HashMap<&str, usize> = HashMap::new();
     tasks
@@ -189,7 +189,7 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
         .collect()
 }
 
-/// Simulates a plan with true times: every task's node, start and end.
+/// Simulates a plan with the true times `seconds`. Returns node, start and end of every task.
 ///
 /// # Errors
 /// For a plan of a queue, when a time is negative or not finite, or a speed is not finite and positive.
@@ -225,12 +225,12 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
 /// A schedule before the run.
 #[derive(Clone, Debug)]
 pub enum Plan {
-    /// Node of every task, and the order.
+    /// The node of every task, and the order in which nodes run their tasks.
     Assigned(Assignment, Vec<usize>),
     /// An order from which a free node takes the next task.
     Queued(Vec<usize>),
-    /// An order from which a free node takes a task on its loaded volume if such a task is near the front,
-    /// else the first task.
+    /// An order from which a free node takes the first task on its loaded volume among the next
+    /// [`Farm::window`] tasks, else the next task.
     Near(Vec<usize>),
 }
 
@@ -253,12 +253,12 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
     })
 }
 
-/// Quantiles 0.05, 0.5 and 0.95 of the end, seconds, from 400 random draws of the errors of `expected`.
-/// Errors are drawn from the tasks' own ln(measured / predicted) if all tasks have both times, else from a
-/// normal distribution of ln seconds with standard deviation 0.15.
+/// Returns the quantiles 0.05, 0.5 and 0.95 of the end, seconds, from 400 random draws of the errors of
+/// `expected`. Errors are drawn from the tasks' own ln(measured / predicted) if all tasks have both times.
+/// Otherwise they are drawn from a normal distribution of ln seconds with standard deviation 0.15.
 ///
 /// # Errors
-/// As [`play`].
+/// For a plan of a queue, when a time is negative or not finite, or a speed is not finite and positive.
 pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm) -> Result<[f64; 3]> {
     const LOG_SD: f64 = 0.15;
     let mut rng = ChaCha8Rng::seed_from_u64(1);

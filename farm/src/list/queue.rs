@@ -26,8 +26,8 @@ pub struct Timeline {
 }
 
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
-/// `times` are the true ones; predictions determine only the order. Arrival order is `0..n`;
-/// [`longest_first`] gives the order of predicted times, longest first. Every dispatch costs `dispatch`
+/// `times` are the true times; predictions determine only the order. Arrival order is `0..n`;
+/// [`longest_first`] returns the order of predicted times, longest first. Every dispatch costs `dispatch`
 /// seconds of the node.
 ///
 /// # Errors

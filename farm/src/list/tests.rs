@@ -127,7 +127,7 @@ fn exchanges_repair_grahams_worst_case() {
     assert_eq!(lower_bound(&times, &ones(2)).unwrap(), 6.0);
     exchange(&mut a, &times, &ones(2)).unwrap();
     assert_eq!(a.makespan(&times, &ones(2)).unwrap(), 6.0);
-    // All on one node of three: moves alone balance it.
+    // All tasks are on one of three nodes. Moves without exchanges distribute them evenly.
     let mut a = Assignment { node_of: vec![1; 9], nodes: 3 };
     exchange(&mut a, &[1.0; 9], &ones(3)).unwrap();
     assert_eq!([0, 1, 2].map(|n| a.node_of.iter().filter(|&&of| of == n).count()), [3, 3, 3]);
@@ -158,7 +158,7 @@ proptest! {
         let line = simulate_queue(&order, &times, &speeds, dispatch).unwrap();
         let bound = lower_bound(&times, &speeds).unwrap();
         prop_assert!(line.makespan >= bound * (1.0 - 1e-12));
-        // Every task runs once; no node runs two tasks at once, or is idle before its last task.
+        // Every task runs once. No node runs two tasks at once, or is idle before its last task.
         let mut seen = vec![false; times.len()];
         for s in &line.spans {
             prop_assert!(!std::mem::replace(&mut seen[s.task], true));
@@ -171,7 +171,7 @@ proptest! {
                 at = s.end;
             }
         }
-        // Doubling the queue never shortens it.
+        // Twice the tasks never take less time.
         let doubled: Vec<f64> = times.iter().chain(&times).copied().collect();
         let twice: Vec<usize> = order.iter().copied().chain(order.iter().map(|t| t + times.len())).collect();
         prop_assert!(simulate_queue(&twice, &doubled, &speeds, dispatch).unwrap().makespan >= line.makespan);

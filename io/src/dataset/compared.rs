@@ -47,7 +47,7 @@ fn parse_pictures(bytes: &[u8]) -> Result<Vec<Picture>> {
         picture.check().with_context(|| format!("line {line}"))?;
         out.push(picture);
     }
-    ensure!(!out.is_empty(), "it holds no pictures");
+    ensure!(!out.is_empty(), "the table holds no pictures");
     Ok(out)
 }
 

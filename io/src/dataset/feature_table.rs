@@ -3,10 +3,11 @@
 //!
 //! The first line, `# entire-features 1 schema HASH table HASH frames N`, identifies the features: a hash of
 //! the quantities' names and of [`VERSION`] (a table without quantities that were added later stays valid),
-//! the FNV-1a hash of the timing table's bytes (decompressed), and the number of rows. Then follows one row
-//! per frame: its number, every scene quantity (never its logarithm), probe-dependent quantities also as
-//! `NAME@SIDE` for probes with a nonstandard number of rays, then the features of each VolumeNet, as columns
-//! `volumenet_ID_I` where ID identifies the encoder's weights and I is the feature's index.
+//! the FNV-1a hash of the timing table's bytes (decompressed), and the number of rows. The second line names
+//! the columns. Then follows one row per frame: the frame's number, every scene quantity (never its
+//! logarithm), probe-dependent quantities also as `NAME@SIDE` for probes with a nonstandard number of rays,
+//! then the features of each VolumeNet, as columns `volumenet_ID_I` where ID identifies the encoder's weights
+//! and I is the feature's index.
 
 use super::TimedFrame;
 use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
@@ -47,26 +48,28 @@ fn schema() -> u64 {
 }
 
 /// True if features with this schema hash have the same meaning in this version: new quantities are added at
-/// the end, so an older table stays valid. Quantities that it lacks are computed from the volumes.
+/// the end, so an older table stays valid. Quantities that the older table lacks are computed from the
+/// volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }
 
-/// A table's name without `.csv` or `.csv.gz`.
+/// Returns a table's path without `.csv` or `.csv.gz`.
 pub fn stem(table: &Path) -> PathBuf {
     let bare =
         if table.extension().is_some_and(|e| e == "gz") { table.with_extension("") } else { table.into() };
     bare.with_extension("")
 }
 
-/// Id of a VolumeNet: a hash of the first block's and the last layer's weights, eight hexadecimal digits.
+/// Returns the id of a VolumeNet: a hash of the first block's and the last layer's weights, eight hexadecimal
+/// digits.
 pub fn encoder_id(parts: &VolumeNetParts) -> String {
     let first = parts.blocks.first().map_or(&[][..], |b| &b.weight[..]);
     let bytes: Vec<u8> = first.iter().chain(&parts.fc.weight).flat_map(|w| w.to_le_bytes()).collect();
     format!("{:08x}", fnv1a(&bytes) >> 32)
 }
 
-/// The column of a quantity, for a probe with this many rays along each side.
+/// Returns the column name of a quantity, for a probe with `probe_side` rays along each side.
 pub fn quantity_column(quantity: SceneQuantity, probe_side: usize) -> String {
     if probe_side == PROBE_SIDE || !quantity.needs_probe() {
         quantity.to_string()
@@ -75,21 +78,21 @@ pub fn quantity_column(quantity: SceneQuantity, probe_side: usize) -> String {
     }
 }
 
-/// The column of an encoder's feature.
+/// Returns the column name of an encoder's feature.
 pub fn code_column(id: &str, feature: usize) -> String {
     format!("volumenet_{id}_{feature}")
 }
 
 impl FeatureTable {
-    /// The path of a timing table's features.
+    /// Returns the path of a timing table's features.
     pub fn path_for(table: &Path) -> PathBuf {
         let mut name = stem(table).into_os_string();
         name.push(".features.csv.gz");
         name.into()
     }
 
-    /// A table from frame numbers and one row of values for each, in the columns' order, computed by this
-    /// version for the timing table with the hash `table`.
+    /// Returns a table of frame numbers with one row of values each, in the columns' order. This version of
+    /// the program computed the values, for the timing table with the hash `table`.
     ///
     /// # Errors
     /// When the values are not one row per number, or a number appears twice.
@@ -138,7 +141,7 @@ impl FeatureTable {
     /// Writes the file, whole or not at all.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut numbers: Vec<u64> = self.at.keys().copied().collect();
         numbers.sort_unstable();
@@ -216,7 +219,7 @@ impl FeatureTable {
     /// Reads a file's bytes, decompressed.
     ///
     /// # Errors
-    /// Names the error, with line and column if it is in a field.
+    /// When the content is invalid; the error names line and column if a field is invalid.
     pub fn parse(bytes: &[u8]) -> Result<Self> {
         let bytes = without_mark(bytes);
         let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |i| i + 1);
@@ -253,7 +256,7 @@ impl FeatureTable {
     }
 }
 
-/// Schema, table and number of frames in the first line.
+/// Returns schema hash, table hash and number of frames from the first line.
 fn made_of(line: &str) -> Option<(u64, u64, usize)> {
     let words: Vec<&str> = line.strip_prefix(MARK)?.split_whitespace().collect();
     let ["schema", schema, "table", table, "frames", rows] = words[..] else { return None };

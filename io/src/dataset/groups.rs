@@ -7,7 +7,7 @@ use std::collections::HashMap;
 pub struct Groups(HashMap<String, u64>);
 
 impl Groups {
-    /// The number of a name; the next free one for a new name.
+    /// Returns the number of a name; a new name gets the next free number.
     pub fn number(&mut self, name: &str) -> u64 {
         let next = self.0.len() as u64;
         *self.0.entry(name.to_owned()).or_insert(next)

@@ -15,7 +15,7 @@ pub const MANIFEST_FORMAT: &str = "entire-timings-1";
 /// Definition of the reference step, in words.
 pub const STEP_REFERENCE: &str = "smallest voxel spacing";
 
-/// Largest manifest that is read, in bytes.
+/// Maximum size of a manifest, in bytes.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
 /// Machine, renderer and settings of a measurement. Written beside the table as `NAME.manifest.json`.
@@ -31,14 +31,14 @@ pub struct Manifest {
     pub renderer: String,
     /// The device that rendered.
     pub device: String,
-    /// Its driver with version; empty where there is none.
+    /// The device's driver with its version; empty if the device has no driver.
     #[serde(default)]
     pub driver: String,
     /// The program's version and, where known, commit.
     pub commit: String,
     /// The seed of every random choice.
     pub seed: u64,
-    /// Repeats per frame.
+    /// Repeats per frame; 0 if the number differs between frames.
     pub repeats: u32,
     /// [`STEP_REFERENCE`].
     pub step_reference: String,
@@ -54,7 +54,7 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// The manifest's path beside a table: `NAME.csv` or `NAME.csv.gz` → `NAME.manifest.json`.
+    /// Returns the manifest's path beside a table: `NAME.csv` or `NAME.csv.gz` → `NAME.manifest.json`.
     pub fn path_for(table: &Path) -> PathBuf {
         let mut name = stem(table).into_os_string();
         name.push(".manifest.json");
@@ -69,8 +69,8 @@ impl Manifest {
         write_json(&Self::path_for(table), self)
     }
 
-    /// Change of a volume's files since its frames were measured, in words; `None` if nothing changed or the
-    /// manifest holds no identities of these files.
+    /// Describes the change of a volume's files since its frames were measured; `None` if nothing changed or
+    /// the manifest holds no identities of these files.
     ///
     /// # Errors
     /// When a file cannot be read.
@@ -81,10 +81,10 @@ impl Manifest {
         }
     }
 
-    /// Options with which the table's volumes are read.
+    /// Returns the options with which the table's volumes are read.
     ///
     /// # Errors
-    /// When their stored form is unknown to this version.
+    /// When the stored options are unknown to this version.
     pub fn reading(&self) -> Result<Reading> {
         match self.settings.get("reading") {
             Some(reading) => serde_json::from_value(reading.clone()).context("settings.reading"),
@@ -92,10 +92,10 @@ impl Manifest {
         }
     }
 
-    /// Reads the manifest beside `table`; `None` when there is none.
+    /// Reads the manifest beside `table`; `None` if there is no manifest.
     ///
     /// # Errors
-    /// When it exists but this version cannot read it.
+    /// When the manifest exists but this version cannot read it.
     pub fn read(table: &Path) -> Result<Option<Self>> {
         let path = Self::path_for(table);
         if !path.try_exists().with_context(|| format!("cannot read {}", path.display()))? {
@@ -109,7 +109,7 @@ impl Manifest {
     /// Reads a manifest's text.
     ///
     /// # Errors
-    /// When this version cannot read it.
+    /// When this version cannot read the text.
     pub fn parse(text: &str) -> Result<Self> {
         let manifest: Self = serde_json::from_str(text)?;
         ensure!(

@@ -38,7 +38,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// The frame that a renderer draws.
+    /// Returns the frame that a renderer draws.
     ///
     /// # Errors
     /// When the core refuses a value; the message is the core's.
@@ -54,7 +54,7 @@ impl Scene {
         .checked()?)
     }
 
-    /// Pixels of the image.
+    /// Returns the number of pixels of the image.
     pub fn pixels(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
     }
@@ -90,7 +90,7 @@ impl Scene {
 /// Reads a shading mode's name.
 ///
 /// # Errors
-/// For any other name; lists the accepted ones.
+/// For any other name; the error lists the accepted names.
 pub fn parse_shading(name: &str) -> Result<Shading> {
     [Shading::None, Shading::Local, Shading::Scatter]
         .into_iter()
@@ -101,7 +101,7 @@ pub fn parse_shading(name: &str) -> Result<Shading> {
 /// Reads a skipping mode's name.
 ///
 /// # Errors
-/// For any other name; lists the accepted ones.
+/// For any other name; the error lists the accepted names.
 pub fn parse_skipping(name: &str) -> Result<Skipping> {
     [Skipping::None, Skipping::Blocks, Skipping::Distance]
         .into_iter()
@@ -131,7 +131,7 @@ pub fn parse_lobes(text: &str) -> Result<Vec<GaussianLobe>> {
         .collect()
 }
 
-/// Writes Gaussian lobes; [`parse_lobes`] returns the same bits.
+/// Returns Gaussian lobes as a text from which [`parse_lobes`] reads the same bits.
 pub(crate) fn format_lobes(lobes: &[GaussianLobe]) -> String {
     let mut text = String::new();
     for (i, l) in lobes.iter().enumerate() {

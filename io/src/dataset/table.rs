@@ -42,17 +42,17 @@ pub const COLUMNS: [&str; 26] = [
 /// A timing table in memory, repeats grouped into frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    /// Its file.
+    /// File of the table.
     pub path: PathBuf,
-    /// Its manifest, if there is one.
+    /// Manifest of the table, if there is one.
     pub manifest: Option<Manifest>,
-    /// Its frames, in the order in which they first appear.
+    /// Frames of the table, in the order in which they first appear.
     pub frames: Vec<TimedFrame>,
     /// FNV-1a hash of the CSV's bytes, decompressed.
     pub hash: u64,
-    /// Scene features of its frames, if a feature table lies beside it.
+    /// Scene features of the frames, if a feature table lies beside the table.
     pub features: Option<FeatureTable>,
-    /// Folder of its volumes, if it is neither the working folder nor the table's.
+    /// Folder of the volumes, if it is neither the working folder nor the table's folder.
     pub root: Option<PathBuf>,
 }
 
@@ -69,10 +69,10 @@ impl Table {
         Ok(table)
     }
 
-    /// As [`Table::read`], without the features beside the table.
+    /// Reads a table as [`Table::read`] does, but without the features beside the table.
     ///
     /// # Errors
-    /// As [`Table::read`].
+    /// Those of [`Table::read`].
     pub fn read_without_features(path: &Path, index: usize) -> Result<Self> {
         let bytes = read_decompressed(path).with_context(|| {
             let remedy =
@@ -91,14 +91,15 @@ impl Table {
         })
     }
 
-    /// Number of passes in which the repeats were measured, from the manifest; 1 where it does not state it.
+    /// Returns the number of passes in which the repeats were measured, from the manifest; 1 if the manifest
+    /// does not state it.
     pub fn passes(&self) -> usize {
         let stated = self.manifest.as_ref().and_then(|m| m.settings.get("passes")?.as_u64());
         stated.and_then(|p| usize::try_from(p).ok()).unwrap_or(1).max(1)
     }
 
-    /// Path of a volume file: the first that exists of `name` below the root folder (if set), `name` itself,
-    /// and `name` below the table's folder. `None` if none exists.
+    /// Returns the path of a volume file: the first existing path of `name` below the root folder (if set),
+    /// `name` itself, and `name` below the table's folder. `None` if none of these exists.
     pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {
         if let Some(below) = self.root.as_ref().map(|r| r.join(name)).filter(|p| p.exists()) {
             return Some(below);
@@ -115,7 +116,7 @@ impl Table {
 /// Reads several tables.
 ///
 /// # Errors
-/// As [`Table::read`]; also when they hold no frame.
+/// Those of [`Table::read`], and tables without any frame.
 pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
     let tables: Vec<Table> =
         paths.iter().enumerate().map(|(i, p)| Table::read(p, i)).collect::<Result<_>>()?;
@@ -130,7 +131,7 @@ pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
 /// Reads a timing table's bytes; `table` is stored in each frame.
 ///
 /// # Errors
-/// Names line and column of the error.
+/// When a row is invalid; the error names its line and column.
 pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     let mut reader = csv::ReaderBuilder::new().from_reader(bytes);
     let headers = reader.headers().context("the header line cannot be read")?.clone();
@@ -167,7 +168,7 @@ pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     Ok(frames)
 }
 
-/// Positions of the columns with these names; the first missing name as error.
+/// Returns the positions of the columns with these names; the error is the first missing name.
 pub(super) fn positions<const N: usize>(
     headers: &csv::StringRecord,
     names: [&'static str; N],
@@ -179,7 +180,7 @@ pub(super) fn positions<const N: usize>(
     Ok(at)
 }
 
-/// Reason why a record cannot be read, with its line.
+/// Returns the reason why a record cannot be read, with its line.
 pub(super) fn unreadable(error: &csv::Error) -> anyhow::Error {
     match error.position() {
         Some(p) => anyhow!("line {}: {}", p.line(), describe(error)),

@@ -192,7 +192,7 @@ fn the_writer_refuses_what_could_not_be_read_back() {
     writer.append(0, &scene(), &[measured(0.1)]).unwrap();
 }
 
-/// Repeats of a frame of `seconds`, each off by a factor e^log.
+/// Returns a frame with one repeat for each of `logs`, which takes `seconds` · e^log.
 fn repeated(number: u64, seconds: f64, logs: &[f64]) -> TimedFrame {
     let repeats = logs.iter().map(|l| measured(seconds * l.exp())).collect();
     TimedFrame { table: 0, number, scene: scene(), repeats }
@@ -200,7 +200,8 @@ fn repeated(number: u64, seconds: f64, logs: &[f64]) -> TimedFrame {
 
 #[test]
 fn noise_floor_is_the_middle_difference_of_repeats() {
-    // Two repeats 0.2 apart: 0.2 / (0.6745·√2), and 1/√2 of that for their mean.
+    // The logarithms of the two repeats differ by 0.2: the standard deviation is 0.2 / (0.6745·√2), and 1/√2
+    // of that for their mean.
     let frame = |t: f64| repeated(0, t, &[0.1, -0.1]);
     let floor = noise_floor(&[frame(1.0), frame(20.0)], Clock::Wall, |_| 1).unwrap();
     assert!((floor.log_sd - 0.209_671).abs() < 1e-6, "{floor:?}");
@@ -223,7 +224,8 @@ fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
     let frames: Vec<TimedFrame> = (0..2000u32)
         .map(|i| {
             let seconds = 1e-3 * 1.005f64.powi(i as i32 / 2);
-            // A first repeat that is slower for fast frames; a second pass 10 % slower than the first.
+            // The first repeat of a pass is slower, above all in fast frames; the second pass is 10 % slower
+            // than the first.
             let warm_up = if i < 600 { 0.4 } else { 0.05 };
             let tail = if i % 50 == 0 { 2.0 } else { 0.0 };
             let logs: Vec<f64> = [0.0, 0.1]
@@ -238,8 +240,8 @@ fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
     assert!((floor.log_sd - 0.03).abs() < 2e-3, "{floor:?}");
     assert!((floor.log_sd_of_median - 0.03 * (std::f64::consts::FRAC_PI_2 / 6.0).sqrt()).abs() < 1e-3);
     assert!((floor.drift.unwrap() - 0.1).abs() < 5e-3, "{floor:?}");
-    // Three frames in ten warm up by 0.4: the median over all is the 5/7 quantile of the others, whose differences
-    // of two repeats have a standard deviation of 0.03·√2.
+    // In three of ten frames, ln(first / last repeat) is about 0.4. So the median over all frames is the 5/7
+    // quantile of the other frames, whose differences of two repeats have a standard deviation of 0.03·√2.
     assert!((floor.warm_up - (0.05 + 0.566 * 0.03 * 2f64.sqrt())).abs() < 5e-3, "{floor:?}");
 }
 
@@ -267,7 +269,7 @@ fn frames_without_the_clock_are_left_out_by_number() {
     assert_eq!(timed(&tables, Clock::Cpu, None).unwrap().len(), 1);
     assert_eq!(left_out(&tables, Clock::Wall, None), None);
     assert_eq!(left_out(&tables, Clock::Cpu, Some(Shading::Scatter)), None);
-    // Without any frame left it is an error.
+    // If no frame is left, `timed` returns an error instead.
     assert_eq!(left_out(&tables, Clock::Device, None), None);
     assert!(timed(&tables, Clock::Device, None).unwrap_err().to_string().contains("choose another --clock"));
     // No clock has times of all frames.

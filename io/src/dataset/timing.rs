@@ -27,7 +27,7 @@ impl Timing {
         Self { device: time.device, wall: Some(time.wall), cpu: time.cpu, counts }
     }
 
-    /// The seconds by a clock, or `None` if it was not read.
+    /// Returns the seconds by a clock; `None` if the clock was not read.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {
         match clock {
             Clock::Auto => self.device.or(self.wall),
@@ -85,9 +85,9 @@ impl Clock {
 /// A frame with all its repeats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedFrame {
-    /// Index of its table.
+    /// Index of the frame's table.
     pub table: usize,
-    /// Its number in that table.
+    /// Number of the frame in that table.
     pub number: u64,
     /// The scene.
     pub scene: Scene,
@@ -125,9 +125,9 @@ impl TimedFrame {
         median(&mut seconds)
     }
 
-    /// Estimated seconds of the frame without disturbance by other programs. They lengthen wall time and
-    /// never shorten it, so the estimate by wall time is the lower quartile of the repeats; by other clocks,
-    /// it is [`TimedFrame::seconds`].
+    /// Estimated seconds of the frame without disturbance by other programs. Other programs lengthen wall
+    /// time and never shorten it, so the estimate by wall time is the lower quartile of the repeats; by other
+    /// clocks, it is [`TimedFrame::seconds`].
     pub fn undisturbed(&self, clock: Clock) -> Option<f64> {
         if clock != Clock::Wall {
             return self.seconds(clock);
@@ -148,14 +148,14 @@ impl TimedFrame {
 pub struct Timed<'a> {
     /// The frames.
     pub frames: &'a [&'a TimedFrame],
-    /// Seconds of each.
+    /// Seconds of each frame.
     pub seconds: &'a [f64],
 }
 
-/// Frames with a time by the clock and the requested shading (if any), each with its seconds.
+/// Returns the frames with a time by the clock and the requested shading (if any), each with its seconds.
 ///
 /// # Errors
-/// When there are none.
+/// When there are no such frames.
 pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result<Vec<(&TimedFrame, f64)>> {
     let all = || tables.iter().flat_map(|t| &t.frames);
     let frames: Vec<(&TimedFrame, f64)> = all()
@@ -173,8 +173,8 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
     Ok(frames)
 }
 
-/// Note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` if it leaves out
-/// no frame, or every frame.
+/// Returns a note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` if no
+/// frame or every frame is left out.
 pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Option<String> {
     let frames: Vec<&TimedFrame> = tables
         .iter()
@@ -214,7 +214,7 @@ pub struct NoiseFloor {
     /// Standard deviation of ln(median seconds of a frame's repeats), computed from `log_sd`. The standard
     /// error of the median is taken as that of the mean, times sqrt(π/2) for three repeats or more.
     pub log_sd_of_median: f64,
-    /// Median over repeats of |t − frame median| / frame median.
+    /// Median over all repeats of |seconds − frame's median| / frame's median.
     pub median_relative_deviation: f64,
     /// Median over frames and passes of ln(first repeat / last repeat of the pass): the cost of warm-up.
     pub warm_up: f64,
@@ -250,7 +250,7 @@ impl NoiseFloor {
 /// Minimum number of frames of similar duration for estimating their common trend.
 const TREND_FRAMES: usize = 20;
 
-/// ln(seconds) of every repeat of a frame that has at least two, and their number of passes.
+/// ln(seconds) of every repeat of a frame with at least two repeats, and the number of passes.
 struct Logs {
     repeats: Vec<f64>,
     median: f64,
@@ -272,8 +272,8 @@ impl Logs {
     }
 }
 
-/// The noise of repeats by a clock, or `None` when no frame was repeated. `passes` is the number of passes of
-/// a frame's repeats, from its table's manifest ([`Table::passes`]).
+/// Returns the noise of repeats by a clock; `None` if no frame was repeated. `passes` is the number of passes
+/// of a frame's repeats, from its table's manifest ([`Table::passes`]).
 pub fn noise_floor<'a>(
     frames: impl IntoIterator<Item = &'a TimedFrame>,
     clock: Clock,
@@ -309,7 +309,7 @@ pub fn noise_floor<'a>(
             }
         }
     }
-    // The median of |difference| of two draws from a normal distribution, in its standard deviations.
+    // For two draws from a normal distribution, the median of |difference| is 0.6745·√2 standard deviations.
     let log_sd = middle(differences)? / (0.674_489_75 * std::f64::consts::SQRT_2);
     Some(NoiseFloor {
         log_sd,

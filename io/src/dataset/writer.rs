@@ -37,11 +37,11 @@ impl Writer {
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
 
-    /// True if a file holds no frame: it does not exist, or was cut off within its first line or right after
-    /// it.
+    /// True if a table has no frame: its file does not exist, or ends within its first line or right after
+    /// that line.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When the file cannot be read.
     pub fn is_fresh(path: &Path) -> Result<bool> {
         let header = format!("{}\n", COLUMNS.join(","));
         let mut start = Vec::new();
@@ -70,7 +70,7 @@ impl Writer {
         file.read_to_end(&mut bytes).with_context(fail)?;
         let header = format!("{}\n", COLUMNS.join(","));
         if header.as_bytes().starts_with(&bytes) && bytes.len() < header.len() {
-            // Cut off within its header: nothing is lost.
+            // The file ends within its header line, so no frame is lost.
             file.set_len(0).and_then(|()| file.rewind()).with_context(fail)?;
             write_header(&mut file).with_context(fail)?;
             return Ok(Self { file, path: path.to_owned(), done: HashSet::new() });
@@ -154,7 +154,7 @@ impl Writer {
     }
 }
 
-/// Locks the table for this process. The system releases it when the process ends, even by a crash.
+/// Locks the table for this process. The system releases the lock when the process ends, even by a crash.
 fn lock(file: &File, path: &Path) -> Result<()> {
     match try_lock(file) {
         Ok(()) => Ok(()),

@@ -20,7 +20,7 @@ pub enum Generated {
 }
 
 impl Generated {
-    /// Its name.
+    /// Returns the name used in options and path files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Switches => "switches",
@@ -31,7 +31,7 @@ impl Generated {
         }
     }
 
-    /// The path, `frames` long, with transfer functions set by the volume's value distribution. Every
+    /// Returns the path, `frames` long, with transfer functions set by the volume's value distribution. Every
     /// transfer function has three lobes.
     ///
     /// # Errors
@@ -100,8 +100,8 @@ struct Values {
 }
 
 impl Values {
-    /// The distribution in about 100 000 evenly spread voxels. Voxels in the lowest 4 % of the range count as
-    /// background and are left out if more than 0.5 % of the voxels lie above this threshold.
+    /// Returns the distribution in about 100 000 evenly spread voxels. Voxels in the lowest 4 % of the range
+    /// count as background and are left out if more than 0.5 % of the voxels lie above this threshold.
     fn of(volume: &VolumeView<'_>) -> Self {
         let [nx, ny, nz] = volume.shape().dims;
         let stride = (volume.shape().voxels / 100_000).max(1);
@@ -149,7 +149,7 @@ impl Values {
         self.lobes([(0.985, 0.0008, 0.3), (0.993, 0.0008, 0.6), (0.999, 0.0015, 0.9)])
     }
 
-    /// A translucent layer around a denser one.
+    /// A translucent layer around a denser layer.
     fn layers(&self) -> Transfer {
         self.lobes([(0.35, 0.002, 0.02), (0.65, 0.002, 0.03), (0.95, 0.003, 0.3)])
     }

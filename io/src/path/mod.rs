@@ -49,7 +49,7 @@ use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The `format` value.
+/// Value of the field `format` of a path file.
 pub const PATH_FORMAT: &str = "entire-path-1";
 
 /// Maximum number of frames of a path.
@@ -58,7 +58,7 @@ pub const MAX_FRAMES: u32 = 1_000_000;
 /// Maximum number of lobes or points of a transfer function: four for each entry of its table.
 const MAX_TRANSFER_PARTS: usize = 1024;
 
-/// Largest path file, in bytes.
+/// Maximum size of a path file, in bytes.
 const MAX_PATH_BYTES: u64 = 64 << 20;
 
 /// Contents of a path file.
@@ -151,7 +151,7 @@ pub struct Point {
 }
 
 impl Transfer {
-    /// The lobes, if the function consists of lobes.
+    /// Returns the lobes, if the function consists of lobes.
     pub fn lobes(&self) -> Option<Vec<GaussianLobe>> {
         match self {
             Self::Lobes(lobes) => Some(
@@ -164,7 +164,7 @@ impl Transfer {
         }
     }
 
-    /// The core's transfer function.
+    /// Returns the core's transfer function.
     pub fn function(&self) -> TransferFunction {
         match self {
             Self::Points(points) => TransferFunction::Points(
@@ -225,7 +225,7 @@ impl CameraPose {
         }
     }
 
-    /// The core's camera position.
+    /// Returns the core's camera position.
     fn arcball(self) -> Arcball {
         Arcball { rx: self.rx_deg, ry: self.ry_deg, dz: self.dz_radii }
     }
@@ -243,7 +243,7 @@ pub struct TransferAt {
 }
 
 impl TransferAt {
-    /// The transfer function, interpolated between keyframes.
+    /// Returns the transfer function, interpolated between keyframes.
     pub fn get(&self) -> Cow<'_, Transfer> {
         let (_, _, value) = &self.keys[self.key];
         match self.keys.get(self.key + 1) {
@@ -252,12 +252,12 @@ impl TransferAt {
         }
     }
 
-    /// The core's transfer function.
+    /// Returns the core's transfer function.
     pub fn function(&self) -> TransferFunction {
         self.get().function()
     }
 
-    /// The lobes, if the function consists of lobes.
+    /// Returns the lobes, if the function consists of lobes.
     pub fn lobes(&self) -> Option<Vec<GaussianLobe>> {
         self.get().lobes()
     }
@@ -282,14 +282,14 @@ pub struct PathFrame {
     pub transfer: TransferAt,
     /// True if the transfer function differs from that of the frame before; true for the first frame.
     pub transfer_changed: bool,
-    /// True if the transfer function switched abruptly here.
+    /// True if the transfer function switches abruptly at this frame.
     pub transfer_switched: bool,
-    /// True if the camera jumped here.
+    /// True if the camera switches abruptly at this frame.
     pub camera_switched: bool,
 }
 
 impl PathFrame {
-    /// True if anything switched abruptly here.
+    /// True if the camera or the transfer function switches abruptly at this frame.
     pub fn switched(&self) -> bool {
         self.transfer_switched || self.camera_switched
     }
@@ -298,7 +298,7 @@ impl PathFrame {
 /// A checked path, frame by frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlightPath {
-    /// Its name.
+    /// Name of the path.
     pub name: String,
     /// Vertical field of view, degrees.
     pub fov_y_degrees: f32,
@@ -310,7 +310,7 @@ impl PathFile {
     /// Reads a path file.
     ///
     /// # Errors
-    /// Names the file and the error in it.
+    /// When the file cannot be read or is no path; the error names the file and the mistake.
     pub fn open(path: &Path) -> Result<Self> {
         let text = read_text(path, MAX_PATH_BYTES)
             .with_context(|| format!("cannot read the path {}", path.display()))?;
@@ -320,7 +320,7 @@ impl PathFile {
     /// Reads a path file's text.
     ///
     /// # Errors
-    /// The error in the text, with line and column where it is in the JSON.
+    /// When the text is no path file; if the JSON is invalid, the error names line and column.
     pub fn parse(text: &str) -> Result<Self> {
         let file: Self = serde_json::from_str(text).map_err(|e| anyhow!("{e}"))?;
         ensure!(
@@ -334,7 +334,7 @@ impl PathFile {
     /// Checks the path and computes every frame.
     ///
     /// # Errors
-    /// Names the keyframe, the error and the accepted values.
+    /// When a value is invalid; the error names the keyframe, the mistake and the accepted values.
     pub fn resolve(&self) -> Result<FlightPath> {
         ensure!(
             (1..=MAX_FRAMES).contains(&self.frames),
@@ -349,7 +349,8 @@ impl PathFile {
         for (i, pair) in self.keyframes.windows(2).enumerate() {
             ensure!(
                 pair[0].frame < pair[1].frame,
-                "keyframe {} is at frame {}, after one at frame {}; order them by frame, one per frame",
+                "keyframe {} is at frame {}, after a keyframe at frame {}; order them by frame, one per \
+                 frame",
                 i + 1,
                 pair[1].frame,
                 pair[0].frame
@@ -361,7 +362,7 @@ impl PathFile {
             ensure!(key.frame < self.frames, "{}: the path has frames 0 to {}", place(), self.frames - 1);
             ensure!(
                 key.camera.is_some() || key.transfer.is_some(),
-                "{}: gives neither camera nor transfer; give one or remove it",
+                "{}: gives neither camera nor transfer; give one or remove the keyframe",
                 place()
             );
             if let Some(pose) = key.camera {
@@ -424,8 +425,8 @@ impl PathFile {
     }
 }
 
-/// The camera at a pose: parallel if a parallel scale is given, else perspective with the vertical field of
-/// view `fov_y`, in degrees. The field of view is checked in both cases.
+/// Returns the camera at a pose: parallel if a parallel scale is given, else perspective with the vertical
+/// field of view `fov_y`, in degrees. The field of view is checked in both cases.
 ///
 /// # Errors
 /// Those of the core.
@@ -434,8 +435,8 @@ pub fn camera(pose: Arcball, fov_y: f32, parallel_scale: Option<f32>) -> entire_
     parallel_scale.map_or(Ok(camera), |scale| camera.with_parallel_scale(scale))
 }
 
-/// The position of a frame on a track: index of the keyframe at or before the frame, share of the way to the
-/// next keyframe, and true if the track switches abruptly at this frame.
+/// Returns the position of a frame on a track: index of the keyframe at or before the frame, share of the way
+/// to the next keyframe, and true if the track switches abruptly at this frame.
 fn at<T>(track: &[(u32, bool, T)], index: u32) -> (usize, f32, bool) {
     let next = track.partition_point(|(frame, _, _)| *frame <= index);
     let (frame, switch, _) = &track[next - 1];
@@ -452,7 +453,7 @@ impl FlightPath {
     /// Reads and checks a path file.
     ///
     /// # Errors
-    /// Names the file and the error in it.
+    /// When the file cannot be read or is no path; the error names the file and the mistake.
     pub fn open(path: &Path) -> Result<Self> {
         let mut flight =
             PathFile::open(path)?.resolve().with_context(|| format!("{} is no path", path.display()))?;
@@ -462,7 +463,7 @@ impl FlightPath {
         Ok(flight)
     }
 
-    /// The camera of a frame.
+    /// Returns the camera of a frame.
     ///
     /// # Errors
     /// Those of the core; none for a path that was [resolved](PathFile::resolve).
@@ -471,7 +472,7 @@ impl FlightPath {
         Ok(camera(at.camera, self.fov_y_degrees, at.parallel_scale)?)
     }
 
-    /// Frames with an abrupt switch.
+    /// Returns the numbers of the frames with an abrupt switch.
     pub fn switches(&self) -> Vec<usize> {
         (0..self.frames.len()).filter(|i| self.frames[*i].switched()).collect()
     }

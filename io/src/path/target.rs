@@ -5,7 +5,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 /// Reads `33ms`, `0.033s`, `33000us`, `30fps` or `30hz` as seconds.
 ///
 /// # Errors
-/// Names the accepted forms.
+/// For any other text; the error names the accepted forms.
 pub fn parse_target(text: &str) -> Result<f64> {
     let lower = text.trim().to_ascii_lowercase();
     let split = lower.find(|c: char| c.is_ascii_alphabetic() && c != 'e').unwrap_or(lower.len());

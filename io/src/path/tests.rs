@@ -67,7 +67,7 @@ fn parallel_cameras_are_interpolated_in_their_scale_and_switch_to_others() {
     let expected = Camera::from_arcball(at(5)).unwrap().with_parallel_scale(scale).unwrap();
     assert_eq!(path.camera(5).unwrap(), expected);
     assert_eq!(good().camera(5).unwrap(), Camera::from_arcball(at(5)).unwrap());
-    // A parallel camera can only switch to a perspective one.
+    // A parallel camera can only switch to a perspective camera.
     let other = |more: &str| {
         let last = format!("\"dz_radii\": 1}}{more}}}");
         PathFile::parse(&text.replacen("\"dz_radii\": 1, \"parallel_scale\": 0.4}}", &last, 1))

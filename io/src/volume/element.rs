@@ -31,7 +31,7 @@ pub(crate) enum Element {
 }
 
 impl Element {
-    /// Bytes per element in the file.
+    /// Returns the number of bytes per element in the file.
     pub(crate) const fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -51,7 +51,7 @@ pub(crate) enum Endian {
     Big,
 }
 
-/// Bytes that the voxels take in the file.
+/// Returns the number of bytes that the voxels occupy in the file.
 pub(crate) fn byte_count(dims: [usize; 3], element: Element) -> Result<u64> {
     dims.iter()
         .try_fold(element.bytes() as u64, |product, &n| product.checked_mul(n as u64))
@@ -61,7 +61,8 @@ pub(crate) fn byte_count(dims: [usize; 3], element: Element) -> Result<u64> {
 /// Reads the voxels of a volume; memory grows with the received bytes.
 ///
 /// # Errors
-/// Fewer bytes than the sizes and the type call for, or broken compression. States bytes expected and found.
+/// When there are fewer bytes than sizes and type require, or the compressed data is broken; the error states
+/// the numbers of bytes expected and found.
 pub(crate) fn read_voxels(
     stream: &mut Stream<'_>,
     dims: [usize; 3],
@@ -98,10 +99,11 @@ pub(crate) fn read_voxels(
     })
 }
 
-/// As [`read_voxels`], for stored numbers that stand for `number * slope + intercept`, which is rounded once.
+/// Reads voxels as [`read_voxels`] does; a voxel's value is its stored `number * slope + intercept`, rounded
+/// once.
 ///
 /// # Errors
-/// As [`read_voxels`].
+/// Those of [`read_voxels`].
 pub(crate) fn read_scaled_voxels(
     stream: &mut Stream<'_>,
     dims: [usize; 3],
@@ -164,8 +166,8 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
     Ok(())
 }
 
-/// Checks the bytes after the voxels. Fewer bytes than the voxels have are ignored with a note; as many or
-/// more are an error.
+/// Checks the bytes after the voxels. If fewer bytes follow than the voxels occupy, they are ignored, and a
+/// note about them is returned.
 ///
 /// # Errors
 /// When at least as many bytes follow as the voxels have: sizes or type in the header do not fit the
@@ -200,7 +202,7 @@ pub(crate) fn expect_end(
     }
     Ok(Some(format!(
         "{prefix}{behind} bytes after the {expected} bytes of {x} x {y} x {z} voxels of {size} {bytes} are \
-         left out; check sizes and type in the header if there should be none"
+         left out; check sizes and type in the header if no bytes should follow"
     )))
 }
 
@@ -305,12 +307,12 @@ fn broken(stream: &Stream<'_>, error: &io::Error, at: usize, voxels: usize, byte
     )
 }
 
-/// Voxels from numbers in text, separated by whitespace (or commas). A whole-number type takes whole numbers
-/// only.
+/// Reads voxels from numbers in text, separated by whitespace (or commas). A whole-number type takes whole
+/// numbers only.
 ///
 /// # Errors
-/// Fewer or more numbers than voxels, one that cannot be read or is outside the type's range; names its
-/// index.
+/// When there are fewer or more numbers than voxels, or a number cannot be read or is outside the type's
+/// range; the error names the number's index.
 pub(crate) fn parse_voxels(
     stream: &mut Stream<'_>,
     dims: [usize; 3],
@@ -399,7 +401,7 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
             let value = std::str::from_utf8(&token).ok().and_then(&number);
             let Some(value) = value else {
                 bail!(
-                    "{}number {} is {:?}; the type in the header does not take it",
+                    "{}number {} is {:?}; the type in the header does not allow it",
                     stream.prefix(),
                     out.len(),
                     String::from_utf8_lossy(&token)

@@ -1,4 +1,4 @@
-//! Readers of arbitrary bytes: entry of the fuzz targets and of the tests that replay their findings.
+//! A reader of arbitrary bytes, for the fuzz targets and for the tests that replay their findings.
 
 use super::stream::{Companions, Stream};
 use super::{Format, Volume};
@@ -7,7 +7,7 @@ use anyhow::Result;
 /// Separator between a header and the content of its data file, in one input.
 const SEPARATOR: &[u8] = b"\n--data--\n";
 
-/// The same bytes under any file name.
+/// Data files: every name has the same content.
 struct AnyName<'a>(&'a [u8]);
 
 impl Companions for AnyName<'_> {
@@ -25,10 +25,10 @@ impl Companions for AnyName<'_> {
 }
 
 /// Reads a volume from arbitrary bytes. Bytes after the first line `--data--`, if there is such a line, are
-/// the content of every other file that the format asks for.
+/// the content of every data file that the header names.
 ///
 /// # Errors
-/// As [`Volume::open`], without the file's name.
+/// Those of [`Volume::open`], without the file's name.
 pub fn read_any(format: Format, input: &[u8]) -> Result<Volume> {
     let at = input.windows(SEPARATOR.len()).position(|window| window == SEPARATOR);
     let (head, data) = match at {

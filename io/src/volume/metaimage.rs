@@ -4,8 +4,8 @@
 //!
 //! As in the format's own library, `HeaderSize` counts from the start of the file that holds the voxels,
 //! which is the header's own file with `LOCAL`; -1 says that the voxels are the last bytes of the file, or
-//! that it holds compressed voxels only. Of the two fields of byte order, `BinaryDataByteOrderMSB` takes
-//! precedence.
+//! that the file holds compressed voxels only. Of the two fields of byte order, `BinaryDataByteOrderMSB`
+//! takes precedence.
 //!
 //! The project has its own reader, since the crate that reads MetaImage, `bioformats` 0.1, supports neither
 //! voxels in text nor 64-bit integers.
@@ -72,8 +72,8 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     Ok(Parts { data, dims, spacing, name: None, notes })
 }
 
-/// Reads the voxels of one file, or of one of several. `begin` is the number of bytes that were read from it
-/// already: those of the header if the voxels follow it, else 0.
+/// Reads the voxels of one data file. `begin` is the number of bytes of this file that were read before:
+/// those of the header if the voxels follow the header in the same file, else 0.
 fn voxels(
     mut stream: Stream<'_>,
     header: &Header,
@@ -160,7 +160,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
 }
 
 impl Header {
-    /// Stores one entry; returns true if it closes the header.
+    /// Stores one entry; returns true if the entry closes the header.
     fn set(&mut self, key: &str, value: &str) -> Result<bool> {
         match key {
             "ObjectType" if !value.eq_ignore_ascii_case("image") => {

@@ -67,7 +67,7 @@ pub enum VolumeData {
 }
 
 impl VolumeData {
-    /// The voxels as a view for the core.
+    /// Returns the voxels as a view for the core.
     pub fn scalars(&self) -> Scalars<'_> {
         match self {
             Self::U8(v) => Scalars::U8(v),
@@ -134,7 +134,7 @@ impl Format {
     /// Every format.
     const ALL: [Self; 6] = [Self::Nrrd, Self::MetaImage, Self::VtkImage, Self::Nifti, Self::Json, Self::Raw];
 
-    /// The endings of file names that stand for the format.
+    /// Returns the endings of file names in this format.
     const fn endings(self) -> &'static [&'static str] {
         match self {
             Self::Nrrd => &[".nrrd", ".nhdr"],
@@ -146,13 +146,13 @@ impl Format {
         }
     }
 
-    /// The format of a file name's ending.
+    /// Returns the format that the ending of a file name denotes.
     pub(crate) fn of_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         Self::ALL.into_iter().find(|format| format.endings().iter().any(|ending| name.ends_with(ending)))
     }
 
-    /// The format of a file's first bytes (512 are enough).
+    /// Returns the format of a file, from its first bytes (512 are enough).
     pub(crate) fn of_content(head: &[u8]) -> Option<Self> {
         let head = without_mark(head);
         let text = head.trim_ascii_start();
@@ -185,7 +185,7 @@ pub(crate) struct Parts {
     pub(crate) notes: Vec<String>,
 }
 
-/// The endings that [`Volume::open`] knows, for messages.
+/// Returns the endings that [`Volume::open`] knows, for messages.
 fn known_endings() -> String {
     Format::ALL.iter().flat_map(|format| format.endings()).copied().collect::<Vec<_>>().join(", ")
 }
@@ -232,16 +232,17 @@ impl Volume {
     /// # Errors
     /// One line that names the file, what was expected, what was found and what to do: a missing or
     /// unreadable file, an unknown format, a broken header, a zero size, more or fewer bytes of voxels than
-    /// the header calls for, several components or time steps.
+    /// the header requires, several components or time steps.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_as(path, &Reading::default(), None)
     }
 
-    /// As [`Volume::open`], with the options `reading`; the watcher may follow the progress and stop it.
+    /// Reads a volume file as [`Volume::open`] does, with the options `reading`. The watcher may observe the
+    /// progress and stop the reading.
     ///
     /// # Errors
-    /// As [`Volume::open`], and the watcher's own; when `reading` names an array that the file lacks, or the
-    /// format has no named arrays; when every voxel holds one of the given fill values.
+    /// Those of [`Volume::open`] and of the watcher; when `reading` names an array that the file lacks, or
+    /// the format has no named arrays; when every voxel holds one of the given fill values.
     pub fn open_as(
         path: impl AsRef<Path>,
         reading: &Reading,
@@ -270,11 +271,11 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Reads a volume of a known format from a stream. `file_name` is the file's name (raw and JSON files
-    /// find each other by it); its data files come from `companions`.
+    /// Reads a volume of a known format from a stream. `file_name` is the file's name, from which the names
+    /// of raw and JSON files that belong together are derived. Data files come from `companions`.
     ///
     /// # Errors
-    /// As [`Volume::open`], without the file's name.
+    /// Those of [`Volume::open`], without the file's name.
     pub(crate) fn read(
         format: Format,
         stream: Stream<'_>,
@@ -293,7 +294,7 @@ impl Volume {
     ) -> Result<Self> {
         let array = reading.array.as_deref();
         if let Some(array) = array.filter(|_| format != Format::VtkImage) {
-            bail!("array {array:?} is asked for; a file of this format holds one volume without a name");
+            bail!("array {array:?} was requested; a file of this format holds one volume without a name");
         }
         let mut parts = match format {
             Format::Nrrd => nrrd::read(stream, companions),
@@ -315,8 +316,8 @@ impl Volume {
         Ok(volume)
     }
 
-    /// A view of the voxels for the core: with spacing, and the range if one was set (else the default of
-    /// [`VolumeView::new`], computed once when the volume was made).
+    /// Returns a view of the voxels for the core, with the spacing, and with the range that was set, else the
+    /// default range of [`VolumeView::new`] (computed once, when the volume was made).
     pub fn view(&self) -> VolumeView<'_> {
         self.checked_view(self.range).expect("sizes, spacing and range were checked when they were set")
     }
@@ -333,7 +334,7 @@ impl Volume {
     /// Sets the scalar range that maps to [0, 1]; `None` for the default.
     ///
     /// # Errors
-    /// When an end is not finite, or the low end is above the high one.
+    /// When an end is not finite, or the low end is above the high end.
     pub(crate) fn set_range(&mut self, range: Option<(f32, f32)>) -> Result<()> {
         self.checked_view(range)?;
         self.range = range;
@@ -376,13 +377,13 @@ impl Volume {
     }
 }
 
-/// A name without a given ASCII ending, in upper or lower case.
+/// Returns a name without a given ASCII ending, in upper or lower case; `None` if the name ends otherwise.
 pub(crate) fn strip_ending<'a>(name: &'a str, ending: &str) -> Option<&'a str> {
     let (rest, found) = name.split_at_checked(name.len().checked_sub(ending.len())?)?;
     found.eq_ignore_ascii_case(ending).then_some(rest)
 }
 
-/// A file name without its ending (`.nii.gz` and the like count as one).
+/// Returns a file name without its ending; `.nii.gz` and the like count as one ending.
 fn stem(name: &str) -> &str {
     let name = strip_ending(name, ".gz").filter(|rest| !rest.is_empty()).unwrap_or(name);
     match name.rfind('.') {
@@ -394,7 +395,7 @@ fn stem(name: &str) -> &str {
 /// Checks three sizes from a header.
 ///
 /// # Errors
-/// Names the axis of a zero size; a product that cannot be addressed.
+/// When a size is 0 (the error names the axis), or the product of the sizes cannot be addressed.
 pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
     for (size, axis) in sizes.iter().zip(["x", "y", "z"]) {
         if *size == 0 {
@@ -417,7 +418,7 @@ pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
 /// element. `spatial` is false for axes without a direction in space; missing entries count as true.
 ///
 /// # Errors
-/// Names the axis that makes the data multi-component, time-varying or flat.
+/// When the data is flat, or has several components or time steps; the error names the axis.
 pub(crate) fn three_axes<T: Copy>(
     sizes: &[u64],
     values: &[T],

@@ -1,8 +1,8 @@
 //! NIfTI-1 and NIfTI-2 in one file (`.nii`, `.nii.gz`), either byte order. The header's slope and intercept
 //! are applied to the stored numbers; its orientation and its units are not used.
 //!
-//! As in the format's own library, a slope of 0 or one that is not finite means no scaling, an intercept that
-//! is not finite counts as 0, and a size of 0 after the third axis as 1. A spacing that is not finite is
+//! As in the format's own library, a slope that is 0 or not finite means no scaling, an intercept that is not
+//! finite counts as 0, and a size of 0 after the third axis counts as 1. A spacing that is not finite is
 //! unknown: 1 is taken, with a note.
 //!
 //! The project has its own reader, since the crate `nifti` 0.18 reads only NIfTI-1 and panics where a
@@ -17,7 +17,7 @@ use std::io::Read;
 const NIFTI1_BYTES: usize = 348;
 const NIFTI2_BYTES: usize = 540;
 
-/// Fields of either header.
+/// Fields that both kinds of header have.
 struct Header {
     endian: Endian,
     axes: i64,
@@ -27,7 +27,7 @@ struct Header {
     offset: f64,
     slope: f64,
     intercept: f64,
-    /// Bytes taken from the stream so far.
+    /// Number of bytes that were read from the stream so far.
     taken: u64,
 }
 
@@ -103,7 +103,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         (540, _) => (Endian::Little, true),
         (_, 540) => (Endian::Big, true),
         (found, _) => {
-            bail!("not a NIfTI file: it begins with {found}, a NIfTI header with its size, 348 or 540")
+            bail!("not a NIfTI file: it begins with {found}; a NIfTI header begins with 348 or 540")
         }
     };
     let length = if second { NIFTI2_BYTES } else { NIFTI1_BYTES };
@@ -113,7 +113,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
     match (&magic, second) {
         (b"n+1\0", false) | (b"n+2\0", true) => {}
         (b"ni1\0", false) | (b"ni2\0", true) => {
-            bail!("the voxels stand in a second file (.hdr and .img); convert the pair to one .nii file")
+            bail!("the voxels are in a second file (.hdr and .img); convert the pair to one .nii file")
         }
         _ => bail!(
             "not a NIfTI file: its magic is {:?} (an Analyze 7.5 file has none); convert it to NIfTI",

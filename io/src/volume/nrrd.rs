@@ -1,10 +1,10 @@
 //! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, and the voxels. The
-//! field `data file` moves the voxels to another file, or to several (`LIST [axes]` with a name in each line
+//! field `data file` names another file with the voxels, or several (`LIST [axes]` with a name in each line
 //! that follows, or `name%03d.raw FIRST LAST STEP [axes]`). Encodings raw, gzip, bzip2, hex and ascii are
 //! read.
 //!
-//! A spacing of NaN, or a direction of `none` or NaN, is unknown, and the other of the two fields is used. If
-//! both are unknown, the spacing is 1, with a note. A direction of `none` beside directions of other axes
+//! A spacing of NaN, or a direction of `none` or NaN, is unknown; the value of the other field is then used.
+//! If both are unknown, the spacing is 1, with a note. A direction of `none` beside directions of other axes
 //! marks an axis that is not spatial.
 //!
 //! The project has its own reader, since the crate that reads NRRD, `bioformats` 0.1, reserves as much memory
@@ -64,7 +64,7 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
             bail!("NRRD field \"{field}\" has {found} entries, \"dimension\" says {dimension}");
         }
     }
-    // Where no axis has a direction, the field is ignored.
+    // If no axis has a direction, the field "space directions" is ignored.
     let directions = header.directions.as_ref().filter(|d| d.iter().any(Option::is_some));
     let spatial: Vec<bool> = (0..dimension)
         .map(|axis| {
@@ -115,7 +115,7 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     Ok(Parts { data, dims, spacing, name: None, notes })
 }
 
-/// Reads the voxels of one file, or of one of several.
+/// Reads the voxels of one data file.
 fn voxels(
     mut stream: Stream<'_>,
     header: &Header,
@@ -142,7 +142,7 @@ fn voxels(
     };
     match u64::try_from(header.byte_skip) {
         Ok(skip) => stream.skip(skip)?,
-        // -1: the voxels are the last bytes; -5: four bytes follow them.
+        // A skip of -1 means that the voxels are the last bytes; -5, that four bytes follow the voxels.
         Err(_) => {
             let behind = header.byte_skip.unsigned_abs() - 1;
             stream = stream.last(byte_count(dims, element)?, behind)?;
@@ -286,8 +286,8 @@ fn element(value: &str) -> Result<Element> {
     })
 }
 
-/// Lengths of the vectors `(x,y,z)` in "space directions", one per axis; `None` for the word `none` and for a
-/// vector with a NaN.
+/// Returns the lengths of the vectors `(x,y,z)` in "space directions", one per axis; `None` for the word
+/// `none` and for a vector with a NaN.
 fn directions(value: &str) -> Result<Vec<Option<f64>>> {
     let mut found = Vec::new();
     let mut rest = value.trim();

@@ -25,7 +25,7 @@ struct Description {
     files: Vec<String>,
 }
 
-/// Reads the description from the stream and the voxels from a file that it names.
+/// Reads the description from the stream, and the voxels from the file that belongs to the description.
 pub(super) fn read_json(
     mut stream: Stream<'_>,
     file_name: &str,

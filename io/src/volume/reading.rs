@@ -24,7 +24,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// The range to set on a volume whose fill values are hidden; `None` for the default.
+    /// Returns the range to set on a volume whose fill values are hidden; `None` for the default range.
     pub(super) fn range_of(&self, view: &VolumeView<'_>) -> Option<(f32, f32)> {
         let bytes = matches!(view.scalars(), Scalars::U8(_));
         match self.range {
@@ -36,7 +36,7 @@ impl Reading {
         }
     }
 
-    /// Key of the options: equal for equal options.
+    /// Returns the key of the options: equal options have equal keys.
     pub fn key(&self) -> String {
         format!("{:?} {} {}", self.array, self.fill, self.range)
     }
@@ -64,14 +64,14 @@ pub enum Range {
     Default,
     /// The finite minimum…maximum, for unsigned bytes, too: `data`.
     Data,
-    /// From the first to the second: two numbers separated by a comma.
+    /// From the first to the second number: two numbers separated by a comma.
     Given(f32, f32),
 }
 
 /// Parses numbers separated by commas.
 ///
 /// # Errors
-/// When one is not a number.
+/// When an entry is not a number.
 pub(crate) fn numbers_in(text: &str) -> Result<Vec<f32>, String> {
     text.split(',')
         .map(|word| word.trim().parse().map_err(|_| format!("{:?} is not a number", word.trim())))
@@ -187,15 +187,15 @@ pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) ->
     let (share, all) = (100.0 * hidden as f64 / data.len() as f64, data.len());
     Ok(match (found, hidden) {
         (true, _) => Some(format!(
-            "{hidden} of {all} voxels ({share:.1} %) hold {list}, far from all others ({low} to {high}): taken as a \
-             fill value and shown as the low end; `--fill none` takes it as data"
+            "{hidden} of {all} voxels ({share:.1} %) hold {list}, far from other values ({low} to {high}): \
+             taken as a fill value and shown as the low end; `--fill none` takes it as data"
         )),
         (false, 0) => Some(format!("no voxel holds the fill value {list}")),
         (false, _) => None,
     })
 }
 
-/// A note if the values of unsigned bytes fill only a small part of the range that maps to [0, 1].
+/// Returns a note if the values of unsigned bytes fill only a small part of the range that maps to [0, 1].
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
     let narrow = range == Range::Default && view.range() != (low, high) && high - low < NARROW;
@@ -207,7 +207,7 @@ pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     })
 }
 
-/// A note about voxels that are not finite.
+/// Returns a note about voxels that are not finite.
 pub(super) fn non_finite(view: &VolumeView<'_>) -> Option<String> {
     let (broken, all) = (view.non_finite(), view.shape().voxels);
     (broken > 0).then(|| {

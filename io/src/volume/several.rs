@@ -12,8 +12,8 @@ const MAX_LINE: usize = 1 << 16;
 #[derive(Debug, PartialEq)]
 pub(super) struct Several {
     pub(super) names: Vec<String>,
-    /// Number of axes of each file; default: one less than the volume's. If it equals the volume's, each file
-    /// is a slab along the slowest axis.
+    /// Number of axes of each file; default: one less than the volume has. If each file has as many axes as
+    /// the volume, it is a slab along the slowest axis.
     pub(super) axes: Option<usize>,
 }
 
@@ -60,7 +60,7 @@ impl Several {
         Ok(Some(Self { names, axes }))
     }
 
-    /// Number of voxels in each file.
+    /// Returns the number of voxels in each file; `sizes` are those of the volume.
     pub(super) fn voxels_each(&self, sizes: &[u64]) -> Result<usize> {
         let product = |sizes: &[u64]| sizes.iter().try_fold(1u64, |p, &n| p.checked_mul(n));
         let all = product(sizes).context("the sizes in the header multiply to more than can be addressed")?;
@@ -96,7 +96,7 @@ fn whole(word: &str) -> Result<i64> {
     }
 }
 
-/// The pattern with a number in place of `%d`, `%03d` and the like.
+/// Returns the pattern with a number in place of `%d`, `%03d` and the like.
 fn numbered(pattern: &str, number: i64) -> Result<String> {
     let mut name = String::new();
     let mut rest = pattern;
@@ -128,7 +128,7 @@ fn numbered(pattern: &str, number: i64) -> Result<String> {
 }
 
 impl Several {
-    /// The voxels of all files, each read by `read`.
+    /// Reads the voxels of all files, each file by `read`.
     pub(super) fn read(
         &self,
         sizes: &[u64],

@@ -14,13 +14,13 @@ use std::sync::Arc;
 const DEFLATE_GROWTH: u64 = 1032;
 
 /// Upper bound of decompressed bytes per compressed byte of a bzip2 stream: a block takes more than 14 bytes
-/// and holds 900 000 bytes, of which each five expand to at most 259.
+/// and holds 900 000 bytes, of which every five expand to at most 259.
 const BZIP2_GROWTH: u64 = 1 << 22;
 
 /// Byte order mark that some editors put before UTF-8 text.
 const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
 
-/// Text without its byte order mark, if it has one.
+/// Returns text without its byte order mark, if it has one.
 pub(crate) fn without_mark(text: &[u8]) -> &[u8] {
     text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
 }
@@ -78,15 +78,15 @@ impl<'a> Stream<'a> {
     /// Opens a regular file. Bytes that are appended to it later are not read.
     ///
     /// # Errors
-    /// Names the path when it is missing, unreadable or not a regular file.
+    /// When the file is missing, unreadable or not a regular file; the error names the path.
     pub fn open(path: &Path) -> Result<Stream<'static>> {
         Self::open_watched(path, None)
     }
 
-    /// As [`Stream::open`], with a watcher.
+    /// Opens a regular file as [`Stream::open`] does, with a watcher.
     ///
     /// # Errors
-    /// As [`Stream::open`].
+    /// Those of [`Stream::open`].
     pub(crate) fn open_watched(path: &Path, watcher: Option<&Arc<dyn Watcher>>) -> Result<Stream<'static>> {
         let shown = path.display();
         let refused = |error: io::Error| match error.kind() {
@@ -111,7 +111,7 @@ impl<'a> Stream<'a> {
         Ok(Stream { reader, remaining: Remaining::Exact(length), read: 0, label: String::new() })
     }
 
-    /// Reads from memory.
+    /// Returns a stream that reads from memory.
     pub(crate) fn from_bytes(bytes: &'a [u8]) -> Self {
         Self {
             reader: Box::new(bytes),
@@ -133,13 +133,13 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// Sets the stream's name in messages, for a file other than the given one.
+    /// Sets the stream's name in messages, for a file that the user did not name.
     pub(crate) fn labeled(mut self, label: impl Into<String>) -> Self {
         self.label = label.into();
         self
     }
 
-    /// The stream's name with a colon, or nothing.
+    /// Returns the stream's name with a colon, or an empty text.
     pub(crate) fn prefix(&self) -> String {
         if self.label.is_empty() { String::new() } else { format!("{}: ", self.label) }
     }
@@ -148,12 +148,12 @@ impl<'a> Stream<'a> {
         self.remaining
     }
 
-    /// Number of bytes read so far.
+    /// Returns the number of bytes read so far.
     pub(crate) fn position(&self) -> u64 {
         self.read
     }
 
-    /// The buffered bytes, without consuming them; empty only at the end of the stream.
+    /// Returns the buffered bytes, without consuming them; empty only at the end of the stream.
     pub(crate) fn peek(&mut self) -> io::Result<&[u8]> {
         loop {
             match self.reader.fill_buf() {
@@ -218,7 +218,7 @@ impl<'a> Stream<'a> {
     /// Reads the rest of the stream, if that is at most `limit` bytes.
     ///
     /// # Errors
-    /// When there is more.
+    /// When more bytes are left.
     pub fn all(&mut self, limit: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         if let Remaining::Exact(left) = self.remaining
@@ -236,12 +236,13 @@ impl<'a> Stream<'a> {
         Ok(bytes)
     }
 
-    /// The rest of the stream decompressed as gzip (one or several members).
+    /// Returns the rest of the stream, decompressed as gzip (one or several members).
     pub(crate) fn gunzip(self) -> Stream<'a> {
         self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(reader))))
     }
 
-    /// The rest of the stream decompressed as zlib, or as gzip if it starts with the magic bytes of gzip.
+    /// Returns the rest of the stream, decompressed as zlib, or as gzip if it starts with the magic bytes of
+    /// gzip.
     ///
     /// # Errors
     /// When the stream cannot be read.
@@ -252,7 +253,7 @@ impl<'a> Stream<'a> {
         Ok(self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, ZlibDecoder::new(reader)))))
     }
 
-    /// The rest of the stream decompressed as bzip2 (one or several streams).
+    /// Returns the rest of the stream, decompressed as bzip2 (one or several streams).
     pub(crate) fn bunzip(self) -> Stream<'a> {
         let (Remaining::Exact(packed) | Remaining::AtMost(packed)) = self.remaining;
         let label = self.label;
@@ -261,7 +262,7 @@ impl<'a> Stream<'a> {
         Stream { reader: Box::new(reader), remaining, read: 0, label }
     }
 
-    /// The rest of the stream, decoded from pairs of hexadecimal digits; blanks are skipped.
+    /// Returns the rest of the stream, decoded from pairs of hexadecimal digits; blanks are skipped.
     pub(crate) fn unhex(self) -> Stream<'a> {
         let (Remaining::Exact(digits) | Remaining::AtMost(digits)) = self.remaining;
         let label = self.label;
@@ -269,8 +270,8 @@ impl<'a> Stream<'a> {
         Stream { reader: Box::new(reader), remaining: Remaining::AtMost(digits / 2), read: 0, label }
     }
 
-    /// The `count` bytes that stand before the last `behind` bytes of the stream; memory grows with the bytes
-    /// that arrive.
+    /// Returns the `count` bytes before the last `behind` bytes of the stream; memory grows with the received
+    /// bytes.
     ///
     /// # Errors
     /// When fewer than `count + behind` bytes are left.
@@ -391,7 +392,7 @@ fn check_regular(path: &Path, metadata: &Metadata) -> Result<()> {
         return Ok(());
     }
     let kind = kind_of(metadata);
-    bail!("{shown}: is {kind}, not a regular file; save its content to a file and name that")
+    bail!("{shown}: is {kind}, not a regular file; save its content to a file and name that file")
 }
 
 #[cfg(unix)]
@@ -455,8 +456,8 @@ pub(crate) trait Companions {
     /// Announces the files that a header names, if it names several, before the first is opened.
     fn announce(&self, _names: &[String]) {}
 
-    /// The names that end in `suffix`, in upper or lower case, sorted; for formats whose header does not name
-    /// its data.
+    /// Returns the names that end in `suffix`, in upper or lower case, sorted; for formats whose header does
+    /// not name its data files.
     fn ending_in(&self, suffix: &str) -> Vec<String>;
 }
 
@@ -474,12 +475,12 @@ impl fmt::Debug for Folder {
 }
 
 impl Folder {
-    /// The folder of relative names.
+    /// Returns the files of the folder `path`.
     pub(crate) fn new(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), watcher: None }
     }
 
-    /// The same, with a watcher of its files.
+    /// Returns the same folder, with a watcher of the files that are read.
     pub(crate) fn watched(self, watcher: Option<Arc<dyn Watcher>>) -> Self {
         Self { watcher, ..self }
     }

@@ -1,9 +1,9 @@
 //! VTK XML image data (`.vti`) in one piece or several. Arrays are ascii text, inline base64, appended base64
 //! or appended raw bytes; binary arrays may be compressed in zlib or LZ4 blocks.
 //!
-//! The array is chosen in this order: the one that is named in the options; the active scalars of the points,
-//! else of the cells; the first numeric array with one component among those of the points, else of the
-//! cells, in the file's order. VTK's own arrays (`vtkGhostType` and the like) are read by name only.
+//! The array is chosen in this order: the array that is named in the options; the active scalars of the
+//! points, else of the cells; the first numeric array with one component among those of the points, else of
+//! the cells, in the file's order. VTK's own arrays (`vtkGhostType` and the like) are read by name only.
 //! Direction and origin are not used.
 //!
 //! The project has its own reader, since the crate `vtkio` 0.7 does not read appended raw data, which is VTK's
@@ -37,7 +37,7 @@ enum Place {
     Appended(u64),
 }
 
-/// VTK's own arrays, which are never the volume unless they are named.
+/// Names of VTK's own arrays, which are not read as active scalars.
 const RESERVED: [&str; 8] = [
     "vtkGhostType",
     "vtkGhostLevels",
@@ -81,7 +81,7 @@ struct File {
     extent: [i64; 6],
     spacing: [f64; 3],
     pieces: Vec<Piece>,
-    /// Of the appended data: true if it is base64 text, and the index of the first byte after its underscore.
+    /// Appended data: true if it is base64 text, and the index of the first byte after its underscore.
     appended: Option<(bool, usize)>,
 }
 
@@ -104,8 +104,8 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     }
     // Pieces share the points of their borders; each voxel comes from at least one of them.
     let dims = checked_dims(sizes(file.extent, cells)?)?;
-    // Upper bound of the voxels' bytes: the whole file, decompressed. Many pieces that refer to the same data
-    // exceed it.
+    // Upper bound of the voxels' bytes: the bytes of the whole file, decompressed. If many pieces refer to
+    // the same data, they exceed this bound and the file is refused.
     let growth = match file.compressor {
         Compressor::None => 8,
         Compressor::Zlib => 1032,
@@ -157,7 +157,7 @@ fn shown(array: &Array) -> &str {
     array.name.as_deref().unwrap_or("unnamed")
 }
 
-/// Number of points, or of cells, along each axis of an extent.
+/// Returns the number of points, or of cells, along each axis of an extent.
 fn sizes(extent: [i64; 6], cells: bool) -> Result<[u64; 3]> {
     let mut sizes = [0u64; 3];
     for axis in 0..3 {
@@ -174,7 +174,7 @@ fn sizes(extent: [i64; 6], cells: bool) -> Result<[u64; 3]> {
 /// Voxels of a piece, its origin and its size.
 type Part = (VolumeData, [usize; 3], [usize; 3]);
 
-/// Copies the voxels of pieces to their places; all of them have the same type.
+/// Copies the voxels of pieces, which must all have the same type, to their places in the volume.
 fn joined(parts: &[Part], dims: [usize; 3]) -> Result<VolumeData> {
     macro_rules! place {
         ($variant:ident, $zero:expr) => {{
@@ -211,7 +211,7 @@ fn joined(parts: &[Part], dims: [usize; 3]) -> Result<VolumeData> {
     })
 }
 
-/// The voxels of an array.
+/// Reads the voxels of an array.
 fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<VolumeData> {
     let shown = shown(array);
     let Some(element) = array.element else {
@@ -282,13 +282,13 @@ impl Section {
         array.components == 1 && array.element.is_some() && !array.name.as_ref().is_some_and(own)
     }
 
-    /// The active scalars, unless they are VTK's own.
+    /// Returns the name of the active scalars, unless it is one of VTK's own.
     fn active(&self) -> Option<&String> {
         self.active.as_ref().filter(|name| !RESERVED.contains(&name.as_str()))
     }
 }
 
-/// The array to read, and true if it is cell data.
+/// Returns the array to read, and true if it is cell data.
 fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> Result<(&'a Array, bool)> {
     let sections = [(&piece.points, false), (&piece.cells, true)];
     let all = || sections.iter().flat_map(|&(s, cells)| s.arrays.iter().map(move |array| (s, array, cells)));
@@ -477,7 +477,7 @@ fn parse(bytes: &[u8]) -> Result<File> {
 }
 
 impl File {
-    /// A section of the current piece.
+    /// Returns a section of the current piece.
     fn section(&mut self, name: &str) -> Option<&mut Section> {
         let piece = self.pieces.last_mut()?;
         Some(if name == "PointData" { &mut piece.points } else { &mut piece.cells })
@@ -559,7 +559,7 @@ fn numbers<T: std::str::FromStr, const N: usize>(name: &str, text: &str) -> Resu
     }
 }
 
-/// The header and the data of one array from base64 text, which other arrays may follow.
+/// Decodes the header and the data of one array from base64 text, which other arrays may follow.
 fn from_base64(text: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     let width = if file.wide_header { 8 } else { 4 };
     let mut needed = expected.saturating_add(width);
@@ -607,7 +607,7 @@ fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// One number of a binary header, and the bytes after it.
+/// Returns one number of a binary header, and the bytes after it.
 fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
     let cut = || anyhow::anyhow!("the binary data ends within its header; the file is cut short");
     Ok(if file.wide_header {
@@ -622,8 +622,8 @@ fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
 /// Upper bound of decompressed bytes per compressed byte of an LZ4 block.
 const LZ4_GROWTH: u64 = 255;
 
-/// Decompresses blocks: a header of block count, block size, size of the last block (0: a full one) and
-/// the packed sizes, then the blocks.
+/// Decompresses blocks: a header of block count, block size, size of the last block (0: a full block) and the
+/// packed sizes, then the blocks.
 fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u8]>> {
     let (blocks, rest) = word(bytes, file)?;
     let (block, rest) = word(rest, file)?;

@@ -7,11 +7,11 @@ Prints what it measures and one line `bar NAME VALUE LIMIT ok|short` per bar; en
 Parts: hq-frames, hq-sleeping, slurm, kills, full. Missing programs are reported, and the bars of their engine are
 short.
 
-The end of a run is divided by the least possible one: the lower bound of its measured work plus the unavoidable
-overhead of the engine. That is one start (measured with a job of one task) and, on every slot, the time from the end of
-a bundle to the start of the next one (measured with a job of short bundles that keep all slots busy), each the minimum
-of REPEATS. If a run ends earlier, the overhead was measured too high, and the run is compared with the bound of its
-work alone, which is stricter."""
+The makespan of a run is divided by the least possible makespan: the lower bound of its measured task times plus the
+overhead that the engine cannot avoid. This overhead is one start of the engine (measured with a job of one task) and,
+on every slot, the time from the end of a bundle to the start of the next one (measured with a job of short bundles that
+keep all slots busy). Both are minima over REPEATS measurements. If a run ends earlier, the overhead was measured too
+high, and the run is compared with the lower bound of its task times alone, which is stricter."""
 
 import argparse
 import csv
@@ -39,16 +39,17 @@ ASKED = {
 # Number of tasks per slot, and number of repeats, of the jobs that measure an engine's overhead.
 ROUNDS = 16
 REPEATS = 3
-# Number of runs with killed processes that the bar asks for.
+# Number of runs with killed processes that the bar needs.
 RUNS = 20
 
 
 def lower_bound(times, slots):
-    """Lower bound of the end for every order: all work divided by the slots, or the longest task."""
+    """Returns a lower bound of the makespan for every order of the tasks: the sum of their times divided by the slots,
+    or the longest task."""
     return max(sum(times) / slots, max(times))
 
 
-# Held-out volumes of the shipped models.
+# Volumes that no shipped model was trained on.
 HELD_OUT = ["castro_blast/m04/t0012", "castro_blast/m05/t0012", "maestroex_bubbles/m03/t0010", "maestroex_bubbles/m03/t0015",
             "nyx_cosmology/m04/t0010", "mr_banana"]
 
@@ -101,26 +102,29 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
         return begin, done
 
     def measure(self, job):
-        """Makespan from the engine's start on, seconds of the tasks with loading, number of bundles."""
+        """Returns the makespan since the engine's start, the seconds of each task with loading, and the number of
+        bundles."""
         begin, done = self.journal(job)
         end = max(a["end"] for a in done)
         return end - begin, [a["seconds"] + a["load_s"] for a in done], len({a["bundle"] for a in done})
 
     def turns(self, job, slots):
-        """Seconds from the engine's start to the first task, and mean seconds on a slot from a bundle's end to the next
-        one's start; None if no bundle followed another."""
+        """Returns the seconds from the engine's start to the first task, and the mean seconds on a slot from a bundle's
+        end to the next bundle's start; None instead of the mean if no bundle followed another."""
         begin, done = self.journal(job)
         begins, ends = {}, {}
         for a in done:
             begins[a["bundle"]] = min(a["begin"], begins.get(a["bundle"], a["begin"]))
             ends[a["bundle"]] = max(a["end"], ends.get(a["bundle"], a["end"]))
-        # The slot is unknown: each start except the slots' first is paired with the earliest unpaired end.
+        # The slot of a bundle is unknown: each start after the first start on every slot is paired with the earliest
+        # unpaired end.
         followed = list(zip(sorted(begins.values())[slots:], sorted(ends.values())))
         turn = sum(b - e for b, e in followed) / len(followed) if followed else None
         return min(begins.values()) - begin, turn
 
     def recorded(self, job, frames):
-        """A list of recorded times, predicted and measured, by the job's ids."""
+        """Writes a task list that assigns recorded times (predicted, measured) to the job's task ids; returns its
+        path."""
         rows = self.ids(job)
         times = job.parent / "times.csv"
         with times.open("w") as file:
@@ -131,13 +135,14 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
         return times
 
     def ids(self, job):
-        """Ids and predicted seconds of a job's tasks, in its order."""
+        """Returns the rows of a job's tasks (id, predicted seconds and so on), in the order of the job."""
         file = job.parent / "ids.csv"
         self.run(job, "--dry-run", "--save-tasks", str(file))
         return list(csv.DictReader(file.open()))
 
     def sleeping(self, name, engine, slots, frames, order="longest", views=64, volumes=6):
-        """Runs `views` times `volumes` tasks that sleep for recorded times on an engine."""
+        """Runs `views` × `volumes` tasks on an engine; each sleeps for a recorded time. Returns the results of
+        `measure`, and the path of the task list."""
         volumes = sorted((self.root / "data").glob("*/*/*.nrrd"))[:volumes]
         times = self.out / name / "times.csv"
         command = json.dumps([str(self.lab), "farm-stand-in", str(times)])
@@ -158,8 +163,8 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
 
 
 def frames_of(farm, mean):
-    """384 frames of six volumes that were rendered here, with times predicted by a shipped model and measured, scaled
-    to a mean."""
+    """Returns predicted and measured seconds of 384 frames of six volumes, which are rendered here and predicted by a
+    shipped model. The times are scaled so that the mean measured time is `mean`."""
     file = farm.out / "recorded.json"
     if not file.exists():
         record(farm)
@@ -169,15 +174,15 @@ def frames_of(farm, mean):
 
 
 def paper_case(farm, name, size, device, predict=""):
-    """Six held-out volumes of the shipped models, 64 views each."""
+    """Writes the job of six volumes that no shipped model was trained on, with 64 views each; returns its file."""
     volumes = [farm.root / "data" / f"{volume}.nrrd" for volume in HELD_OUT]
     own = f'[renderer]\nkind = "entire"\ndevice = "{device}"\n'
     return farm.job(name, own, volumes, 64, size, predict)
 
 
 def record(farm):
-    """Renders the paper's case by the renderer of the shipped model, and keeps predicted and measured times; one
-    processor per frame."""
+    """Renders the job of `paper_case`, one processor per frame, and writes predicted and measured times to
+    recorded.json."""
     os.environ["LP_NUM_THREADS"] = "1"
     model = f'[predict]\nmodel = "{farm.root}/models/unshaded-selected.safetensors"\n'
     job = paper_case(farm, "recorded", "384x384", "auto", model)
@@ -189,13 +194,14 @@ def record(farm):
     ratios = sorted(p / m for p, m in frames)
     middle = ratios[len(ratios) // 2]
     errors = sorted(abs(r / middle - 1) for r in ratios)
-    print(f"recorded: {len(frames)} frames of {sum(m for _, m in frames):.1f} s; predicted over measured {middle:.3f} at the "
-          f"median, {100 * errors[len(errors) // 2]:.1f} % off it at the median", flush=True)
+    print(f"recorded: {len(frames)} frames, {sum(m for _, m in frames):.1f} s in all; predicted / measured: median {middle:.3f}, "
+          f"median deviation from it {100 * errors[len(errors) // 2]:.1f} %", flush=True)
 
 
 def overhead(farm, run, slots):
-    """Seconds of an engine's start, and of a slot from a bundle's end to the next one's start. `run(tasks)` runs a job
-    of that many short tasks, in bundles as small as possible, and returns it."""
+    """Returns the seconds of an engine's start, and the seconds on a slot from a bundle's end to the next bundle's
+    start. `run(tasks)` runs a job of `tasks` short tasks, in bundles as small as possible, and returns the job's
+    file."""
     starts, turns = [], []
     for _ in range(REPEATS):
         starts.append(farm.turns(run(1), slots)[0])
@@ -204,16 +210,16 @@ def overhead(farm, run, slots):
 
 
 def over_bound(bars, name, what, run, slots, cost):
-    """Prints a run's bar: its end over the lower bound."""
+    """Prints the bar of a run: its makespan divided by the least possible makespan (see the top of this file)."""
     (makespan, times, bundles), (start, turn) = run, cost
     bound = lower_bound(times, slots)
     least = start + max(sum(times) / slots + max(0.0, bundles / slots - 1) * turn, max(times))
-    print(f"{what}: {makespan:.3f} s; bound of the work {bound:.3f} s, with a start of {start:.3f} s and {bundles} bundles, "
-          f"{1e3 * turn:.1f} ms from one to the next, {least:.3f} s; over the work's alone {makespan / bound:.4f}", flush=True)
+    print(f"{what}: {makespan:.3f} s; lower bound {bound:.3f} s of the tasks alone, {least:.3f} s with a start of {start:.3f} s "
+          f"and {1e3 * turn:.1f} ms between {bundles} bundles; {makespan / bound:.4f} of the bound of the tasks alone", flush=True)
     if makespan < least:
-        print(f"the overhead was measured too high: no run can end before {least:.3f} s, and this one took {makespan:.3f} s. It "
-              "counts for nothing here; measure again on a quiet machine", flush=True)
-        bars.found(name, makespan / bound, "over the bound of the work alone")
+        print(f"the overhead was measured too high: by it, a run takes at least {least:.3f} s, but this run took {makespan:.3f} s. "
+              "The bar ignores the overhead; measure again on a quiet machine", flush=True)
+        bars.found(name, makespan / bound, "divided by the lower bound of the tasks alone")
     else:
         bars.found(name, makespan / least)
 
@@ -246,7 +252,7 @@ def hq_sleeping(farm, bars):
         bound = lower_bound(seconds, slots)
         print(f"hyperqueue, {len(times)} sleeping tasks, {slots} workers, {order}: {makespan:.3f} s, bound {bound:.3f} s, "
               f"{makespan / bound:.4f}, {bundles} bundles", flush=True)
-    # The simulator's latency is fitted to the run in arrival order and tested on the others.
+    # The simulator's latency is fitted to the run in arrival order and tested on the runs in the other orders.
     low, high = 0.0, 2.0
     for _ in range(30):
         middle = (low + high) / 2
@@ -274,7 +280,7 @@ def slurm(farm, bars):
         engine = ["--engine", "slurm"]
 
         def short(tasks):
-            # Long enough for the next bundles to reach Slurm's queue.
+            # A task of 0.5 s is long enough for the next bundles to reach Slurm's queue.
             farm.sleeping("slurm-short", [*engine, "--overhead", "0"], 4, [(0.5, 0.5)], views=tasks, volumes=1)
             return farm.out / "slurm-short/told.toml"
 
@@ -305,7 +311,7 @@ def descendants(pid):
 
 def kills(farm, bars, runs):
     if runs < RUNS:
-        bars.lacking(f"{runs} runs are fewer than the {RUNS} that are asked for (--runs {RUNS})", ASKED["kills"])
+        bars.lacking(f"{runs} runs are fewer than the {RUNS} that the bar needs (--runs {RUNS})", ASKED["kills"])
         return
     volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:3]
     own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
@@ -352,7 +358,7 @@ def kills(farm, bars, runs):
 
 
 def full(farm, bars):
-    """A disk that becomes full during a run, and later has space again."""
+    """Runs a job on a disk that becomes full, then makes the disk larger and resumes the job."""
     folder = farm.out / "full-disk"
     folder.mkdir(parents=True, exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o"]
@@ -378,7 +384,7 @@ def full(farm, bars):
         if told:
             bars.found("farm-full-disk-lost-or-wrong", bad)
         else:
-            bars.lacking("the disk was not full, or the command did not say so with --resume", ASKED["full"])
+            bars.lacking("the disk did not become full, or the error text did not name --resume as remedy", ASKED["full"])
     finally:
         subprocess.run(["umount", str(folder)])
 

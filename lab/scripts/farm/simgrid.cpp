@@ -3,7 +3,8 @@
 //
 //   simgrid SECONDS.txt SLOTS LATENCY DISPATCH
 //
-// SECONDS.txt has the seconds of a task per line, in the order in which tasks are sent.
+// SECONDS.txt has one line per task with its seconds, in the order in which tasks are sent. LATENCY and DISPATCH are
+// seconds.
 #include <algorithm>
 #include <cstdio>
 #include <fstream>
@@ -66,7 +67,7 @@ int main(int argc, char** argv) {
     auto* down = link("down", latency);
     std::vector<sg4::Host*> hosts;
     for (int i = 0; i < slots; ++i) {
-        // One operation per second: a task's seconds are its operations.
+        // A host computes one operation per second, so that the number of a task's operations is its seconds.
         auto* host = zone->create_host("node-" + std::to_string(i), 1.0);
         zone->add_route(host->get_netpoint(), head->get_netpoint(), nullptr, nullptr, {sg4::LinkInRoute(up)}, false);
         zone->add_route(head->get_netpoint(), host->get_netpoint(), nullptr, nullptr, {sg4::LinkInRoute(down)}, false);

@@ -3,8 +3,8 @@
 
     simgrid.py --bin target/release
 
-Needs g++ and SimGrid (Debian: libsimgrid-dev); without them it is skipped by name. Fails where a makespan differs by more
-than 0.1 percent."""
+Needs g++ and SimGrid (Debian: libsimgrid-dev); without them the check is skipped with a message. Fails if a makespan
+differs by more than 0.1 percent."""
 
 import argparse
 import csv
@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
 ALLOWED = 1e-3
-# Copies of the table, slots, seconds of latency and of dispatch per task.
+# Cases: copies of the table's tasks, slots, latency in seconds, dispatch time per task in seconds.
 CASES = [(1, 4, 0.6, 0.0), (1, 16, 0.0, 0.01), (8, 64, 0.05, 0.002), (8, 64, 0.05, 0.02), (32, 256, 0.02, 0.001)]
 
 
@@ -34,7 +34,7 @@ def skip(reason):
 
 
 def recorded(table):
-    """Process-CPU seconds of a table's frames: the medians of their repeats."""
+    """Returns the processor seconds of each frame of a table: the median of its repeats."""
     times = {}
     with gzip.open(table, "rt", encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# A Slurm of four one-processor nodes on this host, without systemd: for tests and bars of `entire farm`.
+# Starts and stops Slurm with four one-processor nodes on this host, without systemd, for tests and bars of `entire
+# farm`.
 #
 #   slurm.sh start FOLDER      prints the path of slurm.conf, for SLURM_CONF
 #   slurm.sh stop FOLDER       returns once the daemons have ended; those that run on after 20 s are killed

@@ -1,13 +1,15 @@
 #!/usr/bin/env bash
-# Records the data of the bars of a farm's schedules: the frames of an image database, and frames rendered before it.
-# Existing files are kept. Both recordings must be of one renderer: to record again, remove both.
+# Records the frames by which the bars judge farm schedules: frames of an image database, and frames that the farm
+# rendered before. Existing files are kept. Both recordings must be made with the same renderer: to record again, remove
+# both files.
 set -euo pipefail
 out=$1 clock=$2
 lab=${ENTIRE_LAB:-target/release/entire-lab}
 mkdir -p "$out"
 common=(--clock "$clock" --size 256x256)
 
-# Six volumes, 64 poses each, one transfer function, as for an image database. Schedules are judged by medians of five.
+# Six volumes, 64 poses each, one transfer function, as for an image database. Schedules are judged
+# by the median of five repeats.
 if [ ! -e "$out/farm.json.gz" ]; then
     "$lab" record data/nyx_cosmology/m04/t0010.nrrd data/castro_blast/m04/t0012.nrrd \
         data/castro_blast/m05/t0012.nrrd data/maestroex_bubbles/m03/t0010.nrrd data/maestroex_bubbles/m03/t0015.nrrd \

@@ -6,7 +6,7 @@
     differential.py                    every file of cli/tests/fixtures/volumes and reports
     differential.py --write            also writes cli/tests/fixtures/right-values.csv anew
     differential.py --neighbors N      also N changed fixtures (--seed S, --from K: from the K-th on); --keep DIR keeps
-                                       those of them that are not read alike
+                                       those that two readers read differently
 
 Compared are sizes (x fastest), the voxels' type in memory, the spacing (to a relative 1e-5), the range of the finite
 voxels, and a CRC-32 of the voxels. Prints `bar files-read-alike`: of the reads that both sides accept, the percentage on
@@ -56,7 +56,7 @@ class Ours:
                                       stderr=subprocess.DEVNULL, text=True, encoding="utf-8")
 
     def read(self, path):
-        """A reading, or the reason of the refusal without the file's name."""
+        """Returns a reading, or the reason of the refusal without the file's name."""
         self.child.stdin.write(f"{path}\n")
         self.child.stdin.flush()
         line = self.child.stdout.readline()
@@ -106,8 +106,8 @@ class Tally:
         self.ours_refuses, self.ours_alone = defaultdict(list), defaultdict(list)
 
     def take(self, path, name):
-        """Reads a file with every reader of its format; returns ours and theirs, without those that a convention
-        excuses."""
+        """Reads a file with every reader of its format; returns our result and theirs, without results whose difference
+        a convention explains."""
         kind = peers.format_of(path)
         mine = self.ours.read(path)
         theirs = {reader: peers.read(reader, path) for reader in peers.OF_FORMAT.get(kind, ())}
@@ -178,7 +178,7 @@ def convention(kind, reader, path, fields, mine, theirs, read):
             return "a slope of 0, or none that is finite, says that nothing is scaled; ITK adds the intercept nevertheless"
         backed = "nibabel" in read and not differences(mine, read["nibabel"])
         if set(fields) <= values and backed and abs(slope - 1) < 1e-6 and abs(intercept) < 1e-30:
-            return "ITK leaves out a scaling that differs from none by less than its rounding; nibabel does not"
+            return "ITK ignores a scaling whose effect is below its rounding error; nibabel applies it"
         if mine.type == theirs.type == "float32" and (slope, intercept) != (1, 0) and (
                 fields == ["crc32"] or backed and set(fields) <= values):
             return "ITK rounds wide numbers to 32-bit floats before it scales them; here, as in nibabel, they are rounded once"
@@ -195,7 +195,7 @@ def convention(kind, reader, path, fields, mine, theirs, read):
 
 
 def fixtures():
-    """All files besides the table, with their names in it."""
+    """Returns (name in the table, path) of every fixture."""
     return sorted((path.relative_to(FIXTURES).as_posix(), path) for folder in ("volumes", "reports")
                   for path in (FIXTURES / folder).rglob("*") if path.is_file())
 
@@ -248,7 +248,7 @@ def main():
         rows = [row(name, *tally.take(path, name)) for name, path in fixtures()]
         if options.write:
             if tally.disagreeing:
-                print("written with rows that the command's readers fail")
+                print("the written table has rows with which the command's readers disagree")
             write(rows)
         print(f"fixtures: {len(rows)}")
         tally.report()

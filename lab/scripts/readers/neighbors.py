@@ -223,7 +223,7 @@ def changed(source, data, kind):
 
 
 def make(files, wanted, seed, folder, keep):
-    """Yields each mutated file's path and its name: that of the fixture and a number."""
+    """Yields each mutated file's path and its name: a number and the name of the fixture."""
     by_kind = {}
     for name, path in files:
         kind = peers.format_of(path)
@@ -250,7 +250,7 @@ def make(files, wanted, seed, folder, keep):
 
 
 def clear(path, keep):
-    """Removes a mutated file; one to keep is copied first."""
+    """Removes a mutated file and its folder; copies the file to the folder `keep` before, if there is one."""
     if keep:
         shutil.copy(path, keep / f"{path.parent.name}-{path.name}")
     shutil.rmtree(path.parent)

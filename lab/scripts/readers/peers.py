@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The independent readers that differential.py compares with, each read in a child process with limits.
 
-`pip install pynrrd SimpleITK nibabel vtk numpy` brings all of them. Voxels become what the command's readers make of
-them by the table at the top of io/src/volume/mod.rs, so that checksums can be compared.
+`pip install pynrrd SimpleITK nibabel vtk numpy` brings all of them. Voxels are converted to the types of the
+command's readers (table at the top of io/src/volume/mod.rs), so that checksums can be compared.
 """
 import importlib
 import json
@@ -15,7 +15,7 @@ import zlib
 from pathlib import Path
 from typing import NamedTuple, Optional, Tuple
 
-# A forked child has none of its parent's threads.
+# The libraries run on one thread, since a forked child has none of its parent's threads.
 os.environ.setdefault("VTK_SMP_BACKEND_IN_USE", "Sequential")
 os.environ.setdefault("ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -28,7 +28,8 @@ INSTALLED = {}
 
 
 class Reading(NamedTuple):
-    """A volume that was read; `dims` are not three for several components or time steps, or a flat image."""
+    """A volume that was read; `dims` has other than three entries for several components or time steps, or a flat
+    image."""
 
     dims: Tuple[int, ...]
     type: str
@@ -84,7 +85,8 @@ def reading(array, dims, spacing):
 def with_pynrrd(path):
     np = INSTALLED["numpy"]
     array, header = INSTALLED["pynrrd"].read(str(path), index_order="F")
-    # The library returns the raw fields: the length of a direction counts, else the spacing, else 1.
+    # pynrrd returns the raw fields: an axis's spacing is the length of its space direction, else its `spacings`, else
+    # 1.
     spacing = [float("nan")] * array.ndim
     for field in ("spacings", "space directions"):
         for axis, value in enumerate(header.get(field) if header.get(field) is not None else ()):
@@ -215,7 +217,7 @@ def in_child(reader, path):
     try:
         return READERS[reader](path)._asdict()
     except BaseException as error:
-        # ITK's messages begin with their place.
+        # ITK's messages begin with their place in ITK's source.
         text = re.sub(r".*(ITK ERROR: |nrrdLoad: )", "", " ".join(str(error).split()))
         return {"refused": f"{type(error).__name__}: {text[:300]}"}
 

@@ -8,7 +8,8 @@ Every round runs one of `entire collect`, `calibrate`, `calibrate --data`, `trai
 files of an earlier run. Afterwards the earlier file or the complete new one must be there; interrupted tables and traces
 must continue with --resume and end with every frame. A full disk is simulated by a limit on the size of files
 (RLIMIT_FSIZE), which needs no privilege: writes beyond it fail as on a full disk. Prints `bar NAME VALUE LIMIT ok|short`;
-fails when a bar is short, which it also is if fewer commands were ended than the bar asks for.
+exit
+status 1 when a bar is short. A bar is also short if fewer commands were ended than it needs.
 """
 
 import argparse
@@ -160,7 +161,7 @@ def measure(options, bars):
             process = subprocess.run([str(w) for w in command], capture_output=True, text=True)
             took[what] = time.monotonic() - begin
             if process.returncode or not whole(folder / file):
-                sys.exit(f"{what} fails untouched: {process.stderr.strip()}")
+                sys.exit(f"{what} fails without being ended: {process.stderr.strip()}")
             shutil.copy(folder / file, good / file)
 
         def clear(file):
@@ -169,7 +170,8 @@ def measure(options, bars):
                 left.unlink()
 
         def finish(kind, what, say):
-            """Checks that the file is complete after the end of a command, or after a run that continues."""
+            """Checks that the file of an ended command is complete; a command that can continue is first run to its
+            end."""
             command, file, whole = commands.all[what]
             path = folder / file
             try:
@@ -214,7 +216,7 @@ def measure(options, bars):
             reason = (said.strip().splitlines() or [""])[-1]
             if status != 1 or "cannot write" not in reason or str(folder / file.split(".")[0]) not in reason:
                 wrong["full_disk"].append(f"{what}: status {status}, and no file in the last line: {said.strip()!r}")
-            finish("full_disk", what, f"with room for {limit} of {size} bytes")
+            finish("full_disk", what, f"with space for {limit} of {size} bytes")
     for kind, count in (("kill", ended), ("full_disk", options.full)):
         for line in wrong[kind]:
             print(line, file=sys.stderr)
@@ -222,7 +224,7 @@ def measure(options, bars):
         if wrong[kind] or count >= ASKED[kind]:
             bars.found(NAMES[kind], len(wrong[kind]))
         else:
-            bars.lacking(f"{count} ends are fewer than the {ASKED[kind]} that are asked for", [NAMES[kind]])
+            bars.lacking(f"{count} ended commands are fewer than the {ASKED[kind]} that the bar needs", [NAMES[kind]])
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ data/timings (RENDERER-train and RENDERER-test, of different volumes; the collec
 and an analytic model are trained, and `entire calibrate` fits a model to a twentieth of the training frames. All are
 tested on the other volumes. Needs no renderer. bars.py calls this; bars of a missing table are short.
 
-ENTIRE_DATA  folder that the tables' volume names start from (default ../shared/data)
+ENTIRE_DATA  folder to which the volume names in the tables are relative (default ../shared/data)
 """
 import bisect
 import csv
@@ -31,10 +31,10 @@ ASKED = {name: limit for r in RENDERERS for name, limit in ((f"{r}-rmse-over-sd-
 
 
 def cut(table, count, out):
-    """The table of `count` of its frames, with all their repeats. Frames are sorted by expected cost and taken at even
-    distances of the cumulative sum of its square root, so that long ones, which cause most of the error, are chosen
-    more often. The expected cost comes from the features beside the table, not from its times. The manifest is
-    copied."""
+    """Writes `count` frames of a table, with all their repeats, into the table `out`, and copies the manifest. Frames
+    are sorted by expected cost and taken at even distances of the cumulative sum of the cost's square root, so that
+    long frames, which cause most of the error, are chosen more often. The expected cost comes from the features beside
+    the table, not from the table's times."""
     with gzip.open(table.removesuffix(".csv.gz") + ".features.csv.gz", "rt", newline="") as file:
         file.readline()
         weights = {row["frame"]: math.sqrt(float(row["estimated_seconds"])) for row in csv.DictReader(file)}

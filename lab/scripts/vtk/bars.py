@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Every bar of the VTK adapter: the comparison with AutoAdjustSampleDistances, the observer's cost, and the accuracy of
-predictions per renderer. Prints `bar NAME VALUE LIMIT ok|short`, exit status 1 where one is short, as one without a value is.
-See bars.sh.
+predictions per renderer. Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when a bar is short or has no value. See
+bars.sh.
 """
 import argparse
 import json
@@ -17,7 +17,7 @@ sys.path[:0] = [os.path.dirname(HERE), PLUGIN]
 import accuracy  # noqa: E402
 from bar_lines import Bars  # noqa: E402
 
-# Limits of a mapper's bars, calibrated and cold.
+# Limits of a mapper's bars: for steering with a calibrated model, and for steering without a model (cold).
 TARGETS = {"off-target": (0.10, 0.15), "off-target-frames-over-target": (0.10, 0.15), "share-over-1.25x": (0.02, 0.02),
            "frames-until-recovered": (1, 1), "image-error-of-auto-adjust-at-its-mean-time": (0.9, 0.9), "observer-us": (40, 40)}
 
@@ -45,12 +45,13 @@ def median(repeats, pick):
     return None if None in values else statistics.median(values)
 
 
-# Volumes of noise that the comparison does not draw: their seeds.
+# Seeds of the noise volumes for the calibration, which the comparison does not draw.
 OTHERS = (19, 31)
 
 
 def calibrate(options, mapper):
-    """A model of this mapper from 60 random frames of other volumes than the comparison's, and from pictures of those."""
+    """Trains a model of this mapper on 60 random frames and on pictures, both of volumes that the comparison does not
+    draw; returns its file."""
     import vtk_scene
     from timing_table import write_nrrd
 
@@ -70,7 +71,7 @@ def calibrate(options, mapper):
         logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(PLUGIN, "collect_vtk.py"),
                "--mapper", mapper, "--out", part, "--frames", 60 // len(OTHERS), "--repeats", 2, "--min-size", 96,
                "--max-size", 512, "--steps", "1,1.4,2,3,4", "--pictures", pictures, *volumes)
-        # The manifest says which mapper it was.
+        # The manifest, which names the mapper, is renamed with its table.
         os.replace(part.replace(".csv", ".manifest.json"), table.replace(".csv", ".manifest.json"))
         os.replace(part, table)
     logged(os.path.join(options.out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
@@ -96,15 +97,16 @@ def comparison_bars(options, bars, mapper):
                   "observer-us": median(repeats, lambda r: r[name]["observer_us"])}
         for what, value in values.items():
             if value is None:
-                bars.lacking("AutoAdjust's three rates do not reach that mean time", [f"{mapper}-{name}-{what}"])
+                bars.lacking("the mean frame time is out of the range of AutoAdjust's three rates", [f"{mapper}-{name}-{what}"])
             else:
                 bars.found(f"{mapper}-{name}-{what}", value)
 
 
 def relative_error(repeats, name):
-    """Image error over that of AutoAdjust at the same mean frame time by wall time, from the power law through its
-    three rates (least squares in logarithms), all as means over the repeats. The law is extrapolated by at most a tenth
-    beyond the longest and the shortest time; None beyond that."""
+    """Returns the image error divided by AutoAdjust's error at the same mean frame time by wall time; all values are
+    means over the repeats. AutoAdjust's error follows from a power law, fitted to its three rates by least squares in
+    logarithms. The law is extrapolated by at most a tenth beyond the longest and the shortest time; None beyond
+    that."""
     def mean(who):
         return tuple(statistics.fmean(r[who]["wall"][what] for r in repeats) for what in ("mean_ms", "error"))
 
@@ -125,7 +127,7 @@ def main():
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--parts", default="comparison,accuracy")
     parser.add_argument("--mappers", default="fixed,gpu")
-    parser.add_argument("--lacking", help="why nothing can be measured: the bars are short")
+    parser.add_argument("--lacking", help="reason why nothing can be measured; all bars are printed as short")
     options = parser.parse_args()
     os.makedirs(options.out, exist_ok=True)
     parts, mappers = options.parts.split(","), options.mappers.split(",")

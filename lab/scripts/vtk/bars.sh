@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Compares vtkEntireSteering with VTK's AutoAdjustSampleDistances, then collects, trains and evaluates per renderer. Without VTK
-# the bars of the comparison are short; the rest needs no renderer.
+# Compares vtkEntireSteering with VTK's AutoAdjustSampleDistances, then trains and evaluates predictors of each renderer
+# (accuracy.py). Without VTK the bars of the comparison are short; the bars of accuracy need no renderer.
 #
 #   lab/scripts/vtk/bars.sh [compare]
 #
-# With the word compare: the comparison alone.
+# With the word compare, only the comparison is made.
 # VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
 # VTK_OUT      where builds and results go (default target/vtk)
 # VTK_REPEATS  repeats of the comparison (default 3)

@@ -14,10 +14,10 @@ that other work on the machine affects all alike:
   cold        vtkEntireSteering without a model, learning from its first frame on
   calibrated  vtkEntireSteering with a model trained on random frames of this mapper (--model), of other volumes
 
-The target is half of the mean of `full`, by processor time and by wall time each, taken from a first pass of every tenth
-frame of the path. Each contender is scored by the clock that it steers by: AutoAdjustSampleDistances sees the wall time
-of a render, vtkEntireSteering what --clock says. Image error is the root of the mean squared difference of 8-bit colors
-from `full`, per frame.
+There is a target by processor time and one by wall time: half of the mean frame time of `full` by that clock, from a
+first pass of every tenth frame of the path. Each contender is scored by the clock that it steers by:
+AutoAdjustSampleDistances sees the wall time of a render, vtkEntireSteering what --clock says. Image error is the root
+of the mean squared difference of 8-bit colors from `full`, per frame.
 """
 import argparse
 import csv
@@ -37,10 +37,10 @@ from vtk_scene import COLOR, OPAQUE, TRANSPARENT, camera  # noqa: E402
 
 SWITCHES = (50, 100, 150)
 
-# Tolerance of the mean frame of `scaled` from the target, as a share of it.
+# Tolerance of the mean frame time of `scaled` around the target, as a fraction of the target.
 MEET = 0.03
 
-# AutoAdjustSampleDistances with factors on its target: as shipped, and as a function of the factor of `scaled`.
+# Factor on the target of each contender with AutoAdjustSampleDistances, as a function of the factor of `scaled`.
 RIVALS = {"auto": lambda scale: 1.0, "between": math.sqrt, "scaled": lambda scale: scale}
 
 
@@ -189,7 +189,7 @@ def main():
     parser.add_argument("--edge", type=int, default=256, help="voxels along each side")
     parser.add_argument("--size", type=int, default=512, help="pixels along each side")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--clock", choices=("cpu", "wall"), default="cpu", help="what vtkEntireSteering is steered by")
+    parser.add_argument("--clock", choices=("cpu", "wall"), default="cpu", help="clock by which vtkEntireSteering steers")
     options = parser.parse_args()
     names = [n for n in options.contenders.split(",") if n != "calibrated" or options.model]
     if names[0] != "full":
@@ -211,7 +211,7 @@ def main():
     scale = 1.0
     if "scaled" in names:
         scale, met = find_scale(options, image, n, target_cpu, target_wall)
-        print(f"scaled: asked for {1 / scale:.3f} of the target's rate, spends {met:.3f} targets", flush=True)
+        print(f"scaled: desired update rate {1 / scale:.3f} / target, mean frame time {met:.3f} of the target", flush=True)
 
     scores = {"mapper": options.mapper, "scale": scale, "target_cpu": target_cpu, "target_wall": target_wall, "repeats": []}
     for repeat in range(options.repeats):

@@ -8,14 +8,16 @@ distance and image sample distance, and writes a table (an existing one is read 
 smallest of the repeats) and the image error (root mean squared difference of 8-bit colors from full quality) of each
 picture.
 
-Then it fits the numbers that vtkEntireSteering takes as its FixedPointQuality or GPUQuality: error^n =
-a ((s - 1)^p + w (d - 1)^q) with any n, and time = (r + (1 - r) / s) / d^2, for a step of s finest steps and rays d pixels
-apart. The fit is by least squares in logarithms of the means over scenes, of pictures that take at most LONGEST of the full
-time (with more time, colors differ by their rounding alone). The numbers are then moved to where the choices by the law
-have the smallest errors.
+Then it fits the numbers w, p, q and r that vtkEntireSteering takes as its FixedPointQuality or GPUQuality. They are
+parameters of two equations, called the law: error^n = a ((s - 1)^p + w (d - 1)^q), and time = (r + (1 - r) / s) / d^2.
+Here s is the step in finest steps, d the distance of rays in pixels, and r the share of the time that does not depend
+on the step; n and a may have any value. The fit is by least squares in logarithms of the means over scenes, of pictures
+that take at most LONGEST of the full time (with more time, colors differ by their rounding alone). The numbers are then
+adjusted so that the pairs that the law chooses have the smallest errors.
 
-Prints w p q r. At several shares of the full time, prints the error of the pair that the law chooses, divided by that
-of the best pair, of the best step alone, of the best image size alone, and of the best image size at about twice the step.
+Prints w p q r. At several shares of the full time, prints the error of the pair that the law chooses, divided by the
+error of the best pair, of the best step alone, of the best image size alone, and of the best image size at about twice
+the step.
 """
 import argparse
 import csv
@@ -75,7 +77,7 @@ def collect(options):
 
 
 def grids(path):
-    """Logarithms of time and of error over those of full quality, as [scene, image, step]."""
+    """Returns the logarithms of the time divided by that of full quality, and of the error, as [scene, image, step]."""
     scenes = {}
     with open(path, newline="") as file:
         for row in csv.DictReader(file):
@@ -94,7 +96,8 @@ def law(weight, p, q, rays):
 
 
 def descend(loss, at, scale, rounds=400):
-    """A local minimum of a function, by steps along each axis that shrink if none helps."""
+    """Returns the place of a local minimum of `loss`, found by steps along each axis, which are halved if none
+    helps."""
     at, scale, least = np.array(at, float), np.array(scale, float), loss(at)
     for _ in range(rounds):
         before = least
@@ -150,8 +153,9 @@ def at_share(time, error, share):
 
 
 def report(times, errors, numbers):
-    """Means over scenes of errors relative to that of the law's choice, and of the best pair of each scene over smaller
-    images at twice the step, which AutoAdjustSampleDistances draws: the minimum for any choice."""
+    """Prints geometric means over scenes: the error of the law's choice divided by those of other choices; and the
+    error of each scene's best pair divided by that of smaller images at twice the step, which AutoAdjustSampleDistances
+    draws. No choice can have a smaller ratio than the latter."""
     time, error = law(*numbers[:4])
     rows = [("step alone", [(0, k) for k in range(len(STEPS))]), ("image alone", [(k, 0) for k in range(len(IMAGES))]),
             ("image at step 2.1", [(k, STEPS.index(2.1)) for k in range(len(IMAGES))])]

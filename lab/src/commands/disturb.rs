@@ -41,7 +41,7 @@ pub(crate) struct Options {
     /// Load on the machine by another program.
     #[arg(long, value_enum)]
     pub(crate) neighbor: Neighbor,
-    /// Duration of the second part, seconds.
+    /// Duration of the part with the load, seconds.
     #[arg(long, default_value_t = 20.0, value_name = "SECONDS")]
     pub(crate) seconds: f64,
     /// Image size, pixels; a frame should take a few milliseconds.
@@ -96,7 +96,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         ..Frame::new(camera, options.size.0, options.size.1)?
     }
     .checked()?;
-    // Start and seconds of each frame.
+    // Draws frames for `seconds`; returns the start and the wall time of each frame, in seconds.
     let mut draw = |seconds: f64| -> Result<Vec<(f64, f64)>> {
         let begin = Instant::now();
         let mut out = Vec::new();

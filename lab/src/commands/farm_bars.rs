@@ -11,7 +11,7 @@ use entire_farm::simulate::{World, simulate};
 use entire_farm::{By, read_tasks, times, volume_numbers};
 use std::path::PathBuf;
 
-/// Measure the goals of render farms that need no engine.
+/// Measure those goals of render farms that can be measured without an engine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -25,7 +25,8 @@ const VOLUMES: usize = 9;
 /// Number of random draws of frames for each number of frames.
 const DRAWS: u64 = 8;
 
-/// Bars: number of frames, and limit of the geometric mean, over types of machine, of the median error.
+/// Bars: number of calibration frames, and upper limit of the median error, as a fraction (geometric mean
+/// over draws and types of machine).
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
 /// Measure the error of calibrations to few and many frames, on another type of machine.
@@ -101,7 +102,7 @@ fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     calibrated
 }
 
-/// Result of a draw.
+/// Result of one draw of calibration frames.
 struct Found {
     frames: usize,
     error: f64,
@@ -111,15 +112,16 @@ struct Found {
 }
 
 impl Found {
-    /// A row of frames.csv: the table's name, number of frames, number of the draw, median error, RMSE/SD,
-    /// expected median error; the last is empty if there is none.
+    /// Returns a row of frames.csv: the table's name, number of frames, number of the draw, median error,
+    /// RMSE/SD, expected median error. An unknown expected error is left empty.
     fn row(&self, name: &str, draw: u64) -> String {
         let expected = self.expected.map_or(String::new(), |e| format!("{e:.5}"));
         format!("{name},{},{draw},{:.5},{:.5},{expected}\n", self.frames, self.error, self.rmse_over_sd)
     }
 }
 
-/// Mean of the expected median errors in per cent, for the table; `None` if a draw has none.
+/// Returns the geometric mean of the expected median errors in per cent; `None` if a draw has no expected
+/// error.
 fn expected_percent(draws: &[&Found]) -> Option<String> {
     let expected: Vec<f64> = draws.iter().map(|f| f.expected).collect::<Option<_>>()?;
     Some(format!("{:.1}", 100.0 * mean(expected.into_iter())))
@@ -134,7 +136,8 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
 /// Runs the command.
 ///
 /// # Errors
-/// When tables or models cannot be read, there are not equally many of both, or no ensemble has two members.
+/// When tables or models cannot be read, --data, --judged and --priors do not name equally many files, or the
+/// run is interrupted.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let (tables, judged, models) = (options.data.len(), options.judged.len(), options.priors.len());
     ensure!(

@@ -148,8 +148,8 @@ fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     }
 }
 
-/// Target of the steering step, seconds: half of the median time of the frames whose images have about its size; half
-/// of the median time of all frames if no image has.
+/// Returns the target of the steering step in seconds: half of the median time of the frames with about as
+/// many pixels as the images of that step; if there are none, half of the median time of all frames.
 fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
     let pixels = u64::from(extent.held_size).pow(2);
@@ -198,7 +198,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             study.pictures(&volumes, extent)?;
             study.bar.inc(1);
         }
-        // The steering step needs the first mode's model, and is more important than the last mode's table.
+        // The steering step needs the unshaded model. It runs before the steps of the other modes, since it
+        // is more important than their tables.
         if step.name == "evaluate-frames-none"
             && let Some(target) = target(&options.out, clock, extent)
         {

@@ -73,7 +73,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let verdicts = verdicts?;
     let mut name = "scripted clock; the CPU version of the raycaster counts the work".to_owned();
     let mut real = Vec::new();
-    // A controller that only reacts, and one that predicts and reacts.
+    // Two controllers play on a real renderer: OLP only reacts, hybrid predicts and reacts.
     let real_methods: Vec<ControllerKind> =
         [ControllerKind::Olp, ControllerKind::Hybrid].into_iter().filter(|m| methods.contains(m)).collect();
     if let Some(device) = options.device {

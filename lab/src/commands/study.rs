@@ -1,4 +1,4 @@
-//! `entire-lab study`: a whole study in one report, accuracy against latency first.
+//! `entire-lab study`: runs a whole study, and writes one report that begins with accuracy against latency.
 
 use crate::bars;
 use crate::ship::ship;

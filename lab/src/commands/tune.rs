@@ -15,7 +15,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A path as recorded by each renderer of [`Law::ALL`], and a predictor fitted to other volumes.
+/// A path with the frame times of each renderer of [`Law::ALL`], and a predictor fitted to other volumes.
 type Played = ([Replayable; 3], Calibrated);
 
 /// Search for better constants of the controller on recorded paths.
@@ -51,7 +51,7 @@ pub(crate) struct Options {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Table of the increase of the paths' cost when a single constant has no effect.
+/// Returns a table with the increase of the paths' cost when a single constant has no effect.
 fn worth_table(worth: &[Removed]) -> Table {
     let mut table = Table::new(vec![
         Column::text("constant"),
@@ -183,7 +183,7 @@ impl Options {
     }
 }
 
-/// Table of the costs of every path before and after the search.
+/// Returns a table with the costs of every path before and after the search.
 fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
     let mut columns = vec![Column::text("path"), Column::number("cost"), Column::number("… after")];
     for what in [

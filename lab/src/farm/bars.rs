@@ -1,5 +1,6 @@
-//! The bars of `entire farm` that need no engine: schedules of recorded frames, loads, predicted ends,
-//! planning at scale. The simulator uses the planner of real engines.
+//! The bars of `entire farm` that need no engine, such as Slurm: schedules of recorded frames, loading of
+//! volumes, predicted end times, planning of a million tasks. The simulator runs the planner that real
+//! engines run.
 
 use super::search::{Problem, best_of};
 use super::tables::{HELD_OUT, tasks};
@@ -31,7 +32,7 @@ fn measured(tasks: &[Task]) -> Vec<f64> {
     tasks.iter().map(|t| t.measured_s.unwrap_or(1.0)).collect()
 }
 
-/// A planner of tasks with the predicted seconds `base`.
+/// Returns a planner of tasks. `base` has their predicted seconds, `volume` the indices of their volumes.
 pub(crate) fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
     let shape = Shape::of_volumes(base, volume).with_constant(CONSTANT_SD_WITH_MODEL);
     let mut planner = Planner::new(shape, loads, setting);
@@ -57,8 +58,9 @@ pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots
     }
 }
 
-/// Largest ratio of two makespans over 2 to 64 nodes, and its number of nodes: that of longest first by predicted times
-/// divided by that of longest first by measured times. Both assignments are without exchanges.
+/// Returns the largest ratio of two makespans over 2 to 64 nodes, and the number of nodes at which it occurs.
+/// The ratio is the makespan of the longest-first assignment by predicted times, divided by the makespan of
+/// the longest-first assignment by measured times. Neither assignment is improved by exchanges.
 ///
 /// # Errors
 /// When a time is not usable.
@@ -76,8 +78,9 @@ pub(crate) fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
     Ok(worst)
 }
 
-/// Makespan of the plan divided by that of the best schedule of a local search, which knows the measured times and has
-/// `starts` random starts. There are 8 nodes, and loading a volume takes as long as 4 mean frames.
+/// Returns the makespan of the plan divided by the makespan of the best schedule of a local search. The
+/// search knows the measured times and has `starts` random starts. There are 8 nodes, and loading a volume
+/// takes as long as 4 mean frames.
 pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
     let tasks = &tasks[..tasks.len().min(PAPER)];
     let (base, truth, volume) = (predicted(tasks), measured(tasks), volume_numbers(tasks));
@@ -96,8 +99,8 @@ pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
     out.makespan / best
 }
 
-/// Quality of the end times that are predicted after a tenth of the work of a simulated run: median error of the
-/// predicted median over all runs, and share of the runs that end within the predicted 90 % interval.
+/// Simulates `runs` runs, and predicts the end of each run after a tenth of its work. Returns the median
+/// error of the predicted median end, and the share of the runs that end within the predicted 90 % interval.
 ///
 /// # Errors
 /// When there are no tasks.
@@ -187,7 +190,7 @@ pub(crate) fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     Ok((first, all, kib / 1e6 * 1.024))
 }
 
-/// All bars that need no engine.
+/// Measures and returns all bars that need no engine.
 ///
 /// # Errors
 /// When data or models cannot be read.

@@ -19,11 +19,13 @@ use rand_chacha::rand_core::SeedableRng;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Limit that measurement noise sets to any prediction: a second measurement serves as the prediction.
+/// Returns the excess makespan that measurement noise alone causes: a second measurement serves as the
+/// prediction.
 ///
-/// For each repeat, the makespan of the longest-first assignment by the medians of the other repeats is divided by the
-/// makespan of the longest-first assignment by this repeat; this repeat's times count in both. Of the ratios at 2 to 64
-/// nodes, the largest counts. Returns the least and the largest over the repeats; `None` with fewer than two repeats.
+/// For each repeat, tasks are assigned longest first, once by the medians of the other repeats and once by
+/// this repeat. Both makespans are computed with the times of this repeat, and the first is divided by the
+/// second. The largest of these ratios at 2 to 64 nodes is the result of the repeat. Returns the least and
+/// the largest result over the repeats; `None` with fewer than two repeats.
 ///
 /// # Errors
 /// When a time is not finite and positive.
@@ -81,7 +83,7 @@ fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
 /// Inputs of a comparison.
 #[derive(Clone, Debug)]
 pub(crate) struct Comparison<'a> {
-    /// The tasks, with both times.
+    /// The tasks, with predicted and measured times.
     pub(crate) tasks: &'a [Task],
     /// Origin of the tasks, for the report.
     pub(crate) source: String,
@@ -246,7 +248,7 @@ fn mixed(tasks: &[Task], measured: &[f64], page: &mut Page) -> Result<()> {
                 .collect();
             let bound = lower_bound(measured, &speeds)?;
             let assigned = assign_longest_first(&predicted, &speeds)?;
-            // A node that renders its share volume by volume loads each of them once.
+            // Each node renders its tasks volume by volume, so that it loads each of its volumes once.
             let mut held = vec![std::collections::BTreeSet::new(); nodes];
             let mut ends = vec![0.0f64; nodes];
             for (task, &node) in assigned.node_of.iter().enumerate() {

@@ -1,10 +1,11 @@
 //! A factor on predicted times, learned from measured frames of one transfer function: the residual of the
 //! analytic model.
 //!
-//! The analytic model counts work; the cost of a count depends on the direction in which rays cross the
-//! voxels in memory and on their spacing. ln(measured / predicted) is fitted to the view direction and the
-//! spacing and divergence of the rays by ridge regression. The fit needs frames similar to the predicted ones,
-//! so it serves farms, not steering.
+//! The analytic model multiplies counts of work by constant unit costs. The real unit costs depend on the
+//! direction in which rays cross the voxels in memory, and on the spacing of the rays. By ridge regression,
+//! ln(measured / predicted) is fitted to the view direction, the spacing of rays, their divergence and
+//! further terms of a frame. The fit needs frames similar to the predicted frames, so it is used for farms,
+//! not for steering.
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
@@ -20,9 +21,10 @@ const RIDGE: f64 = 10.0;
 /// Limit of the absolute value of ln(factor).
 const LIMIT: f64 = 0.5;
 
-/// Terms of a frame: components of the view direction along the volume's axes and products of them, logarithms of
-/// ray spacing, samples per ray, share of the image that the volume covers and ray step, divergence of
-/// neighboring rays.
+/// Returns the terms of a frame: absolute components of the view direction along the volume's axes; two
+/// products of these components; logarithms of ray spacing, samples per ray, share of the image that the
+/// volume covers, and ray step; divergence of neighboring rays. `None` if the camera is invalid or a term is
+/// not finite.
 fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option<[f64; TERMS]> {
     let of = features.quantities(*setting);
     let log = |v: f64| v.max(1e-3).ln();
@@ -54,13 +56,13 @@ pub(crate) struct Factor {
 }
 
 impl Factor {
-    /// The factor 1 for every frame.
+    /// Returns the factor that is 1 for every frame.
     pub(crate) fn none() -> Self {
         Self { mean: [0.0; TERMS], sd: [1.0; TERMS], weights: [0.0; 2 * TERMS], offset: 0.0 }
     }
 
-    /// Fits the factor to frames with their predicted seconds. It is 1 if there are fewer than three usable frames
-    /// per unknown.
+    /// Fits the factor to frames with their predicted seconds. The factor is 1 if there are fewer than three
+    /// usable frames per weight.
     pub(crate) fn fit(frames: &[(&Sample, f64)]) -> Self {
         let rows: Vec<([f64; TERMS], f64)> = frames
             .iter()
@@ -105,7 +107,7 @@ impl Factor {
     fn row(&self, values: &[f64; TERMS]) -> [f64; 2 * TERMS] {
         let mut row = [0.0; 2 * TERMS];
         for k in 0..TERMS {
-            // Terms are clamped to the training range.
+            // A term is clamped to 2.5 standard deviations around its mean in the training frames.
             let z = ((values[k] - self.mean[k]) / self.sd[k]).clamp(-2.5, 2.5);
             row[k] = z;
             row[TERMS + k] = z * z - 1.0;
@@ -113,7 +115,7 @@ impl Factor {
         row
     }
 
-    /// The factor of a frame.
+    /// Returns the factor on the predicted time of a frame.
     pub(crate) fn of(&self, features: &FrameFeatures, setting: &Setting, camera: Arcball) -> f64 {
         let Some(values) = terms(features, setting, camera) else { return self.offset.exp() };
         let log: f64 = self.row(&values).iter().zip(&self.weights).map(|(a, b)| a * b).sum();

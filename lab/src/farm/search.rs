@@ -72,7 +72,8 @@ impl<'a> State<'a> {
         (0..self.ends.len()).fold(0, |m, n| if self.ends[n] > self.ends[m] { n } else { m })
     }
 
-    /// Moves and exchanges tasks of the node that ends last, until no change shortens the schedule.
+    /// Moves and exchanges tasks of the node that ends last, until the best estimated change does not shorten
+    /// the schedule.
     fn improve(&mut self) {
         loop {
             let last = self.last();
@@ -89,8 +90,8 @@ impl<'a> State<'a> {
                 }
                 for other in (0..self.node_of.len()).filter(|t| self.node_of[*t] != last) {
                     let node = self.node_of[other];
-                    // If the tasks share volumes with others, this is an upper bound of the gain. The gain of a
-                    // chosen change is computed exactly below.
+                    // If both tasks are of one volume, `end` may be too early. For the best change, the exact
+                    // end is computed below.
                     let there = self.ends[node] - self.frees(other) + self.adds(node, task);
                     let here = longest - freed + self.adds(last, other);
                     let end = here.max(there);
@@ -108,7 +109,7 @@ impl<'a> State<'a> {
             }
             self.put(node, task);
             if self.ends[last].max(self.ends[node]) >= longest - 1e-9 {
-                // Because of shared volumes, the change gains less than estimated: it is undone.
+                // Both tasks are of one volume, and the change does not shorten the schedule: it is undone.
                 self.take(task);
                 if let Some(other) = other {
                     self.take(other);
@@ -172,11 +173,11 @@ mod tests {
 
     #[test]
     fn small_problems_are_solved() {
-        // Two volumes, two nodes: each loads one.
+        // Two volumes on two nodes: in the best schedule, each node loads one volume.
         let (seconds, volume) = (vec![3.0, 1.0, 2.0, 2.0, 1.0, 3.0], vec![0, 0, 0, 1, 1, 1]);
         let p = Problem { seconds: &seconds, volume: &volume, load: &[5.0, 5.0], nodes: 2 };
         assert_eq!(best_of(&p, 20), 11.0);
-        // Without loads: the work is balanced.
+        // Without loading times, the best schedule balances the seconds of the tasks.
         let p = Problem { load: &[0.0, 0.0], ..p };
         assert_eq!(best_of(&p, 20), 6.0);
     }

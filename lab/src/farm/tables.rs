@@ -21,8 +21,8 @@ pub(super) const HELD_OUT: [(&str, &str); 9] = [
     ("scatter-scans", "scatter-selected"),
 ];
 
-/// The frames of a table as tasks. A model predicts their times; the measured time of a frame is the median
-/// process-CPU time of its repeats.
+/// Returns the frames of a table as tasks. A model predicts their times; the measured time of a frame is the
+/// median processor time of its repeats.
 ///
 /// # Errors
 /// When table or model cannot be read, or features are missing beside the table.

@@ -11,7 +11,7 @@ use entire_steer::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, Tr
 use entire_steer::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use std::path::PathBuf;
 
-/// Frames of recorded paths as samples, one scene per frame, and the volume of each.
+/// Frames of recorded paths as samples, one scene per frame, and the volume's index of each sample.
 #[derive(Default)]
 struct Recorded {
     samples: Vec<Sample>,
@@ -20,7 +20,7 @@ struct Recorded {
 }
 
 impl Recorded {
-    /// Adds the times of a trace's frames at every full-size point of their grids.
+    /// Adds a sample for every frame of a trace and every recorded ray step at full image size.
     fn add(&mut self, trace: &Trace, probe_side: usize) -> Result<()> {
         let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
         let mut features = FrameFeatures::with_probe_side(probe_side);
@@ -48,7 +48,7 @@ impl Recorded {
         Ok(())
     }
 
-    /// The analytic model and the factor on it, fitted to the samples that `keep` accepts.
+    /// Fits the analytic model and the factor on its times to the samples of the volumes that `keep` accepts.
     fn fit(&self, keep: impl Fn(usize) -> bool) -> Result<(AnalyticModel, Factor)> {
         let kept: Vec<&Sample> =
             self.samples.iter().zip(&self.volumes).filter(|(_, v)| keep(**v)).map(|(s, _)| s).collect();
@@ -60,8 +60,8 @@ impl Recorded {
         Ok((model, Factor::fit(&pairs)))
     }
 
-    /// Errors without and with the factor. The model that predicts a volume is fitted to the other volumes. `None`
-    /// with fewer than two volumes.
+    /// Returns the errors without and with the factor. The model that predicts a volume is fitted to the
+    /// other volumes. `None` with fewer than two volumes.
     fn leave_one_out(&self) -> Result<Option<[Quality; 2]>> {
         let volumes: std::collections::BTreeSet<usize> = self.volumes.iter().copied().collect();
         if volumes.len() < 2 {
@@ -84,8 +84,9 @@ fn predicted(model: &mut AnalyticModel, s: &Sample) -> Result<f64> {
     Ok(f64::from(model.predict(&s.predictor_inputs(None))?.seconds))
 }
 
-/// The predictor of tasks, fitted to recorded frames of other volumes with a probe of `side` rays along each
-/// side: the analytic model, and the factor on its times. Prints its errors.
+/// Fits the predictor of tasks to recorded frames of other volumes, with a probe of `side` rays along each
+/// side. Returns the analytic model, and the factor on its times, which is 1 if it does not reduce the error
+/// on left-out volumes. Prints the errors.
 fn task_predictor(training: &[PathBuf], side: usize) -> Result<(AnalyticModel, Factor)> {
     ensure!(
         (1..=MAX_PROBE_SIDE).contains(&side),
@@ -118,8 +119,9 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<(AnalyticModel, F
     Ok((model, factor))
 }
 
-/// Tasks of a recorded path: its frames at the reference step, predicted from `training`, recordings of other
-/// volumes with the same transfer function, with a probe of `probe_side` rays along each side.
+/// Returns the frames of a recorded path at the reference step as tasks. Their predictor is fitted to
+/// `training`, recordings of other volumes with the same transfer function, and uses a probe of `probe_side`
+/// rays along each side.
 ///
 /// # Errors
 /// When there are no frames to fit to, a file cannot be read, or a prediction fails.

@@ -54,7 +54,7 @@ pub(crate) struct Outcome {
     pub(crate) state: State,
     /// Wall seconds of the step.
     pub(crate) seconds: f64,
-    /// The last line of its output.
+    /// Last line that the step printed, or the reason why it was left out.
     pub(crate) said: String,
 }
 

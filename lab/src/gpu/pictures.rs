@@ -10,11 +10,12 @@ use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Cameras of the pictures: rotations rx and ry in degrees, distance in radii. The last is inside the volume.
+/// Cameras of the pictures: rotations rx and ry in degrees, distance in radii. The last camera is
+/// inside the volume.
 const CAMERAS: [(f32, f32, f32); 4] =
     [(0.0, 0.0, 2.5), (25.0, 40.0, 1.6), (-60.0, 130.0, 3.0), (10.0, -75.0, 0.4)];
 
-/// Difference of a picture from the CPU version's.
+/// Difference between a picture of the device and the picture of the CPU version.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Difference {
     /// The volume file's name.
@@ -27,12 +28,13 @@ pub(crate) struct Difference {
     pub(crate) largest: u8,
     /// Mean difference of the channels, on a scale of 0 to 255.
     pub(crate) mean: f64,
-    /// True if device and CPU version count the same samples; `None` where one of them does not count.
+    /// True if device and CPU version took the same number of samples; `None` if one of them does not count
+    /// samples.
     pub(crate) same_samples: Option<bool>,
 }
 
-/// Draws every volume in every shading mode from every camera on the device and on the CPU version. The
-/// pictures of the device stay in the folder.
+/// Draws every volume in every shading mode from every camera on the device and on the CPU version. Writes
+/// the device's pictures into `folder`, and returns the differences.
 ///
 /// # Errors
 /// When a volume cannot be read or a renderer fails.

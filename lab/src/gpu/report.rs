@@ -64,7 +64,7 @@ impl Found {
         table
     }
 
-    /// Errors of the machine's models on held-out volumes.
+    /// Returns a table of the errors of the machine's models on held-out volumes.
     pub(crate) fn errors(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("shading"),
@@ -91,7 +91,7 @@ impl Found {
         table
     }
 
-    /// Median seconds by mode and image size.
+    /// Returns a table of median milliseconds by shading mode, kind of table and image size.
     pub(crate) fn times(&self) -> Table {
         const EDGES: [u64; 4] = [0, 128 * 128, 512 * 512, u64::MAX];
         let mut columns =
@@ -113,7 +113,7 @@ impl Found {
         table
     }
 
-    /// Frame times of each controller against the target.
+    /// Returns a table that compares each controller's frame times with the target.
     pub(crate) fn held(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("controller"),

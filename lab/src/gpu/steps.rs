@@ -12,7 +12,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-/// Time for a command to end by itself after it was asked to.
+/// Time that a command has to end by itself, from the signal that asks it to end until it is killed.
 const GRACE: Duration = Duration::from_secs(10);
 
 /// Size of the study.
@@ -88,7 +88,7 @@ pub(crate) struct Step {
     pub(crate) seconds: f64,
     /// True if a partial result is of use.
     pub(crate) partial: bool,
-    /// The file of its standard output, beside the logs.
+    /// File in OUT for the command's standard output; `None` if standard output goes to the log.
     pub(crate) output: Option<String>,
     /// Files of an earlier attempt, which are removed before the command runs.
     pub(crate) anew: Vec<PathBuf>,
@@ -105,7 +105,7 @@ fn words(parts: &[&str]) -> Vec<String> {
 /// Volumes of held-out members, in the order of their names.
 ///
 /// # Errors
-/// When the folder cannot be read or holds none.
+/// When the folder cannot be read or holds no such volume.
 pub(crate) fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
     let help = "name a folder like the project's data/ with --data";
     let found =
@@ -119,8 +119,8 @@ pub(crate) fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// `count` of the volumes for calibrations, evenly spread over the order of their names; none if the count is
-/// 0, so that the calibration finds its own.
+/// Returns at most `count` of the volumes for calibrations, evenly spread in the order of their names. If
+/// `count` is 0, returns none, and `entire calibrate` finds volumes itself.
 ///
 /// # Errors
 /// When the folder cannot be read.
@@ -133,8 +133,8 @@ pub(crate) fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>>
     Ok(all.into_iter().step_by(every).collect())
 }
 
-/// The steps of a shading mode: calibrate a model (on the given volumes, or on those that `entire calibrate` finds),
-/// collect frames of held-out volumes, and evaluate the model on them.
+/// Returns the steps of a shading mode: calibrate a model (on the given volumes, or on those that `entire
+/// calibrate` finds), collect frames of held-out volumes, and evaluate the model on them.
 pub(crate) fn of_mode(
     mode: &str,
     out: &Path,
@@ -162,7 +162,7 @@ pub(crate) fn of_mode(
         }
         let table = file(format!("{name}.csv"));
         let mut collect = words(&["collect"]);
-        // Large volumes take long to load, and differ only in size.
+        // Two large volumes suffice: they take long to load, and differ from the other volumes only in size.
         let most = if enlarge == extent.enlarge { extent.volumes } else { 2 };
         collect.extend(volumes.iter().take(most).map(|v| v.to_string_lossy().into_owned()));
         collect.extend(words(&["--shade", mode, "--device", device, "--repeats", "3", "--min-size", "32"]));
@@ -188,7 +188,8 @@ pub(crate) fn probe(device: &str) -> Step {
     Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }
 }
 
-/// The steering step: a path with three switches, with a target, under five controllers.
+/// Returns the steering step, which plays a path with three switches of the transfer function under several
+/// controllers with the same target.
 pub(crate) fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, extent: Extent) -> Step {
     let (device, clock) = device;
     let mut steer = words(&["steer", &volume.to_string_lossy(), "--generate", "switches"]);

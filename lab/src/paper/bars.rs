@@ -14,9 +14,9 @@ use crate::bars::Bar;
 pub(crate) struct Shown {
     /// The paper's label.
     pub(crate) label: String,
-    /// True if there is a table or figure of ours.
+    /// True if our report has this table or figure.
     pub(crate) there: bool,
-    /// The command that makes it.
+    /// Command that makes our table or figure.
     pub(crate) command: String,
     /// Our number and the paper's, in words.
     pub(crate) summary: String,
@@ -40,8 +40,8 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     }
 }
 
-/// The bars; a bar without a value is short. Bars on a data set are about the paper's base mode and the paper's split
-/// of that data set.
+/// Returns the bars; a bar without a value is short. Bars on a data set are about the paper's base mode and
+/// the paper's split of that data set.
 pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],
@@ -52,7 +52,7 @@ pub(crate) fn bars(
     let limits = &paper.limits;
     let missing = shown.iter().filter(|s| !s.there || s.command.is_empty()).count();
     let mut out = vec![Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0)];
-    // Only results with at least as many frames as the description asks for.
+    // Only results with at least as many frames as the study's description specifies are used.
     let full = |r: &&Results| r.panel == Panel::Overall && complete(r);
     let overall: Vec<&Results> = all.iter().filter(full).collect();
     let network = |r: &Results| r.row(paper.rule(&r.set).split(), NETWORK).cloned();
@@ -141,7 +141,8 @@ pub(crate) fn bars(
     out
 }
 
-/// Error of the one network that was trained on all data sets, on the held-out members of a data set, in words.
+/// Returns a note with the error of the one network that was trained on all data sets, on the held-out
+/// members of a data set, relative to the constant prediction.
 fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     let of = |r: &&Results| r.panel == Panel::Procedure && r.mode == BASE_MODE;
     let title = &paper.data_set(set).filter(|d| d.rule == Rule::Members)?.title;
@@ -169,7 +170,7 @@ fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
     Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
 }
 
-/// True if there are at least as many frames as the description asks for.
+/// True if there are at least as many frames as the study's description specifies.
 fn complete(results: &Results) -> bool {
     let times = results.facts.iter().find(|f| f.name == "times");
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();
@@ -185,7 +186,7 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    /// Two test volumes of one frame each.
+    /// Returns a row of results on two test volumes of one frame each; `squared` has their squared errors.
     fn row(name: &str, split: &str, squared: [f64; 2], over: Option<f64>) -> Row {
         let by_volume: ByVolume = ["a", "b"]
             .into_iter()
@@ -235,7 +236,7 @@ mod tests {
         };
         let (nyx, maestroex) = ("nyx_cosmology", "maestroex_bubbles");
         let name = "nyx_cosmology/network-over-constant";
-        // Results of another mode, or of another split than the paper's, do not count.
+        // Results of another mode, or of another split than the paper's, are not used.
         let easier =
             [overall(nyx, "none", "members", Some(0.1)), overall(nyx, "local", "volumes", Some(0.1))];
         assert_eq!(of(&paper, &easier, name), "- 0.2000 short");
@@ -244,13 +245,14 @@ mod tests {
             overall(maestroex, "local", "volumes", Some(0.3)),
             overall(nyx, YT, "members", Some(0.21)),
         ];
-        // A draw of two volumes consists of the first one alone in 1/4 of the cases, and of the second one in 1/4.
+        // The interval is by bootstrap over two volumes: a quarter of the draws have the first volume only,
+        // and a quarter the second volume only.
         assert_eq!(of(&paper, &all, name), "0.1600 0.2000 ok (interval: 0.1000 to 0.2000)");
         let name = "maestroex_bubbles/network-over-constant";
         assert_eq!(of(&paper, &all, name), "0.3000 0.2600 short (interval: 0.1000 to 0.2000)");
         let name = "nyx_cosmology/yt/network-over-constant";
         assert!(of(&paper, &all, name).starts_with("0.2100 0.2000 short"));
-        // 64³ of 192³ voxels is another baseline than the paper's.
+        // A proxy of 64³ of 192³ voxels is a stronger baseline than the paper's, so the bar has no value.
         let name = "nyx_cosmology/network-over-lvrp";
         assert_eq!(
             of(&paper, &all, name),

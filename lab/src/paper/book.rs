@@ -15,7 +15,7 @@ use std::path::Path;
 /// The page's file name.
 pub(crate) const PAGE: &str = "paper-tables.md";
 
-/// The folder of its charts and pictures, beside it.
+/// Folder of the page's charts and pictures, relative to the page.
 const IMAGES: &str = "images/paper";
 
 /// Writes the page and its pictures into the folder of the book's pages.
@@ -91,7 +91,8 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
     write_whole(&pages.join(PAGE), out.as_bytes())
 }
 
-/// The tables and charts of a section; the charts' files begin with `stem`.
+/// Returns the tables and charts of a section as Markdown, and writes the charts into `images`. Their file
+/// names begin with `stem`.
 fn tables_and_charts(section: &Section, title: &str, stem: &str, images: &Path) -> Result<String> {
     let mut out = String::new();
     for (table, caption) in &section.tables {

@@ -1,4 +1,4 @@
-//! Use case 2: load balancing of a farm by predicted times.
+//! The paper's use case 2: load balancing of a farm by predicted times.
 
 use super::description::{Orbit, Panel};
 use super::judge::{NETWORK, OURS};
@@ -17,8 +17,9 @@ const UNIFORM: &str = "uniform";
 /// Name of the assignment by measured times.
 const GROUND_TRUTH: &str = "GT";
 
-/// Load of the slowest node when tasks are assigned by a predictor's times, divided by its load when they are assigned
-/// by measured times; the largest ratio over all numbers of nodes.
+/// Returns the load of the slowest node when tasks are assigned by a predictor's times, divided by the load
+/// of the slowest node when tasks are assigned by measured times. The ratio is the largest over all numbers
+/// of nodes.
 pub(super) fn slowest_node(all: &[Results], predictor: &str) -> Option<f64> {
     let facts = all.iter().filter(|r| r.panel == Panel::Balancing).flat_map(|r| &r.facts);
     facts.filter(|f| f.name == predictor).filter_map(|f| f.values.get("slowest")).copied().reduce(f64::max)

@@ -1,4 +1,5 @@
-//! Frames of our raycaster: every mode and the low-resolution proxy of a volume in one run, volume by volume.
+//! Collects frames of our raycaster, volume by volume: in all modes, of the volume and of its low-resolution
+//! proxy.
 
 use super::Work;
 use super::description::{Panel, Paper, RAYCASTER_MODES};
@@ -69,8 +70,8 @@ pub(crate) const DRAWN_ORBIT: u64 = 20_000;
 /// Number of frame numbers that are reserved for each experiment.
 pub(crate) const PER_EXPERIMENT: u64 = 1_000;
 
-/// A frame to render: its number, the index of its volume among the jobs, its scene without shading mode and
-/// voxels.
+/// A frame to render: its number, the index of its volume among the jobs, and its scene. The scene's shading
+/// mode and volume size are set when the frame is rendered.
 #[derive(Clone, Debug)]
 struct Wanted {
     number: u64,
@@ -78,8 +79,9 @@ struct Wanted {
     scene: Scene,
 }
 
-/// The frames of the experiments and of both orbits. An experiment varies one parameter of a base frame: a random
-/// frame of a test volume of the split by volumes. The experiment on volumes varies the held-out volumes of that split.
+/// Returns the frames of the experiments and of both orbits. The base frame is a random frame of the first
+/// test volume of the split by volumes. Every experiment varies one parameter of the base frame. The
+/// experiment `volume` shows all held-out volumes of that split.
 fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let Some(parts) = place.split(super::description::BY_VOLUMES) else { return Ok(Vec::new()) };
     let protocol = protocol(paper, mode, false)?;
@@ -88,7 +90,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let (least, most) = (f64::from(protocol.scenes.min_size), f64::from(protocol.scenes.max_size));
     let side = (least * most).sqrt().round() as u32;
     let count = paper.frames.varied;
-    // Frame numbers beyond those of any table: no model was trained on them.
+    // The frame numbers are larger than those of any table, so that no model was trained on these frames.
     let drawn = |job: usize, index: u64| protocol.scene(&place.jobs[job], [1; 3], 1_000_000 + index);
     let base = Scene { width: side, height: side, ..drawn(middle, 0) };
     let mut out = Vec::new();
@@ -228,7 +230,8 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
 /// training volumes. So a collection that is stopped early holds frames for every split.
 ///
 /// # Errors
-/// A volume that cannot be read, a renderer that fails, a table that was begun with other settings, and being stopped.
+/// A volume that cannot be read, a renderer that fails, a table that was begun with other settings, an
+/// interruption.
 pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     make_folder(&work.out.join("tables"))?;
     let template = "collect [{bar:30}] {pos}/{len}, {eta} left  {wide_msg}";
@@ -258,7 +261,7 @@ pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rend
     Ok(())
 }
 
-/// Renders missing frames of one volume, at both resolutions and in all modes.
+/// Renders the missing frames of one volume that `now` selects, at both resolutions and in all modes.
 fn of_volume(
     work: &Work<'_>,
     place: &Place,

@@ -1,5 +1,5 @@
-//! Use case 1: recorded paths of a data set under every controller, with the paper's network and with our
-//! predictor.
+//! The paper's use case 1, steering: results of recorded paths of a data set under every controller, with the
+//! paper's network and with our predictor.
 
 use super::Work;
 use super::description::Panel;
@@ -29,7 +29,7 @@ const DRAWN: [(&str, &str); 4] = [
     (OURS, "ours"),
 ];
 
-/// The hybrid controller with the predictor that was fitted to the calibration frames.
+/// Name of the hybrid controller with the predictor that was fitted to the calibration frames.
 const OURS: &str = "ours";
 
 /// A chart with a value per frame.
@@ -68,8 +68,8 @@ const CHARTS: [Drawing; 3] = [
     },
 ];
 
-/// Frames whose pictures are compared, as shares of the path: the first frame after an abrupt change, a frame
-/// shortly after another change, and a calm frame.
+/// Frames whose pictures are compared, as fractions of the path: the first frame after an abrupt change, a
+/// frame shortly after another change, and a frame far from any change.
 const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
 
 /// Side of a compared picture, pixels.
@@ -87,7 +87,7 @@ pub(crate) struct Played<'a> {
     pub(crate) calibration: &'a Path,
 }
 
-/// A frame of `frames.csv`.
+/// A row of `frames.csv`: a frame under one controller with one target.
 #[derive(Clone, Debug, Deserialize)]
 struct Row {
     trace: String,
@@ -111,7 +111,7 @@ fn rows(folder: &Path) -> Result<Vec<Row>> {
         .with_context(|| format!("{} is not what entire-lab replay writes", path.display()))
 }
 
-/// The paths in a folder that show volumes of a data set.
+/// Returns the recorded paths in a folder that show only volumes of a data set.
 ///
 /// # Errors
 /// When the folder or a path in it cannot be read.
@@ -130,8 +130,8 @@ pub(crate) fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     Ok(out)
 }
 
-/// Stores the results of the replay: scores, values per frame of one path with pictures of three of its frames, and
-/// the curves behind G.
+/// Stores the results of the replay: scores; values per frame of one path, with pictures of three frames; and
+/// the curve G with the curves of the scenes that it is computed from.
 ///
 /// # Errors
 /// When a file cannot be read or written, and when the renderer fails.
@@ -195,7 +195,8 @@ fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> 
     out
 }
 
-/// The frames of the first path with abrupt changes, for the middle one of the targets.
+/// Returns the frames of the first path with abrupt changes (else of the first path) at the median of its
+/// targets.
 fn one_path(frames: &[Row]) -> Option<Vec<Row>> {
     let mut names: Vec<&str> = frames.iter().map(|r| r.trace.as_str()).collect();
     names.dedup();
@@ -228,7 +229,8 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
     out
 }
 
-/// Pictures of three frames: each at the reference step and, beside it, as drawn by every controller.
+/// Draws three frames, each at the reference step and, beside it, at the step of every controller in
+/// [`DRAWN`]. Returns the names of the pictures' files and their captions.
 fn pictures(
     work: &Work<'_>,
     set: &str,
@@ -314,13 +316,13 @@ fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     Ok(out)
 }
 
-/// Mean distance from the target over all frames.
+/// Key of a score: mean distance from the target over all frames.
 pub(super) const ALL_FRAMES: &str = "all deviation";
-/// Mean distance from the target over the first frames after a change.
+/// Key of a score: mean distance from the target over the first frames after a change.
 pub(super) const FIRST_FRAMES: &str = "first_frame_deviation";
 
-/// Distance from the target of Algorithm 1 with the paper's network, divided by that of OLP; `None` if one of them
-/// was not played.
+/// Returns the distance from the target under Algorithm 1 with the paper's network, divided by the distance
+/// under OLP; `None` if one of them was not played. `distance` is the key of the score.
 pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64> {
     let played = all.iter().find(|r| r.panel == Panel::Steering)?;
     let of = |kind: ControllerKind| {
@@ -344,7 +346,7 @@ const COLUMNS: [(&str, &str, bool); 7] = [
 const ON_IMAGE: &str = "on_image";
 const IMAGE: ActsOn = ActsOn::ImageResolution { coarsest: 1.0 };
 
-/// Use case 1 in the report: tables and charts of the controllers.
+/// Adds use case 1 to the report: tables and charts of the controllers.
 pub(super) fn section(of: &[&Results], s: &mut Section) {
     for r in of.iter().filter(|r| !r.facts.is_empty()) {
         let mut columns = vec![Column::text("controller"), Column::text("acts on")];
@@ -395,7 +397,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
     }
 }
 
-/// The curve G in the report.
+/// Adds the curve G, frame time over ray step, to the report.
 pub(super) fn response_section(of: &[&Results], s: &mut Section) {
     for r in of {
         let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == "G").collect();

@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Split by random volumes, a tenth each for validation and test: the paper's rule for MAESTROeX.
+/// Name of the split by random volumes, a tenth each for validation and test: the paper's rule for MAESTROeX.
 pub(super) const BY_VOLUMES: &str = "volumes";
-/// Split by whole ensemble members: the paper's rule for Nyx and Castro.
+/// Name of the split by whole ensemble members: the paper's rule for Nyx and Castro.
 pub(super) const BY_MEMBERS: &str = "members";
-/// Test on volumes of another kind.
+/// Name of the test on volumes of another kind, such as scans.
 pub(super) const BY_MODALITY: &str = "modality";
 
 /// Contents of a description file. Paths are relative to the file's folder.
@@ -52,13 +52,14 @@ pub(crate) struct Paper {
     pub(crate) network: Recipe,
     /// Recipe of our predictor, by mode.
     pub(crate) ours: BTreeMap<String, Recipe>,
-    /// Shares of the training frames to train on, in the study of their number.
+    /// Fractions of the training frames, for the study of the number of training frames.
     pub(crate) shares: Vec<f64>,
-    /// Names of PredNet's layers to compare.
+    /// Names of the PredNet presets to compare, which differ in the number of layers.
     pub(crate) depths: Vec<String>,
-    /// Name of the PredNet with which encoders are compared.
+    /// Name of the PredNet preset with which encoders are compared.
     pub(crate) encoder_depth: String,
-    /// The two architectures of the final selection: the encoder's input side and features, PredNet's layers.
+    /// The two architectures of the final selection: the encoder's input side and number of features,
+    /// PredNet's preset.
     pub(crate) finalists: Vec<(usize, usize, String)>,
     /// Fine-tuning.
     pub(crate) tuning: Tuning,
@@ -74,7 +75,7 @@ pub(crate) struct Paper {
     pub(crate) limits: Limits,
 }
 
-/// Settings of one mode; `None` for the settings of all modes.
+/// Settings of one mode; a setting that is `None` is that of all modes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct InMode {
@@ -91,7 +92,7 @@ pub(crate) struct FrameCounts {
     /// Frames of a training volume.
     pub(crate) training: u32,
     /// Frames of a validation or test volume. As many frames of every volume are also drawn at low resolution; the
-    /// proxy's line is fitted to those.
+    /// line by which the proxy predicts is fitted to these frames.
     pub(crate) held_out: u32,
     /// Frames of an experiment with one varied parameter.
     pub(crate) varied: u32,
@@ -101,7 +102,7 @@ pub(crate) struct FrameCounts {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct DataSet {
-    /// Name of its folder, in the data folder or in its subfolder `ensembles`.
+    /// Name of the data set's folder, which is in the data folder or in its subfolder `ensembles`.
     pub(crate) name: String,
     /// The name in reports.
     pub(crate) title: String,
@@ -110,7 +111,8 @@ pub(crate) struct DataSet {
     pub(crate) paper: Option<String>,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
     pub(crate) modes: Vec<String>,
-    /// True if it holds volumes of another kind, on which models of the other data sets are only tested.
+    /// True if the data set holds volumes of another kind, on which models of the other data sets are only
+    /// tested.
     #[serde(default)]
     pub(crate) only_tests: bool,
     /// The paper's split of this data set.
@@ -154,7 +156,8 @@ impl Rule {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct MemberSplit {
-    /// Members that decide when training stops; if empty, a tenth of the other members' volumes does.
+    /// Members whose frames decide when training stops. If empty, a tenth of the volumes of all members that
+    /// are not for testing decides.
     #[serde(default)]
     pub(crate) validation: BTreeSet<String>,
     /// Members for testing.
@@ -221,10 +224,10 @@ pub(crate) struct Tuning {
     pub(crate) frames: Vec<usize>,
     /// Epochs of fine-tuning.
     pub(crate) epochs: usize,
-    /// Tables of other renderers: name, training table, test table. If both tables are the same, random halves of
-    /// its frames serve for training and for testing.
+    /// Tables of other renderers: name, training table, test table. If both are the same table, random halves
+    /// of its frames are used for training and for testing.
     pub(crate) renderers: Vec<(String, PathBuf, PathBuf)>,
-    /// Tables of the same renderer on other machines, in the same form.
+    /// Tables of our raycaster on other machines: name, training table, test table.
     #[serde(default)]
     pub(crate) machines: Vec<(String, PathBuf, PathBuf)>,
 }
@@ -269,11 +272,11 @@ pub(crate) struct TrialTables {
     pub(crate) mode: String,
     /// Training and validation frames.
     pub(crate) training: PathBuf,
-    /// The same frames as rendered by the low-resolution proxy.
+    /// The training and validation frames as rendered by the low-resolution proxy.
     pub(crate) training_low: PathBuf,
     /// Test frames, of ensemble members that are not in the training table.
     pub(crate) test: PathBuf,
-    /// The same frames as rendered by the low-resolution proxy.
+    /// The test frames as rendered by the low-resolution proxy.
     pub(crate) test_low: PathBuf,
 }
 
@@ -291,17 +294,17 @@ pub(crate) struct Change {
     pub(crate) log_inputs: bool,
     /// True to state the image's size as one number, the geometric mean of its sides.
     pub(crate) one_resolution: bool,
-    /// Output of the network; `None` for that of the recipe.
+    /// Output of the network; `None` for the recipe's output.
     pub(crate) target: Option<TargetChoice>,
-    /// Frames per optimizer step; `None` for those of the recipe.
+    /// Frames per optimizer step; `None` for the recipe's number.
     pub(crate) batch: Option<usize>,
     /// True to leave gradients unclipped.
     pub(crate) no_clipping: bool,
-    /// Frames by whose error the epoch of the weights is chosen.
+    /// Frames whose error decides from which epoch the weights are taken.
     pub(crate) validation: Validation,
 }
 
-/// Frames by whose error the epoch of the weights is chosen.
+/// Frames whose error decides from which epoch the weights are taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Validation {
@@ -310,7 +313,7 @@ pub(crate) enum Validation {
     Few,
     /// All frames of the validation volumes.
     All,
-    /// No frames: the training loss decides, which is lowest at the end.
+    /// No frames: the epoch with the lowest training loss is taken, which is one of the last.
     Training,
 }
 
@@ -329,9 +332,9 @@ pub(crate) enum Panel {
     Samples,
     /// The number of PredNet's layers.
     Depth,
-    /// Encoders of other sizes and lengths.
+    /// Encoders with other input sizes and lengths of the feature vector.
     Encoders,
-    /// The two best architectures over renderers.
+    /// The two best architectures on several renderers.
     Final,
     /// Fine-tuning to other renderers, machines and data sets.
     Tuning,
@@ -391,10 +394,10 @@ pub(crate) struct Numbers {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Limits {
-    /// RMSE of the network divided by that of the mean of 15 % of the frames, by data set: in the base mode, on the
-    /// paper's split.
+    /// RMSE of the network divided by the RMSE of a constant prediction, the mean time of 15 % of the frames;
+    /// by data set, in the base mode, on the paper's split.
     pub(crate) over_constant: BTreeMap<String, f64>,
-    /// The same ratio on frames that yt drew, for each of these data sets.
+    /// The ratio of `over_constant` on frames that yt drew, for each data set in `over_constant`.
     pub(crate) yt_over_constant: f64,
     /// RMSE of the network divided by that of LVRP, at the paper's ratio of voxels.
     pub(crate) over_lvrp: f64,
@@ -407,14 +410,15 @@ pub(crate) struct Limits {
     pub(crate) feature_vector: (f64, f64),
     /// Peak signal-to-noise ratio of reconstructed held-out volumes, dB.
     pub(crate) psnr: f64,
-    /// Number of data sets that must reach this ratio.
+    /// Number of data sets whose volumes must reach the signal-to-noise ratio `psnr`.
     pub(crate) data_sets: usize,
     /// Mean distance from the target of Algorithm 1 with the network, divided by that of OLP: in the first frame after
     /// a change, and in all frames.
     pub(crate) algorithm1_over_olp: (f64, f64),
-    /// Load of the slowest node if the network's times assign tasks, divided by its load if measured times do.
+    /// Load of the slowest node if the network's times assign tasks, divided by the load of the slowest node
+    /// if measured times assign tasks.
     pub(crate) slowest_node: f64,
-    /// Seconds that the report may take.
+    /// Seconds within which the report must be written.
     pub(crate) report_seconds: f64,
 }
 
@@ -439,7 +443,7 @@ impl Paper {
     /// Recipe of our predictor for a mode.
     ///
     /// # Errors
-    /// If the description has none.
+    /// If the description has no recipe for the mode.
     pub(crate) fn ours_for(&self, mode: &str) -> Result<&Recipe> {
         self.ours.get(mode).with_context(|| format!("the description has no recipe `ours` for mode {mode:?}"))
     }

@@ -1,5 +1,5 @@
-//! VolumeNets of all required sizes, trained by the Python script: for each data set, for all together, and with
-//! other numbers of channels for the capacity sweep.
+//! Trains VolumeNets of all required sizes by the Python script: for each data set, for all data sets
+//! together, and with other numbers of channels for the capacity sweep.
 
 use super::Work;
 use super::description::BY_VOLUMES;
@@ -15,8 +15,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-/// Time for a training to end by itself after it was asked to: it ends its batch, evaluates every volume with
-/// the best weights and writes them. A training that is killed continues from its last epoch.
+/// Time that a training has to end by itself after it was asked to end: it completes its batch, evaluates
+/// every volume with the best weights, and writes the weights. A training that is killed after this time
+/// continues from its last epoch at the next run.
 const GRACE: Duration = Duration::from_secs(600);
 
 /// Name of the encoder that is trained on all data sets.
@@ -33,7 +34,7 @@ pub(crate) struct Encoder {
     pub(crate) size: usize,
     /// Length of the feature vector.
     pub(crate) features: usize,
-    /// Output channels of the blocks; those of the script if empty.
+    /// Output channels of the blocks; if empty, the script's default.
     pub(crate) channels: Vec<usize>,
 }
 
@@ -126,7 +127,7 @@ pub(crate) fn encoders(
             }
         }
     }
-    // The main encoder comes first.
+    // Encoders of the main size for single data sets come first, encoders of the capacity sweep last.
     let main = asked.main;
     out.sort_by_key(|e| {
         (!e.channels.is_empty(), e.set == ALL, (e.size, e.features) != main, e.size, e.features)
@@ -137,7 +138,7 @@ pub(crate) fn encoders(
 /// Trains missing encoders.
 ///
 /// # Errors
-/// When Python or the script fails, and when it is stopped.
+/// When Python or the script fails, and when the study is stopped.
 pub(crate) fn encode(
     work: &Work<'_>,
     places: &[Place],

@@ -136,9 +136,10 @@ pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>
     Ok(out)
 }
 
-/// The encoder of the parts that compare no encoders, with its description in words. For the split by volumes it is
-/// an encoder trained on the data set: of the main size, else of another size with as many features. Otherwise
-/// it is the shipped one, which was trained without the test members.
+/// Returns the encoder for the parts of the study that do not compare encoders, with its description in
+/// words. For the split by volumes it is an encoder trained on the data set: of the main size if it exists,
+/// else of another size with as many features. If there is none, and for all other splits, it is the shipped
+/// encoder, which was trained without the test members.
 pub(super) fn main_encoder(work: &Work<'_>, set: &str, split: &str) -> Result<(PathBuf, String)> {
     let (size, features) = work.paper.encoders.main;
     if split == BY_VOLUMES {

@@ -43,7 +43,7 @@ pub(super) fn by_volume<'a>(
     out
 }
 
-/// RMSE, seconds, as the mean over the training runs; `None` without frames.
+/// Returns the RMSE in seconds, averaged over the training runs; `None` without frames.
 pub(super) fn rmse(errors: &ByVolume) -> Option<f64> {
     let all: Vec<&Errors> = errors.values().collect();
     (!all.is_empty()).then(|| rmse_of(all.iter().copied()))
@@ -102,8 +102,8 @@ mod tests {
         squared.iter().enumerate().map(one).collect()
     }
 
-    /// The number of twenty volumes with an error that a draw holds is binomial (20, ½): 5 % of the draws have
-    /// no more than 6 of them, 95 % no more than 14.
+    /// Ten of twenty volumes have an error. The number of these volumes in a draw is binomial (20, ½), with 6
+    /// as 5th percentile and 14 as 95th percentile. The interval must end at the ratios for 6 and 14 volumes.
     #[test]
     fn an_interval_is_that_of_the_binomial_distribution() {
         let half: Vec<f64> = (0..20).map(|i| f64::from(i % 2)).collect();
@@ -112,15 +112,15 @@ mod tests {
         assert!((low - ratio(6.0)).abs() < 1e-12 && (high - ratio(14.0)).abs() < 1e-12, "{low} {high}");
     }
 
-    /// Volumes are drawn, not frames, and for both predictors alike: a ratio that is the same on every volume
-    /// has no spread, whatever the volumes' own errors.
+    /// Both predictors are judged on the same drawn volumes. If their ratio is equal on every volume, the
+    /// interval must have no width, although the errors differ from volume to volume.
     #[test]
     fn both_predictors_are_judged_on_the_same_draws() {
         let under: Vec<f64> = (1..=9).map(f64::from).collect();
         let over: Vec<f64> = under.iter().map(|e| 0.25 * e).collect();
         let (low, high) = of_ratio(&errors(&over), &errors(&under)).unwrap();
         assert!((low - 0.5).abs() < 1e-12 && (high - 0.5).abs() < 1e-12, "{low} {high}");
-        // Other volumes, or one alone.
+        // There is no interval for predictors on different volumes, nor for a single volume.
         assert_eq!(of_ratio(&errors(&over), &errors(&under[..8])), None);
         assert_eq!(of_ratio(&errors(&over[..1]), &errors(&under[..1])), None);
     }

@@ -81,7 +81,7 @@ impl At<'_> {
         Ok(out)
     }
 
-    /// As [`At::runs`], on the frames of a split.
+    /// Trains a predictor as [`At::runs`] does, on the frames of a split, and returns its models.
     pub(super) fn on_split(
         &self,
         method: &Method<'_>,
@@ -97,12 +97,12 @@ impl At<'_> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
 
-    /// As [`line_of`], on the frames of this data set and mode.
+    /// Returns [`line_of`] the frames of this data set and mode.
     pub(super) fn proxy(&self, training: &TimedFrames<'_>) -> Option<Line> {
         line_of(&self.loaded.low, training)
     }
 
-    /// Begins to judge predictors on some frames.
+    /// Evaluates the baselines on some frames, and returns a judge to which predictors can be added.
     pub(super) fn judge<'f>(
         &self,
         split: &str,
@@ -203,7 +203,8 @@ impl<'a> Judge<'a> {
         TimedFrames { frames, seconds }
     }
 
-    /// Errors on some frames: all, or those of [`Judge::twins`].
+    /// Returns the errors of a predictor's runs on all frames, or on those of [`Judge::twins`]; `None`
+    /// without frames.
     fn judged(&self, name: &str, runs: &[Vec<f64>], frames: &TimedFrames<'_>) -> Option<Row> {
         let measured = &frames.seconds;
         let metrics: Vec<Metrics> = runs.iter().filter_map(|p| Metrics::new(p, measured)).collect();

@@ -38,7 +38,8 @@ pub(crate) struct Material {
     pub(crate) pictures: BTreeMap<String, Vec<u8>>,
 }
 
-/// Reads the results of every step from a folder, and those that it lacks from a file written by [`keep`].
+/// Reads the results of every step from a folder, and results that the folder lacks from a file written by
+/// [`keep`].
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -98,7 +99,7 @@ fn read(path: &Path) -> Result<Material> {
         .with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
-/// Writes everything into one compressed file, which [`material`] can read.
+/// Writes all inputs of the report into one compressed file, which [`material`] can read.
 ///
 /// # Errors
 /// When the file cannot be written.

@@ -1,5 +1,5 @@
-//! The paper's evaluation, row by row: frames and networks as the paper describes them, and one report with
-//! every table and figure of the paper beside ours.
+//! Reproduction of the paper's evaluation: frames and networks as the paper describes them, and one report
+//! with every table and figure of the paper beside ours.
 //!
 //! Every step stores its results in one folder and computes nothing twice, so that it can be stopped and
 //! continued: tables of frames, encoders, models, and one file of results for every part of the study.

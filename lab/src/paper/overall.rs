@@ -76,7 +76,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((chart, "Lower left is better.".into()));
 }
 
-/// Table with a row for every data set and mode that has the split; `parts` receives their ratios in words.
+/// Returns a table with a row for every data set and mode that has the split, and appends the ratios of each
+/// row in words to `parts`.
 fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
     let mut table = Table::new(vec![
         Column::text("data set, renderer"),

@@ -26,7 +26,7 @@ const POSES: [(f32, f32); 3] = [(15.0, 20.0), (35.0, 140.0), (60.0, -100.0)];
 /// Draws missing pictures.
 ///
 /// # Errors
-/// A volume that cannot be read, a renderer that fails, and being stopped.
+/// A volume that cannot be read, a renderer that fails, an interruption.
 pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     let folder = work.out.join("pictures");
     make_folder(&folder)?;
@@ -88,7 +88,7 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
     Ok(())
 }
 
-/// The encoders whose reconstructions are drawn: those with as many features as the main one.
+/// Returns the encoders whose reconstructions are drawn: those with as many features as the main encoder.
 fn reconstructed(work: &Work<'_>, place: &Place) -> Result<Vec<Encoder>> {
     let mut found = super::frames::trained(work, Some(&place.set.name))?;
     found.retain(|e| e.features == work.paper.encoders.main.1);

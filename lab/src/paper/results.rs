@@ -1,4 +1,4 @@
-//! Results of the study, in one small file for every part of it, data set and mode.
+//! Results of the study, in one small file for each part of the study, data set and mode.
 
 use super::description::Panel;
 use super::interval::{self, ByVolume};
@@ -34,9 +34,10 @@ pub(crate) struct Row {
     pub(crate) sd: f64,
     /// Mean of the measured seconds.
     pub(crate) mean: f64,
-    /// RMSE divided by that of the mean of 15 % of the frames.
+    /// RMSE divided by the RMSE of the constant baseline, [`CONSTANT`].
     pub(crate) over_constant: Option<f64>,
-    /// RMSE divided by that of the low-resolution proxy, on the frames that were rendered at low resolution.
+    /// RMSE divided by the RMSE of the low-resolution proxy, both on the frames that were rendered at low
+    /// resolution.
     pub(crate) over_lvrp: Option<f64>,
     /// Median of |predicted − measured| / measured, mean over the runs.
     pub(crate) mdape: f64,
@@ -58,7 +59,7 @@ pub(crate) struct Row {
 /// A line of a chart.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Curve {
-    /// The chart that it belongs to.
+    /// Name of the curve's chart.
     pub(crate) chart: String,
     /// Name of the curve.
     pub(crate) name: String,
@@ -144,7 +145,7 @@ impl Results {
         }
     }
 
-    /// The interval of a row's RMSE divided by that of the mean of 15 % of the frames.
+    /// Returns the interval of a row's RMSE divided by the RMSE of the constant baseline, [`CONSTANT`].
     pub(crate) fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
         let constant = self.row(&row.split, CONSTANT)?;
         // A row on fewer frames is that of the low-resolution proxy.
@@ -152,7 +153,7 @@ impl Results {
         interval::of_ratio(&row.by_volume, under)
     }
 
-    /// The interval of a row's RMSE divided by LVRP's.
+    /// Returns the interval of a row's RMSE divided by the RMSE of [`LVRP`].
     pub(crate) fn over_lvrp_interval(&self, row: &Row) -> Option<(f64, f64)> {
         interval::of_ratio(&row.of_twins, &self.row(&row.split, LVRP)?.of_twins)
     }
@@ -200,7 +201,7 @@ fn one(text: &str, path: &Path) -> Result<Results> {
     serde_json::from_str(text).with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
-/// Reads all results of a folder, and adds the `kept` ones of parts that the folder lacks.
+/// Reads all results of a folder, and adds results from `kept` that the folder lacks.
 ///
 /// # Errors
 /// When a file cannot be read.

@@ -6,7 +6,7 @@ use super::results::{CONSTANT, LVRP, Results};
 use super::volumes::in_words;
 use entire_report::{Chart, Column, Table};
 
-/// Contents of the report under a label.
+/// Contents of the report for one table or figure of the paper.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Section {
     /// Tables with captions.

@@ -114,7 +114,7 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
 }
 
-/// One chart for each chart that the curves name.
+/// Returns one chart for each chart name in `curves`, with all curves of that chart.
 fn charts(title: &str, curves: &[&Curve], y: &str) -> Vec<Chart> {
     let names: BTreeSet<&str> = curves.iter().map(|c| c.chart.as_str()).collect();
     names

@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The parts whose results are each of one data set and mode.
+/// Parts of the study that have separate results for each data set and mode.
 const BY_SET: [Panel; 7] = [
     Panel::Overall,
     Panel::Ablation,
@@ -38,7 +38,7 @@ const BY_SET: [Panel; 7] = [
 /// Computes the missing results of the selected parts (default: all).
 ///
 /// # Errors
-/// When tables cannot be read, a training fails, and when it is stopped.
+/// When tables cannot be read, a training fails, and when the study is stopped.
 pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     let wanted = |p: Panel| panels.is_empty() || panels.contains(&p);
@@ -76,7 +76,7 @@ pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
                 let started = Instant::now();
                 let mut results = Results::new(panel, &place.set.name, mode, mark);
                 let made = at.make(panel, &mut results);
-                // If the part was stopped, the error says so, whatever it ended with.
+                // If the study was stopped, the error says so, even if the part ended with another error.
                 if work.stop() {
                     bail!("{}", work.stopped());
                 }
@@ -142,7 +142,7 @@ impl At<'_> {
         self.on_split(&Method { name: OURS, key: &key, recipe }, self.paper().runs, frames)
     }
 
-    /// The paper's network without one of its inputs.
+    /// Trains the paper's network without one of its inputs, and returns the models.
     fn without(&self, input: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
         let (mut recipe, _) = self.network(BY_VOLUMES)?;
         recipe.inputs.retain(|i| i != input);
@@ -404,7 +404,8 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Networks with these layers and this encoder. For the study's layers and encoder, the stored networks are used.
+    /// Trains networks with the layers of `preset` and the encoder of `network`. If both are those of the
+    /// study's main network, returns its stored models.
     fn with_layers(
         &self,
         preset: &str,

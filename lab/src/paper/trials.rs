@@ -29,7 +29,8 @@ use std::time::{Duration, Instant};
 
 /// Name of the trial without a change.
 pub(super) const AS_IT_IS: &str = "as it is";
-/// Name of the split of all test frames together. The split of one data set has its title as name.
+/// Name of the split of all test frames together. The split of one data set has the title of the data
+/// set as name.
 pub(super) const TOGETHER: &str = "left-out members";
 /// Name of the data set in results: all data sets together.
 const SETS: &str = "all";
@@ -108,7 +109,7 @@ impl Measured {
 /// Runs those of the requested trials whose results are missing.
 ///
 /// # Errors
-/// When tables cannot be read, a training fails, and when it is stopped.
+/// When tables cannot be read, a training fails, and when the study is stopped.
 pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     for panel in [Panel::Procedure, Panel::Frames].into_iter().filter(|p| panels.contains(p)) {
@@ -129,7 +130,7 @@ pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     Ok(())
 }
 
-/// Trials of the paper's recipe and, if `changed` is true, of every change of it.
+/// Returns trials of the paper's recipe and, if `changed` is true, of every change of the recipe.
 fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
     let asked = &work.paper.trials;
     let all = measured.frames(0);
@@ -325,7 +326,7 @@ impl Trial {
         ensure!(!stop.load(Ordering::Relaxed), "stopped");
         let mut predicted = trained.predict(pool, &self.test)?;
         ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.name);
-        // A network may predict negative seconds.
+        // A network may predict negative seconds, which are set to 0.
         predicted.iter_mut().for_each(|t| *t = t.max(0.0));
         Ok(Done { predicted, best_epoch: trained.best_epoch, seconds: started.elapsed().as_secs_f64() })
     }
@@ -343,7 +344,7 @@ impl Trial {
     }
 }
 
-/// Runs the missing trainings and writes the results of all.
+/// Runs the missing trainings, and writes the results of all trials.
 fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: &[Trial]) -> Result<()> {
     let asked = &work.paper.trials;
     let runs = if panel == Panel::Frames { asked.label_runs } else { asked.runs };
@@ -409,7 +410,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
         }
     }
     results.rows.append(&mut judge.rows);
-    // The first trial by data set, beside baselines of that data set alone.
+    // Adds the errors of the first trial on each data set, beside baselines of that data set alone.
     for set in work.paper.data_sets.iter().filter(|d| !d.only_tests) {
         let of = |volume: &str| volume.split('/').any(|part| part == set.name);
         let chosen: Vec<usize> =

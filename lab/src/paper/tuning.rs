@@ -63,10 +63,10 @@ const MOST_DRAWN: usize = 100;
 /// Smallest time in a chart with a point per frame, seconds.
 const LEAST_DRAWN: f64 = 1e-4;
 
-/// Computes the curves unless they exist.
+/// Computes the missing results of fine-tuning.
 ///
 /// # Errors
-/// When tables cannot be read, a training fails, and when it is stopped.
+/// When tables cannot be read, a training fails, and when the study is stopped.
 pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result<()> {
     let paper = work.paper;
     let mode = &paper.tuning.mode;
@@ -117,7 +117,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             ));
             continue;
         }
-        // Volumes are needed for tables whose stored features lack the network's.
+        // Tables whose stored features lack the feature vectors of the network's encoder need their volumes.
         let bare = found.iter().filter(|t| t.features.as_ref().is_none_or(|f| f.column(&code).is_none()));
         let lost = bare.flat_map(|t| t.frames.iter().map(move |f| (t, f)));
         let lost = lost.map(|(t, f)| (t, &f.scene.volume)).find(|(t, v)| t.resolve_volume(v).is_none());
@@ -210,7 +210,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
 }
 
 impl Pretrained<'_> {
-    /// Adapts both predictors to a target with increasing numbers of frames. Measures their errors on its test frames.
+    /// Adapts both predictors to a target with increasing numbers of frames. Measures the errors on
+    /// the target's test frames.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
         let Self { work, runner, context, recipe, network, ours } = self;
         let none = TimedFrames::default();

@@ -7,7 +7,7 @@ use entire_io::files::fnv1a;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Selection of the study's parts; everything by default.
+/// Selected data sets and modes; an empty list selects all.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Selection {
     /// Data sets.
@@ -55,9 +55,10 @@ pub(super) fn in_words(split: &str) -> &str {
 pub(crate) struct Place {
     /// The data set.
     pub(crate) set: DataSet,
-    /// The folder that the names of its volumes start from.
+    /// Folder to which the names of the data set's volumes are relative.
     pub(crate) root: PathBuf,
-    /// Its volumes in order; frame numbers follow from the index of the volume. Paths start from `root`.
+    /// Volumes of the data set, sorted by path; frame numbers depend on the volume's index. Paths are
+    /// relative to `root`.
     pub(crate) jobs: Vec<Job>,
     /// Splits of the volumes; empty where the set is only for tests.
     pub(crate) splits: Vec<Parts>,
@@ -67,7 +68,7 @@ impl Place {
     /// Finds a data set; `None` if its folder does not exist.
     ///
     /// # Errors
-    /// When its folder cannot be read or holds no volume.
+    /// When the folder cannot be read or holds too few volumes.
     pub(crate) fn find(set: &DataSet, data: &Path) -> Result<Option<Self>> {
         let Some(root) = roots(data).into_iter().find(|r| r.join(&set.name).is_dir()) else {
             return Ok(None);
@@ -81,7 +82,8 @@ impl Place {
         Ok(Some(Self { set: set.clone(), root, jobs, splits }))
     }
 
-    /// Number of frames of a volume: that of training volumes if some split trains on the volume.
+    /// Returns the number of frames of a volume: that of training volumes if a split trains on the volume,
+    /// else that of held-out volumes.
     pub(crate) fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
         let name = name_of(job);
         let learned = self.splits.iter().any(|s| s.training.contains(&name));
@@ -94,7 +96,7 @@ impl Place {
     }
 }
 
-/// The folders that names of volumes may start from.
+/// Returns the folders to which names of volumes may be relative.
 pub(super) fn roots(data: &Path) -> [PathBuf; 2] {
     [data.join("ensembles"), data.to_owned()]
 }
@@ -119,8 +121,8 @@ fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()
     Ok(())
 }
 
-/// Two tenths of some volumes, each at least one volume. The choice is pseudo-random but depends on the volumes' names
-/// alone: it follows the order of a hash of each name.
+/// Returns two disjoint tenths of some volumes, each of at least one volume. Volumes are taken in the order
+/// of a hash of their names, so that the choice is pseudo-random but depends on the names alone.
 fn tenths<'a>(names: impl Iterator<Item = &'a String>) -> (BTreeSet<String>, BTreeSet<String>) {
     let mut names: Vec<&String> = names.collect();
     let tenth = ((names.len() as f64 / 10.0).round() as usize).max(1);
@@ -158,7 +160,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
 /// Finds the selected data sets. A note names those that do not exist.
 ///
 /// # Errors
-/// When one cannot be read, or none exists.
+/// When a selected data set cannot be read, or none exists.
 pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<Place>> {
     for name in &selection.data_sets {
         let known = || paper.data_sets.iter().map(|d| d.name.as_str()).collect::<Vec<_>>().join(", ");

@@ -35,8 +35,8 @@ pub(crate) fn without_model(options: HybridOptions) -> Contender {
     hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
 }
 
-/// The bar of the cold start: sessions without a model start at several frames of every trial; its value is
-/// the share of them whose second frame took no longer than the upper bound of its plan.
+/// Returns the bar of the cold start: sessions without a model start at several frames of every trial. The
+/// value is the share of sessions whose second frame took no longer than the upper bound of its plan.
 ///
 /// # Errors
 /// When a prediction fails.

@@ -9,11 +9,11 @@ use std::path::Path;
 pub struct Slowdown {
     /// Seconds since the recording began.
     pub start_s: f64,
-    /// Wall time over that of an undisturbed frame.
+    /// Wall time of the frame divided by the wall time of an undisturbed frame.
     pub slowdown: f64,
 }
 
-/// A recording of slowdowns, which repeats from the start.
+/// A recording of slowdowns. A replay that is longer than the recording repeats it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Disturbance {
     /// Name in tables.
@@ -37,7 +37,7 @@ impl Disturbance {
         Self::new(name, frames).with_context(place)
     }
 
-    /// A recording of these frames.
+    /// Makes a recording of these frames.
     ///
     /// # Errors
     /// As [`Disturbance::open`].
@@ -103,10 +103,11 @@ mod tests {
         };
         near(0.2, 0.5, 0.5);
         near(1.0, 0.5, 1.0);
-        // One frame that is half before the slow part and half within it, and one that ends after it.
+        // The first of these frames is half before the slow part and half in it; the second ends after the
+        // slow part.
         near(0.5, 1.0, 1.5);
         near(2.5, 1.0, 0.5 + 0.75);
-        // A frame that lasts longer than the recording, which repeats.
+        // A frame that lasts longer than the recording: the recording repeats.
         near(4.0, 4.0 * 3.0 + 1.0, 5.0 * 3.0 + 1.0);
     }
 

@@ -1,4 +1,5 @@
-//! Choice of step and image size together by the quality law, tested on recorded traces.
+//! Joint choice of step and image size by the quality law (a model of the picture's error), tested on
+//! recorded traces.
 
 use super::Replayable;
 use crate::trace::{TRACE_SCALES, TracePoint};
@@ -29,7 +30,8 @@ impl Frontier {
 /// Fits the quality law to every second trace and tests it on the other ones; `None` if the law cannot be fitted
 /// or no frame has a choice.
 pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
-    // Frames that were also drawn with step and image size coarsened together, with the points of that grid.
+    // Returns the points of every frame that was also drawn with both a coarser step and a smaller image, in
+    // traces with odd or even index.
     let points = |odd: bool| {
         traces
             .iter()

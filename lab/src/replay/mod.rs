@@ -29,7 +29,8 @@ use serde::Serialize;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Number of frames that are not calm, counted from a change of anything but the camera or from the start of a path.
+/// Number of frames that are not calm, counted from the start of a path or from a change other than a gradual
+/// motion of the camera.
 pub const SETTLING: usize = 3;
 
 /// A trace that is ready to be replayed.
@@ -81,8 +82,8 @@ impl Replayable {
         self
     }
 
-    /// Curves from which a controller gets its frame times, and the limits of its decisions: its own range, as far as
-    /// it was recorded.
+    /// Returns the curves from which a controller gets its frame times, and the limits of its decisions:
+    /// `of_step`, or the controller's own range of image resolution, as far as it was recorded.
     ///
     /// # Errors
     /// When the controller acts on smaller images and the trace holds none.
@@ -118,7 +119,7 @@ pub struct Replayed {
     pub finest_step: f64,
     /// The oracle's step.
     pub oracle_step: f64,
-    /// Seconds of the frame at the oracle's step, with the same noise.
+    /// Seconds of the frame at the oracle's step, with the same noise, without slowdown by other programs.
     pub oracle_seconds: f64,
     /// PSNR against the reference picture, decibels.
     pub psnr: f64,
@@ -134,8 +135,8 @@ pub struct Replayed {
     pub reachable: bool,
     /// True if the scene or the target changed abruptly in this frame.
     pub switched: bool,
-    /// True if, in the last [`SETTLING`] frames including this one, nothing but the camera changed and the path did
-    /// not start.
+    /// True if, in the last [`SETTLING`] frames including this one, only the camera changed, not abruptly,
+    /// and the path did not start.
     pub calm: bool,
     /// Reason for the decision.
     #[serde(serialize_with = "reason_name")]

@@ -85,11 +85,12 @@ pub struct Score {
     pub all: Three,
     /// Scores over calm frames.
     pub calm: Three,
-    /// Share of calm frames whose step differs from the frame before by over 20 %.
+    /// Share of calm frames whose step differs from the step of the frame before by over 20 %.
     pub jumps: f64,
     /// Number of abrupt changes.
     pub switches: usize,
-    /// Share of abrupt changes whose first frame took no more than its upper bound; NaN for controllers without one.
+    /// Share of abrupt changes whose first frame took no more than its upper bound; NaN without abrupt
+    /// changes, and for controllers without upper bounds.
     pub inside_bound: f64,
     /// Mean |t − target| / target of the reachable first frames after abrupt changes.
     pub first_frame_deviation: f64,
@@ -97,9 +98,9 @@ pub struct Score {
     pub ssim_ratio: f64,
     /// Mean PSNR of the oracle's pictures minus that of the controller's, decibels.
     pub psnr_loss: f64,
-    /// Longest run of feasible frames over 1.1 targets.
+    /// Largest number of consecutive feasible frames that took longer than 1.1 times the target.
     pub longest: usize,
-    /// Largest time over target among feasible frames.
+    /// Largest frame time divided by the target, among feasible frames.
     pub worst: f64,
 }
 

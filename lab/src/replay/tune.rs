@@ -51,7 +51,7 @@ impl Constants {
         HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES).copied()
     }
 
-    /// Every constant in turn, to read or to change.
+    /// Returns a mutable reference to every constant, one after the other.
     pub(crate) fn values(&mut self) -> impl Iterator<Item = &mut f64> {
         self.hybrid.values().into_iter().chain(self.correction.values())
     }
@@ -64,7 +64,8 @@ impl Constants {
     }
 }
 
-/// Values at which a constant has no effect, or as little as its guards allow.
+/// Name of a constant, and the value at which it has no effect, or the least effect that its valid range
+/// allows.
 const WITHOUT: [(&str, f64); 10] = [
     ("full", 0.0),
     ("damping", 10.0),
@@ -85,7 +86,7 @@ pub(crate) struct Removed {
     pub(crate) name: &'static str,
     /// Its value.
     pub(crate) value: f64,
-    /// The value at which it has no effect, or as little as its guards allow.
+    /// The value at which the constant has no effect, or the least effect that its valid range allows.
     pub(crate) without: f64,
     /// Increase of the paths' mean cost when the constant is `without`.
     pub(crate) more: f64,
@@ -117,15 +118,15 @@ pub(crate) fn removed(
         .collect()
 }
 
-/// A renderer with another time curve than the recorded one.
+/// Renderer of a replay: the recorded renderer, or an imitation of another one with changed frame times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Law {
     /// The recorded time curve.
     Recorded,
-    /// Nine tenths of a frame's time at its coarsest step are subtracted: the remaining time falls nearly with
-    /// 1 / step.
+    /// Nine tenths of a frame's shortest recorded time are subtracted: the remaining time falls nearly with 1
+    /// / step.
     Steeper,
-    /// The time at the coarsest step is added twice: most of a frame does not depend on the step.
+    /// Twice a frame's shortest recorded time is added: most of the frame's time does not depend on the step.
     Flatter,
 }
 
@@ -133,7 +134,7 @@ impl Law {
     /// All laws.
     pub(crate) const ALL: [Self; 3] = [Self::Recorded, Self::Steeper, Self::Flatter];
 
-    /// A path with the times that this renderer would have taken.
+    /// Returns the recorded path with the frame times of this renderer.
     pub(crate) fn of(self, recorded: &Replayable) -> Replayable {
         let mut out = recorded.clone();
         let share = match self {
@@ -142,7 +143,8 @@ impl Law {
             Self::Flatter => 2.0,
         };
         for frame in &mut out.trace.frames {
-            // Images far smaller than these take less than the subtracted time; no controller uses them.
+            // Images smaller than those of TRACE_SCALES may take less than the subtracted time; no controller
+            // uses them.
             frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
             let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
             for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
@@ -178,7 +180,8 @@ pub(crate) struct Cost {
     pub(crate) jumps: f64,
     /// Scores of sessions without a model, over the frames after the first.
     pub(crate) cold: Three,
-    /// As `fitted_coarse`, for sessions without a model.
+    /// Share of the frames of sessions without a model, after the first, that were coarser than full quality
+    /// although full quality met the target.
     pub(crate) cold_coarse: f64,
     /// Share of the second frames of sessions without a model that took no more than their upper bound.
     pub(crate) second_in_bound: f64,
@@ -228,7 +231,7 @@ pub(crate) struct Taken {
 }
 
 impl<'a> Course<'a> {
-    /// A path with every useful target.
+    /// Returns the path with a trial for every useful target on each renderer.
     pub(crate) fn new(
         recorded: &'a [Replayable; 3],
         calibrated: &'a Calibrated,
@@ -313,8 +316,8 @@ fn difference(before: &[Cost], after: &[Cost]) -> (f64, f64) {
 }
 
 /// Searches from `constants`, with the costs `now`, for at most `rounds` rounds over the constants `tried`
-/// (by index). Returns the constants, their costs, and the changes on the way. `done` is called after every
-/// tried value.
+/// (by index). Returns the constants, their costs, and the changes that were taken. `done` is called after
+/// every tried value.
 ///
 /// # Errors
 /// As [`Course::cost`].

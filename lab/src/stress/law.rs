@@ -1,4 +1,5 @@
-//! Scenes on a scripted clock: seconds = fixed + work · step^−0.9, changed by the script.
+//! Scenes on a scripted clock: a frame takes speed · (fixed + work · step^−0.9) seconds. The script sets
+//! speed, fixed and work of every frame ([`Shot`]).
 
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
@@ -11,10 +12,10 @@ use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source, TERMS};
 const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;
 const COARSEST: f32 = 32.0;
-/// Seconds that do not depend on the step, as the predictor assumes them.
+/// Seconds that do not depend on the step, as assumed by the predictor.
 const FIXED: f64 = 2e-3;
 
-/// Time of a frame that the controller is told.
+/// Time that is reported to the controller for a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Heard {
     /// The true time.
@@ -23,7 +24,7 @@ enum Heard {
     Other(f64),
     /// No time.
     Nothing,
-    /// The true time, this many frames later.
+    /// The true time, reported this many frames later.
     Late(usize),
 }
 
@@ -175,7 +176,8 @@ fn seen_of(method: ControllerKind, script: &mut Script<'_>, seed: u64) -> Vec<Se
     out
 }
 
-/// Errors of the prediction: one that is constant in a scene, and one that drifts along the path.
+/// Two errors of the prediction in ln(seconds): `scene` is constant in a scene, `drift` changes along the
+/// path.
 struct Wrong {
     scene: f64,
     drift: f64,
@@ -346,8 +348,9 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
         24 => Some(resonance(method)),
         25 => go(
             &mut |i, n| {
-                // Half of the volume is cropped away, then an occluder covers it, then frames cost more; between these
-                // parts, costs are normal. Nothing is announced.
+                // Half of the volume is cropped away, later an occluder covers the volume, later frames take
+                // longer; between these parts, frame times are normal. No change is reported to the
+                // controller.
                 let factor = match i / 60 {
                     1 => 0.5,
                     3 => 0.3,
@@ -367,7 +370,7 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
     }
 }
 
-/// Scene 22: an impossible target, then a possible one, then a slack one.
+/// Scene 22: a target that no step meets, then a possible target, then a target that every step meets.
 fn clamps(method: ControllerKind) -> Verdict {
     let mut broken = Vec::new();
     let mut seen = Vec::new();
@@ -418,7 +421,7 @@ fn clamps(method: ControllerKind) -> Verdict {
     judge(22, method, &seen, Limits::missed(1.0), broken)
 }
 
-/// Scene 24: cost that oscillates with several periods.
+/// Scene 24: frame times that oscillate, with several periods.
 fn resonance(method: ControllerKind) -> Verdict {
     let mut broken = Vec::new();
     let mut all = Vec::new();
@@ -456,7 +459,7 @@ fn paging(method: ControllerKind) -> Verdict {
             seen.iter().enumerate().filter(|(i, s)| s.part == part && *i >= skip).map(|(_, s)| s).collect();
         frames.iter().filter(|s| f(s)).count() as f64 / frames.len() as f64
     };
-    // A frame that only the coarsest step could save still counts as missed.
+    // A frame over 1.1 T counts as missed even if only the coarsest step would have met the target.
     let over = |s: &Seen| s.seconds > 1.1 * s.target;
     let (inside, outside) = (share(1, 0, &over), share(0, 0, &over));
     if inside > 0.45 {
@@ -547,7 +550,8 @@ fn bursts(method: ControllerKind) -> Verdict {
     let seen = seen_of(method, &mut script, 29);
     let ends: Vec<usize> = (1..seen.len() - 2).filter(|&i| slow[i - 1] && !slow[i]).collect();
     let begun = |end: usize| (0..end).rev().take_while(|&i| slow[i]).last().unwrap_or(end);
-    // The first frame after a burst cannot react to its end.
+    // The time of the first frame after a burst shows that the burst has ended, so the step is checked two
+    // frames later.
     let back = |&&end: &&usize| seen[end + 2].step <= 1.1 * seen[begun(end).saturating_sub(1)].step;
     let share = ends.iter().filter(back).count() as f64 / ends.len() as f64;
     let mut broken = Vec::new();
@@ -573,7 +577,7 @@ fn stalls(method: ControllerKind) -> Verdict {
     judge(30, method, &seen, Limits { quality: 0.85, ..Limits::missed(1.0) }, broken)
 }
 
-/// Scene 31: a clock speed that is halved for good.
+/// Scene 31: a clock speed that is halved permanently.
 fn halved(method: ControllerKind) -> Verdict {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let mut shot = |i: usize, n: &mut Noise| {

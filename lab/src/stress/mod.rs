@@ -203,13 +203,13 @@ pub(crate) struct Seen {
     pub(crate) oracle: f64,
     /// True if the coarsest step meets the target.
     pub(crate) feasible: bool,
-    /// Upper bound, seconds; NaN from methods without one.
+    /// Upper bound, seconds; NaN for methods without upper bounds.
     pub(crate) upper: f64,
-    /// Expected seconds; NaN from methods that make no prediction.
+    /// Expected seconds; NaN for methods that make no prediction.
     pub(crate) predicted: f64,
-    /// True if it is the first frame of an announced change.
+    /// True if the frame is the first one after a change that the controller was told.
     pub(crate) first: bool,
-    /// True if the rule ignores the frame (a pipeline is built, say).
+    /// True if the rule ignores the frame, for example because a pipeline is built in it.
     pub(crate) excused: bool,
     /// Index of the part of the script, for rules that distinguish parts.
     pub(crate) part: usize,
@@ -218,13 +218,14 @@ pub(crate) struct Seen {
 /// Limits of a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Limits {
-    /// Largest share of feasible frames over 1.1 targets.
+    /// Upper limit of the share of feasible frames that take longer than 1.1 times the target.
     pub(crate) missed: f64,
-    /// Longest allowed run of feasible frames over 1.1 targets.
+    /// Upper limit of the number of consecutive feasible frames that take longer than 1.1 times the target.
     pub(crate) run: usize,
-    /// Least mean of oracle step over step.
+    /// Lower limit of the mean of the oracle's step divided by the chosen step.
     pub(crate) quality: f64,
-    /// Smallest share of first frames below their bound, for methods with one.
+    /// Lower limit of the share of first frames after a change that take no longer than their upper bound,
+    /// for methods with upper bounds.
     pub(crate) inside: f64,
 }
 
@@ -242,15 +243,15 @@ pub(crate) struct Verdict {
     pub(crate) scene: usize,
     /// The method.
     pub(crate) method: &'static str,
-    /// Failures, in words; empty where it passed.
+    /// Failures, in words; empty if the method passed.
     pub(crate) failures: Vec<String>,
-    /// Share of feasible frames over 1.1 targets.
+    /// Share of feasible frames that took longer than 1.1 times the target.
     pub(crate) missed: f64,
-    /// Longest run of feasible frames over 1.1 targets.
+    /// Largest number of consecutive feasible frames that took longer than 1.1 times the target.
     pub(crate) run: usize,
-    /// Mean of oracle step over step, at most 1.
+    /// Mean of the oracle's step divided by the chosen step; each ratio is at most 1.
     pub(crate) quality: f64,
-    /// Largest true time over target among feasible frames.
+    /// Largest true frame time divided by the target, among feasible frames.
     pub(crate) worst: f64,
 }
 
@@ -260,7 +261,7 @@ impl Verdict {
         self.method == ControllerKind::Hybrid.name()
     }
 
-    /// True if it passed.
+    /// True if the method passed the scene.
     pub(crate) fn passed(&self) -> bool {
         self.failures.is_empty()
     }
@@ -311,7 +312,7 @@ pub(crate) fn judge(
 pub(crate) struct Noise(u64);
 
 impl Noise {
-    /// Noise that follows from a seed.
+    /// Returns a source of noise with this seed.
     pub(crate) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
@@ -403,7 +404,7 @@ pub(crate) fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
     vec![passed("stress-scenes-passed-on-device", verdicts, world::REAL.len())]
 }
 
-/// The scenes that no method but entire's fails.
+/// Returns the scenes that no method other than entire's fails.
 pub(crate) fn harmless(verdicts: &[Verdict]) -> Vec<usize> {
     let fails = |scene: usize| verdicts.iter().any(|v| v.scene == scene && !v.is_ours() && !v.passed());
     SCENES.iter().map(|s| s.number).filter(|n| !fails(*n)).collect()

@@ -160,7 +160,7 @@ fn bars_are_about_the_selected_predictor_where_the_rule_selects_one() {
     // A selected predictor without test results is not replaced by another one.
     let gone = Findings { results: found.results[1..].to_vec(), ..found.clone() };
     assert_eq!(value(&gone, "best-mdape"), (None, false));
-    // Without cross-validation, the best predictor on the test frames counts.
+    // Without cross-validation, the bars are about the best predictor on the test frames.
     let uncrossed = Findings { fits: Vec::new(), ..found };
     assert!((value(&uncrossed, "best-mdape").0.unwrap() - 0.01).abs() < 1e-12);
     assert!(value(&uncrossed, "best-rmse-over-sd").1);

@@ -28,7 +28,7 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// The line through some points (x, y).
+    /// Returns the line that fits some points (x, y) best.
     pub(crate) fn through(points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
         let n = points.clone().count() as f64;
         let (mx, my) = points.clone().fold((0.0, 0.0), |(x, y), p| (x + p.0 / n, y + p.1 / n));
@@ -46,7 +46,8 @@ impl Line {
     }
 }
 
-/// Evaluates the low-resolution proxy: seconds are a linear function of those of the same frame on 64³ voxels.
+/// Evaluates the low-resolution proxy: it predicts seconds as a linear function of the seconds of the same
+/// frame on 64³ voxels.
 pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut Findings) -> Result<()> {
     let (set, training, splits) = (on.set, &on.data.one_step.all, &on.data.splits);
     if low.is_empty() {
@@ -81,7 +82,8 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut
     Ok(())
 }
 
-/// Seconds of the same frames on 64³ voxels, by table and frame number; empty if the set names no such tables.
+/// Returns the seconds of the frames of `tables` as rendered on 64³ voxels, by table and frame number; empty
+/// if the set names no tables of such frames.
 ///
 /// # Errors
 /// When a table cannot be read, or frames with the same number have different scenes.

@@ -19,7 +19,7 @@ const MADE_AS: u32 = 2;
 
 /// Identity of a model: a hash of the program's version, the recipe, the bytes of the model files that it
 /// starts from, and the frames of each part with their seconds (which depend on the clock) and the bytes of
-/// their tables and feature tables. Paths of files do not count.
+/// their tables and feature tables. Paths of files are not part of the hash.
 pub(super) fn identity(
     recipe: &Recipe,
     tables: &[Table],
@@ -67,7 +67,8 @@ pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
     models.join(format!("{name}-{}.safetensors", &identity[..8]))
 }
 
-/// The stored model, if it has this identity; its upper bound is updated to `upper` if that is given.
+/// Returns the stored model if it has this identity. If `upper` is given, the model's upper bound is updated
+/// to it.
 ///
 /// # Errors
 /// When the file is damaged or cannot be written.

@@ -26,7 +26,7 @@ const FRAMES_SEED: u64 = 13;
 /// prior.
 ///
 /// # Errors
-/// When the model cannot be calibrated or predict.
+/// When the model cannot be calibrated or cannot predict.
 pub(super) fn calibrated(
     on: &OnSet<'_>,
     predictor: &str,
@@ -87,7 +87,7 @@ mod tests {
         assert_eq!((first.frames.len(), second.frames.len()), (30, 40));
         assert!(volumes(&first).is_disjoint(&volumes(&second)));
 
-        // Time steps of one member are on one side.
+        // All time steps of a member must be in the same half.
         let steps: Vec<(String, String)> =
             (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
         let steps: Vec<(&str, &str)> = steps.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();

@@ -42,13 +42,14 @@ impl SetTables {
     }
 }
 
-/// Frames to learn from: those of training proper, and those that decide when training stops.
+/// Frames for the training of a predictor: frames that its weights are fitted to, and frames that decide when
+/// training stops.
 pub(super) struct Learned<'a> {
     /// All frames.
     pub(super) all: TimedFrames<'a>,
     /// Frames that decide when training stops.
     pub(super) validation: TimedFrames<'a>,
-    /// The other frames.
+    /// Frames that weights are fitted to.
     pub(super) training: TimedFrames<'a>,
 }
 
@@ -72,7 +73,7 @@ impl Folds {
         frames.parted(|f| self.groups[k].contains(&self.by.group(&f.scene))).0
     }
 
-    /// Training and validation frames without those of the groups of a fold.
+    /// Returns the training and validation frames that do not belong to the groups of a fold.
     pub(super) fn without<'a>(&self, k: usize, all: &TimedFrames<'a>) -> (TimedFrames<'a>, TimedFrames<'a>) {
         let (_, rest) = all.parted(|f| self.groups[k].contains(&self.by.group(&f.scene)));
         let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
@@ -89,7 +90,8 @@ impl Folds {
 pub(super) struct SetData<'a> {
     /// Frames of the training tables.
     pub(super) one_step: Learned<'a>,
-    /// Frames of the training tables and of those at other ray steps, for predictors that know the step.
+    /// Frames of the training tables and of the tables at other ray steps, for predictors whose inputs
+    /// contain the step.
     pub(super) every_step: Learned<'a>,
     /// Frames that determine upper bounds.
     pub(super) bounds: TimedFrames<'a>,
@@ -102,7 +104,7 @@ impl<'a> SetData<'a> {
     /// The frames of a set's tables that have a time by the clock.
     ///
     /// # Errors
-    /// When no training frame has one.
+    /// When no training frame has a time by the clock.
     pub(super) fn new(set: &Set, tables: &'a SetTables, clock: Clock) -> Result<Self> {
         let all = tables.frames(&tables.training, clock);
         ensure!(
@@ -146,7 +148,8 @@ pub(super) struct OnSet<'a> {
 }
 
 impl<'a> OnSet<'a> {
-    /// Training frames of a recipe. The paper's inputs do not contain the step.
+    /// Returns the training frames of a recipe: frames at all ray steps if its inputs contain the step, which
+    /// the paper's inputs do not.
     ///
     /// # Errors
     /// For unknown inputs.

@@ -41,7 +41,7 @@ pub(crate) const SELECTED: &str = "selected";
 pub(crate) struct Ship {
     /// Name of the predictor, or `selected` for the one that the rule selects.
     pub(crate) predictor: String,
-    /// Storage format of its weights.
+    /// Storage format of the predictor's weights.
     #[serde(default)]
     pub(crate) dtype: DtypeChoice,
 }
@@ -64,14 +64,15 @@ pub(crate) struct Set {
     pub(crate) bounds: Vec<PathBuf>,
     /// Test tables, by split.
     pub(crate) splits: Vec<SplitTables>,
-    /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
+    /// Tables of the same frames on volumes of 64³ voxels, by name of the original table:
+    /// `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
     #[serde(default)]
     pub(crate) low_resolution: BTreeMap<String, PathBuf>,
     /// Name of the split that tests calibration: predictors are calibrated to a hundred of its frames.
     #[serde(default)]
     pub(crate) calibration_split: Option<String>,
-    /// Group of sets of one shading mode on several machines: the shipped predictor must be the smallest good
-    /// one on all of them.
+    /// Name of a group of sets of one shading mode on several machines: the rule selects a predictor by its
+    /// errors on all sets of the group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) group: Option<String>,
     /// Limits of the bars; a missing limit means no bar.
@@ -96,11 +97,12 @@ pub(crate) struct SplitTables {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Limits {
-    /// Largest RMSE/SD of the best predictor on the main split.
+    /// Upper limit of RMSE/SD of the selected predictor on the main split; of the best predictor if none is
+    /// selected.
     pub(crate) rmse_over_sd: Option<f64>,
-    /// Smallest ratio of the constant baseline's RMSE to that of the predictor `paper`.
+    /// Lower limit of the constant baseline's RMSE divided by the RMSE of the predictor `paper`.
     pub(crate) constant_over_paper: Option<f64>,
-    /// Smallest ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
+    /// Lower limit of the low-resolution proxy's RMSE divided by the RMSE of the predictor `paper`.
     pub(crate) proxy_over_paper: Option<f64>,
     /// True if the bars of the calibration split apply.
     pub(crate) modality: bool,
@@ -112,7 +114,7 @@ pub(crate) struct Limits {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Named {
-    /// Name in every table. Some bars are on the predictor `paper`.
+    /// Name in every table. Some bars apply to the predictor that is named `paper`.
     pub(crate) name: String,
     /// Recipe of the predictor.
     #[serde(default)]
@@ -120,17 +122,18 @@ pub(crate) struct Named {
     /// True for boosted trees on the recipe's inputs: a reference that no model file can hold.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(crate) trees: bool,
-    /// Sets for which it is trained; default: all.
+    /// Sets for which the predictor is trained; default: all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) sets: Vec<String>,
-    /// Other recipes for some sets, by name: shading modes need different ones.
+    /// Recipes that replace `recipe` for some sets, by name of the set: shading modes need different recipes.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) in_set: BTreeMap<String, Recipe>,
-    /// The table in which it is listed: `main`, `ablation`, `architecture`.
+    /// The table in which the predictor is listed: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub(crate) panel: String,
-    /// True if it is cross-validated: trained again without each of its folds of ensemble members and evaluated on
-    /// the fold. The selection and the upper bounds follow from these errors. For the table `main` only.
+    /// True if the predictor is cross-validated: for each fold of ensemble members, it is trained without the
+    /// fold and evaluated on the fold. These errors determine the selection and the upper bounds. Used in the
+    /// table `main` only.
     #[serde(default = "yes")]
     pub(crate) cross_validated: bool,
 }

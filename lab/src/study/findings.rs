@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// Number of bootstrap rounds of every interval.
 const ROUNDS: usize = 200;
 
-/// Share of the rounds inside an interval.
+/// Fraction of the bootstrap rounds whose values are inside an interval.
 pub(crate) const LEVEL: f64 = 0.9;
 
 /// Bootstrap intervals over volumes at the level [`LEVEL`]. They state how much an error depends on the choice of test
@@ -35,7 +35,7 @@ impl Intervals {
         Self::by(predicted, measured, &volumes)
     }
 
-    /// As [`Intervals::of`], with the volume of each frame.
+    /// Returns the intervals of [`Intervals::of`]; `volumes` has the volume of each frame.
     pub(crate) fn by(predicted: &[f64], measured: &[f64], volumes: &[String]) -> Option<Self> {
         let both = |m: &Metrics| [m.rmse_over_sd, m.mdape];
         intervals_by_group(predicted, measured, volumes, (ROUNDS, LEVEL), both)
@@ -68,7 +68,7 @@ pub(crate) struct Fit {
     pub(crate) seen: Metrics,
     /// Intervals of the errors on its training frames.
     pub(crate) seen_intervals: Option<Intervals>,
-    /// Errors in cross-validation: on frames of ensemble members that it was trained without.
+    /// Errors in cross-validation: on frames of ensemble members that the predictor was trained without.
     pub(crate) crossed: Option<Metrics>,
     /// Intervals of the errors in cross-validation.
     pub(crate) crossed_intervals: Option<Intervals>,
@@ -89,7 +89,8 @@ pub(crate) struct SplitResult {
     pub(crate) split: String,
     /// Name of the predictor.
     pub(crate) predictor: String,
-    /// See [`super::Named::panel`]; `baseline` for those without a model file.
+    /// Table in which the predictor is listed ([`super::Named::panel`]); `baseline` for the constant and the
+    /// proxy.
     pub(crate) panel: String,
     /// Errors.
     pub(crate) metrics: Metrics,
@@ -97,7 +98,7 @@ pub(crate) struct SplitResult {
     pub(crate) intervals: Option<Intervals>,
     /// Figures of the upper bound, if the predictor has one.
     pub(crate) bound: Option<BoundMetrics>,
-    /// Errors by kind of frame: image size, camera inside.
+    /// Errors by kind of frame: by image size, and with the eye near or inside the volume.
     pub(crate) parts: Vec<(String, Metrics)>,
     /// ln(predicted / measured) at the 1st, 5th, 25th, 50th, 75th, 95th and 99th percentile.
     pub(crate) log_errors: [f64; 7],
@@ -125,7 +126,8 @@ pub(crate) struct Findings {
     pub(crate) fits: Vec<Fit>,
     /// Latencies by set and predictor.
     pub(crate) latencies: Vec<(String, String, Latency)>,
-    /// RMSE with eight-bit weights over that with the weights as stored, on the main split, by set and predictor.
+    /// RMSE with eight-bit weights divided by the RMSE with the weights as stored, on the main split, by set
+    /// and predictor.
     pub(crate) eight_bit: Vec<(String, String, f64)>,
     /// Noise floor and number of frames, by set and split.
     pub(crate) noise: Vec<(String, String, NoiseFloor, usize)>,
@@ -171,7 +173,7 @@ pub(crate) const CONSTANT: &str = "constant (mean of 15 % probes)";
 /// The name of the low-resolution proxy.
 pub(crate) const PROXY: &str = "LVRP (64³ render, linear fit)";
 
-/// Measures predictions on a split; `None` if it has no frames.
+/// Measures the errors of predictions on a split; `None` if the split has no frames.
 pub(super) fn judge(
     set: &str,
     split: &str,

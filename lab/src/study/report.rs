@@ -125,7 +125,8 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             front.push(p);
         }
     }
-    // Other points are too close to each other to be labeled.
+    // Only predictors on the frontier and the paper's networks are labeled: other points are too close to
+    // each other.
     let named = |p: &(f64, f64, f64, String)| {
         let name = front.iter().any(|f| f.3 == p.3) || [PAPER, DISTILLED].contains(&p.3.as_str());
         (p.0, p.2, if name { p.3.clone() } else { String::new() })

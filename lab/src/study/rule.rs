@@ -7,7 +7,8 @@ use entire_core::model::Model;
 use entire_core::scene::Shading;
 use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 
-/// A predictor beats another if its error of cross-validation is below this multiple of the other's.
+/// Factor on an error of cross-validation: a predictor beats another one if its error is below this factor
+/// times the other's error.
 const WORTH: f64 = 0.95;
 
 /// The rule in a sentence.
@@ -69,7 +70,8 @@ pub(crate) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Opti
     choose(&contenders).map(|place| named[place])
 }
 
-/// The predictor that ships under a name in the study's list: `selected` is the one that the rule selects.
+/// Returns the predictor that ships under `name` in the study's list; for `selected`, the one that the rule
+/// selects.
 pub(crate) fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &'a str) -> Option<&'a str> {
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }

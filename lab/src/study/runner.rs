@@ -84,7 +84,7 @@ impl StudyPredictor {
         }
     }
 
-    /// Rays along each side of its probe; 0 where it takes no scene features.
+    /// Number of rays along each side of the predictor's probe; 0 if the predictor takes no scene features.
     fn probe_side(&self) -> usize {
         match self {
             Self::Model(kept) => Layout::of_model(&kept.model).map_or(0, |l| l.probe_side()),
@@ -158,7 +158,7 @@ impl Runner<'_> {
         Ok((file, path))
     }
 
-    /// As [`Runner::made`]; grows boosted trees if `trees` is true.
+    /// Trains a predictor as [`Runner::made`] does; if `trees` is true, grows boosted trees instead.
     pub(super) fn any(
         &self,
         key: &str,
@@ -211,7 +211,8 @@ impl Runner<'_> {
     /// Runs a whole study.
     ///
     /// # Errors
-    /// When tables cannot be read, a baseline's tables do not fit, or it was stopped.
+    /// When tables cannot be read, tables of the low-resolution proxy have other scenes, a predictor cannot
+    /// be tested, or the study was stopped.
     pub(crate) fn run(&self, study: &Study) -> Result<Findings> {
         let clock = clock(&study.clock)?;
         let mut out = Findings::default();
@@ -255,7 +256,7 @@ impl Runner<'_> {
     /// reason.
     ///
     /// # Errors
-    /// When it was stopped.
+    /// When the study was stopped, or the predictor cannot be tested.
     pub(super) fn made_and_judged(
         &self,
         on: &OnSet<'_>,
@@ -352,7 +353,7 @@ impl Runner<'_> {
     }
 }
 
-/// Stores the RMSE with eight-bit weights over that with the weights as stored, on the main split.
+/// Stores the RMSE with eight-bit weights divided by the RMSE with the weights as stored, on the main split.
 fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> Result<()> {
     let OnSet { set, data, context, .. } = *on;
     for (split, part) in set.splits.iter().zip(&data.splits).filter(|(split, _)| split.main) {

@@ -40,7 +40,7 @@ pub(super) fn telling() -> Table {
 
 #[test]
 fn what_is_cross_validated_was_not_learned_from() {
-    // Only a predictor that was trained on a member's seconds could predict them.
+    // Only a predictor that was trained on a member's frames could predict their seconds.
     let t = telling();
     let part = TimedFrames::of(&t.frames, Clock::Cpu);
     let folder = tempfile::tempdir().unwrap();

@@ -22,7 +22,7 @@ pub struct TraceVolume {
     pub file: PathBuf,
     /// Factor of the enlargement at load.
     pub enlarge: usize,
-    /// Identities of its files; empty if they were not stored.
+    /// Identities of the volume's files; empty if they were not stored.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub files: Vec<Identity>,
 }
@@ -90,7 +90,7 @@ impl TraceDraw {
     /// Clock, shading and skipping.
     ///
     /// # Errors
-    /// When one is unknown.
+    /// When the name of the clock or of a mode is unknown.
     pub fn modes(&self) -> Result<(Clock, Shading, Skipping)> {
         fn known<T: ValueEnum>(name: &str, what: &'static str) -> Result<T> {
             T::from_str(name, true).map_err(anyhow::Error::msg).context(what)

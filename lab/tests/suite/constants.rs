@@ -25,8 +25,11 @@ fn the_book_lists_every_constant_with_its_value() {
     assert_eq!(listed, rows, "docs/src/steering.md lists constants that are not searched");
 }
 
-/// The adaptive probe takes for granted that views change ln(time) by less than these bounds (`TURN` = 0.4 and
-/// `APPROACH` = 0.15 in `steer/src/control/session/ladder.rs`).
+/// The adaptive probe assumes that a motion of the camera changes ln(time) by at most turn / 0.4 + approach /
+/// 0.15 (`TURN` and `APPROACH` in `steer/src/control/session/ladder.rs`). Here, turn is the angle between
+/// both positions of the eye, seen from the volume's center, in radians; approach is the change of
+/// ln(distance from the center). The test checks this for frames of the recorded training paths that are four
+/// frames apart.
 #[test]
 fn frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_granted() {
     const FRAMES: usize = 4;

@@ -70,14 +70,14 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
             let (before, after, score) = errors(seed);
             assert!(after <= 0.10, "{name}: {after}");
             assert!(before > 2.0 * after, "{name}: there was nothing to learn: {before} {after}");
-            // With this error, the target is met.
+            // With this error, most frames meet the target.
             assert!(score.all.missed < 0.15 && score.all.quality > 0.8, "{name}: {score:?}");
         }
     }
 }
 
-/// One rendering of a recorded frame as a row of a timing table: `law` converts recorded seconds to this
-/// machine's.
+/// Returns one point of a recorded frame as a row of a timing table; `law` converts recorded seconds to those
+/// of the imitated machine.
 fn row(recorded: &Replayable, index: usize, point: usize, law: impl Fn(f64) -> f64) -> (Scene, Timing) {
     let (trace, at) = (&recorded.trace, &recorded.path.frames[index]);
     let draw = trace.draw_settings().unwrap();
@@ -121,8 +121,8 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
         }
         file
     };
-    // One of eight frames is for testing. The others train the network and, on a slower machine, are the log of
-    // drawn frames, with one step per frame.
+    // One of eight frames is for testing. The other frames train the network; with the times of a slower
+    // machine, they are also the log of observations, with one step per frame.
     let slower = |t: f64| 0.004 + 2.2 * t;
     let made_on = table("made.csv", &|i, p| i % 8 != 3 && p % 2 == 0, &|t| t);
     let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);

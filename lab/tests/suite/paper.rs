@@ -37,7 +37,7 @@ fn description(to: &Path) {
     d["depths"] = json!(["0C32", "1C32"]);
     let table = |part: &str| absolute(&format!("data/timings/paraview-{part}.csv.gz"));
     let renderers = json!([["ParaView", table("train"), table("test")]]);
-    // Both are the table that this test collects: first under another machine's name, then under its own.
+    // Both entries are the table that this test collects: the first one under another machine's name.
     let (own, other) = ("out/tables/castro_blast-none.csv", "elsewhere.csv");
     let machines = json!([["elsewhere", other, other], ["here", own, own]]);
     d["tuning"] =
@@ -45,7 +45,7 @@ fn description(to: &Path) {
     d["orbit"] = json!({ "volumes": 2, "poses": 4, "size": 16 });
     let table = |name: &str| absolute(&format!("data/timings/{name}.csv.gz"));
     let (training, test) = (table("none-train"), table("none-members"));
-    // Measured frames stand in for labels: their features lie beside them.
+    // Measured frames are used as labels, since their features are stored beside them.
     d["trials"] = json!({
         "tables": [{
             "mode": "none",
@@ -175,8 +175,8 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
             assert!(row["name"] == "LVRP" && row["frames"] == 4, "{row}");
         }
     }
-    // All measured frames of a test volume count. The test volume of the split by member has eight: it is a training
-    // volume in the other split.
+    // All measured frames of a test volume are tested. The test volume of the split by member has eight: it
+    // is a training volume in the other split.
     let tested = rows.iter().find(|r| r["split"] == "members").unwrap();
     assert_eq!(
         (&tested["frames"], &tested["by_volume"]["castro_blast/m05/t0012.nrrd"]["frames"]),
@@ -265,7 +265,7 @@ fn trials_are_judged_by_volume_and_made_once() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     description(&at.join("paper.json"));
-    // This is the encoder whose features are stored beside the tables.
+    // The shipped encoder is replaced by the one whose features are stored beside the tables.
     let text = std::fs::read_to_string(at.join("paper.json")).unwrap();
     let mut of_tables: Value = serde_json::from_str(&text).unwrap();
     of_tables["encoders"]["shipped"] = json!([repository().join("models/volumenet-128f2.safetensors")]);

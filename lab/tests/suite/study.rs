@@ -9,7 +9,7 @@ fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Every n-th frame of a committed table, with their features.
+/// Writes every n-th frame of a committed table, with its features, into a folder.
 fn cut(name: &str, every: usize, folder: &Path) {
     let whole = Table::read(&repository().join("data/timings").join(name), 0).unwrap();
     let path = folder.join(name.strip_suffix(".gz").unwrap());

@@ -117,7 +117,7 @@ check(read["Reason"] == "fallback" and "/nowhere/model" in read["Status"], "a mi
 steering.proxy.ModelFileName = ""
 interact()
 check(steering.read()["Reason"] != "fallback", "steering continues when the model's name is removed")
-# A folder as a saved state. Without a message window the error goes to the console.
+# Gives a folder in place of a saved state. The error goes to the console, since no message window is open.
 steering.proxy.StateFileName = options.folder
 steering.proxy.UpdateVTKObjects()
 before = steering.read()["NumberOfSteeredFrames"]
@@ -125,7 +125,7 @@ interact()
 check(steering.read()["NumberOfSteeredFrames"] > before, "a folder is refused as a saved state, and steering continues")
 steering.proxy.StateFileName = ""
 steering.proxy.UpdateVTKObjects()
-# Another data set, then the volume hidden and shown again.
+# Changes the data, then hides the volume and shows it again.
 source.WholeExtent = [-30, 30, -30, 30, -30, 30]
 interact()
 interact()

@@ -4,10 +4,10 @@
     make bars-python
     plugins/python/run.sh bars --only frames,overhead
 
-The frames are those of `make bars-vtk`: 256^3 voxels of noise, 512 x 512 pixels, 200 frames of an orbit with a
-transparent and an opaque function in turn. The target is half of the mean frame time at full quality, in
-processor time. `cold` steers without a calibrated model; `calibrated` steers by a model that is fitted on another
-volume, of a simulation.
+The frames are those of `make bars-vtk`: 256^3 voxels of noise, 512 x 512 pixels, 200 frames of an orbit. The opacity
+function changes three times between a transparent and an opaque one. The target is half of the mean frame time at full
+quality, in processor time. `cold` steers without a calibrated model; `calibrated` steers by a model that is fitted to
+frames of another volume, from a simulation.
 
 A value that cannot be measured is printed as `-` and counts as short. The exit status is 1 if a bar is short.
 """
@@ -25,7 +25,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
-# Modules with the volume, path and functions of `make bars-vtk`.
+# Folders of the modules with the volume, path and functions of `make bars-vtk`, and of bar_lines.py.
 sys.path[:0] = [str(HERE.parent / "tests"), str(ROOT / "plugins/vtk/python"), str(ROOT / "lab/scripts")]
 from bar_lines import Bars  # noqa: E402
 
@@ -37,9 +37,9 @@ try:
 except ImportError as error:
     MISSING = f"{error} (make bars-python makes an environment that has it)"
 
-# File of the volume on which the model of `calibrated` is fitted; the evaluated volume is noise.
+# File of the volume to whose frames the model of `calibrated` is fitted; the evaluated volume is noise.
 OTHER = ROOT / "data/nyx_cosmology/m01/t0010.nrrd"
-# Frames of a path of 200 at which the opacity function changes.
+# Numbers of the frames, out of 200, at which the opacity function changes.
 SWITCHES = (50, 100, 150)
 
 THREE_LINES = """\
@@ -50,7 +50,7 @@ pl.show(auto_close=False, interactive=False)
 
 
 class Path200:
-    """A scene with an orbiting camera and two opacity functions in turn."""
+    """A scene with an orbiting camera. Its opacity function alternates between a transparent and an opaque one."""
 
     def __init__(self, voxels, size, frames):
         from scenes import OPAQUE, TRANSPARENT, View, add_volume
@@ -77,7 +77,7 @@ class Path200:
 
 
 def calibrated(options):
-    """Fits a model on 60 random frames of the volume `OTHER`, resampled to the evaluated number of voxels."""
+    """Fits a model to 60 random frames of the volume `OTHER`, resampled to the evaluated number of voxels."""
     import entire.vtk
     from timing_table import read_nrrd, resampled
 

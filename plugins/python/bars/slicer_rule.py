@@ -3,7 +3,7 @@
 
     slicer_rule.py [VOLUME.nrrd] [--rate FPS] [--clock wall|cpu] [--out out/python/slicer.csv]
 
-Two views, each with its own scene, draw the same frames in turn: entire holds one of them, Slicer's rule the other.
+Two views, each with its own scene, draw every frame: entire steers one of them, Slicer's rule the other.
 Prints a row of results for each view and writes both. Without a volume, a synthetic CT-like one is used. A frame's time
 is that of vtkRenderWindow::Render() and includes the work of the graphics device. On a shared machine, use `--clock cpu`:
 it counts processor time, with one thread of Mesa's software driver, so that without other load both clocks agree.
@@ -27,7 +27,7 @@ from slicer_view import SlicerView, preset  # noqa: E402
 from timing_table import read_nrrd  # noqa: E402
 
 FRAMES_OF_A_PRESET = 40
-# Limit of a frame's time as a multiple of the target; slower frames count as over it.
+# Time of a frame, as a multiple of the target, above which the frame counts as over the limit.
 LIMIT = 1.25
 # Presets for bones, soft tissue, skin, vessels and haze: opacities at fractions of the largest scalar, and shading.
 PRESETS = (
@@ -65,7 +65,7 @@ def volume_of(path):
 
 
 class Arm:
-    """One view and the seconds of its frames."""
+    """One of the two compared views, and the seconds of its frames."""
 
     def __init__(self, name, voxels, spacing, rate, size, clock):
         self.name, self.now, self.seconds = name, clock, []

@@ -80,7 +80,7 @@ def trame(out):
 
     example = importlib.import_module("trame_hold")
     window, steering = example.pl.render_window, example.steering
-    # The settings of trame.
+    # The same image encoding as in trame.
     application = vtkWebApplication()
     application.SetImageEncoding(vtkWebApplication.ENCODING_NONE)
     application.SetImageCompression(vtkWebApplication.COMPRESSION_JPEG)

@@ -45,14 +45,15 @@ impl Camera {
     }
 }
 
-/// Maximum absolute cosine of the angle between two of the volume's axes that counts as a right angle.
+/// Upper bound of the absolute cosine between two axes of a volume that count as perpendicular.
 const SQUARE: f64 = 0.02;
 
 fn matrix(rows: [[f64; 4]; 4]) -> DMat4 {
     DMat4::from_cols_array_2d(&rows).transpose()
 }
 
-/// A camera from a world-to-eye matrix, about a volume's center.
+/// Returns the camera of a world-to-eye matrix, given by its rows. `scale` is half of the visible height of a
+/// parallel projection, in world units; with `None`, the projection is perspective.
 pub(crate) fn from_view(
     volume: &Volume,
     rows: [[f64; 4]; 4],
@@ -72,7 +73,7 @@ pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32, scale: Option<f6
     Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, Lens::new(fov, scale, 1.0))
 }
 
-/// True if the change from one camera to the other is abrupt: see [`Camera::jumps_from`].
+/// True if the change from the camera `before` to `camera` is abrupt: see [`Camera::jumps_from`].
 pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
     let (now, then) = (camera.view(), before.view());
     let turned = (now.row(2) - then.row(2)).abs();
@@ -126,8 +127,8 @@ impl Placement {
                 "the volume's matrix shears the volume; rotations, translations and scales can be predicted",
             ));
         }
-        // Makes the axes a right-handed orthonormal basis. A mirrored volume is so predicted as its mirror
-        // image.
+        // Makes the axes a right-handed orthonormal basis. So the prediction for a mirrored volume is that of
+        // its mirror image.
         let z = x.cross(y).normalize();
         let y = z.cross(x).normalize();
         let eye = to_eye.transform_point3(self.center) / scale;
@@ -303,8 +304,8 @@ impl Camera {
             let back = x.cross(y).normalize_or_zero();
             let half = (matrix[3][3] / y.length()).abs();
             (fov, scale) = (f64::from(DEFAULT_FOV_Y_DEGREES), Some(half));
-            // `at` leads from the volume's center to the point in the middle of the picture at the same
-            // depth; the eye is in front of the volume.
+            // `at` is the vector from the volume's center to the point of the view axis at the same depth.
+            // The eye is put on this axis in front of the volume.
             let at = (x / x.length_squared()) * (-matrix[0][3] - x.dot(center))
                 + (y / y.length_squared()) * (-matrix[1][3] - y.dot(center));
             forward = if back.dot(z) > 0.0 { back } else { -back };
@@ -332,7 +333,8 @@ impl Camera {
     }
 
     /// Returns true if the change from `before` to this camera is abrupt: a turn by about 30 degrees or more,
-    /// a change of distance (or scale) by half, or another projection.
+    /// a change of the distance (of the scale, for parallel cameras) by a factor of 1.5 or more, or another
+    /// projection.
     ///
     /// Parameters
     /// ----------
@@ -347,8 +349,8 @@ impl Camera {
     }
 
     /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the
-    /// same eye; for a parallel camera, the pose from which a perspective camera with the default field of
-    /// view sees the same part.
+    /// same eye. For a parallel camera, the pose from which a perspective camera with the default field of
+    /// view sees the same part of the volume.
     #[getter]
     fn pose(&self) -> (f32, f32, f32) {
         let Arcball { rx, ry, dz } = self.core.to_arcball();

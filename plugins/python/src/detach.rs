@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 /// The thread that ends the interpreter, once it is about to end. Written under the lock.
 static ENDING: OnceLock<ThreadId> = OnceLock::new();
-/// Number of threads in long calls or in Python's code that will ask for the lock.
+/// Number of threads that are in a long call or in Python code, and will ask for the lock again.
 static AWAY: AtomicUsize = AtomicUsize::new(0);
 
 /// Maximum time that [`end`] waits for threads that will ask for the lock.

@@ -49,7 +49,7 @@ impl Shape {
         Ok(Self { size: sides(size), step, shading, skipping, termination })
     }
 
-    /// These parameters with another size, and with another step if one is given.
+    /// Returns these parameters with the given size, and with the given step if there is one.
     pub(crate) fn at(self, size: (i64, i64), step: Option<f32>) -> Self {
         Self { size: sides(size), step: step.unwrap_or(self.step), ..self }
     }
@@ -69,7 +69,7 @@ impl Shape {
     }
 }
 
-/// Width and height; 0, which no frame accepts, for numbers out of range.
+/// Returns width and height. A number that is out of range becomes 0, which no frame accepts.
 fn sides(size: (i64, i64)) -> (u32, u32) {
     let side = |v: i64| u32::try_from(v).unwrap_or(0);
     (side(size.0), side(size.1))

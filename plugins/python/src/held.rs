@@ -54,7 +54,7 @@ impl Held {
 }
 
 impl Held {
-    /// The frame that the camera with this world-to-eye matrix sees.
+    /// Returns the frame that a camera sees; `to_eye` has the rows of its world-to-eye matrix.
     pub(crate) fn frame(
         &self,
         to_eye: &Bound<'_, PyTuple>,

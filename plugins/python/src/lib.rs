@@ -1,9 +1,9 @@
 //! The native module of the Python package `entire`.
 //!
-//! Every class is a thin layer over `entire-core`: it checks Python's arguments, keeps the owners of borrowed
-//! memory alive, and lets other Python threads run while voxels are scanned, volumes encoded or thousands of
-//! views predicted. Nothing here starts a thread, so that a process may fork and an interpreter may end at
-//! any time.
+//! Every class is a thin layer over `entire-core` and `entire-steer`: it checks Python's arguments, keeps the
+//! owners of borrowed memory alive, and lets other Python threads run while voxels are scanned, volumes are
+//! encoded or thousands of views are predicted. This module starts no thread, so that a process may fork and
+//! an interpreter may end at any time.
 
 mod budget;
 mod calibration;

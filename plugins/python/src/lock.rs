@@ -21,7 +21,7 @@ impl<T: Send> Guarded<T> {
     ///
     /// # Errors
     /// `RuntimeError` if the lock was held by a thread of the parent when this process was forked, or if a
-    /// call under it has panicked.
+    /// thread has panicked while it held the lock.
     pub(crate) fn lock<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, T>> {
         let guard = match self.value.try_lock() {
             Ok(guard) => guard,

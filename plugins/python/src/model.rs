@@ -38,7 +38,7 @@ impl Loaded {
         ModelFile::from_bytes(&self.bytes).map_err(raise)
     }
 
-    /// VolumeNet's output for a volume, if predictions use it.
+    /// Returns VolumeNet's output for a volume, or `None` if the model does not take volume features.
     pub(crate) fn features_of(&self, py: Python<'_>, volume: &Data) -> PyResult<Option<Vec<f32>>> {
         if self.file.input_size(GroupKind::VolumeFeatures).is_none() {
             return Ok(None);

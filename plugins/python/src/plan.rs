@@ -1,4 +1,4 @@
-//! Answers of a session.
+//! Plans and predictions of a session.
 
 use entire_steer::control::Plan as CorePlan;
 use entire_steer::predict::{Prediction as CorePrediction, Source};
@@ -29,7 +29,7 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    /// A plan of the core, with the size of its image and its target.
+    /// Makes Python's plan from a plan of the core, the image size in pixels and the target in seconds.
     pub(crate) fn new(plan: CorePlan, size: (u32, u32), target: f32) -> Self {
         Self {
             id: plan.id,
@@ -73,7 +73,7 @@ pub(crate) struct Prediction {
     upper: f32,
     /// float : As in :class:`Plan`.
     out_of_range: f32,
-    /// str : Source of the prediction: "analytic", "network" or "history".
+    /// str : Source of the prediction: "analytic" or "network".
     source: &'static str,
 }
 
@@ -82,7 +82,6 @@ impl From<CorePrediction> for Prediction {
         let source = match p.source {
             Source::Analytic => "analytic",
             Source::Network => "network",
-            _ => "history",
         };
         Self { seconds: p.seconds, upper: p.upper, out_of_range: p.out_of_range, source }
     }

@@ -24,7 +24,7 @@ pub(crate) struct Transfer {
 }
 
 impl Transfer {
-    /// The table for a volume.
+    /// Returns the table with its unit distance in reference steps of a volume.
     pub(crate) fn table_for(&self, volume: &Data) -> PyResult<TransferTable> {
         let table = self.table.clone();
         match self.unit {
@@ -44,8 +44,8 @@ impl Transfer {
 
 /// Opacity and color of scalar values. Made by :meth:`lobes`, :meth:`points`, :meth:`nodes` or :meth:`table`.
 ///
-/// Opacities hold over one length along a ray: `unit_distance` reference steps (1 by default; a reference
-/// step is the smallest voxel spacing), or `unit_length` in the unit of the volume's spacing.
+/// An opacity applies to a fixed length along a ray: `unit_distance` reference steps (1 by default; a
+/// reference step is the smallest voxel spacing), or `unit_length` in the unit of the volume's spacing.
 #[pyclass(frozen, module = "entire")]
 pub(crate) struct TransferFunction(pub(crate) Arc<Transfer>);
 
@@ -57,7 +57,7 @@ fn made(
     let unit = match (unit_distance, unit_length) {
         (Some(_), Some(_)) => {
             return Err(PyValueError::new_err(
-                "unit_distance and unit_length are both given; opacities hold over one length: pass one of \
+                "unit_distance and unit_length are both given, but opacities apply to one length; pass one of \
                  them",
             ));
         }
@@ -98,7 +98,7 @@ impl TransferFunction {
     /// lobes : sequence of (center, width, height)
     ///     `center` in the volume's range scaled to [0, 1], `width` positive, `height` not negative.
     /// unit_distance, unit_length : float, optional
-    ///     Length that opacities belong to, see the class.
+    ///     Length along a ray to which opacities apply, see the class.
     ///
     /// Raises
     /// ------
@@ -124,7 +124,7 @@ impl TransferFunction {
     ///     Points in ascending order of position; all numbers in [0, 1]. Two points at one position make a
     ///     step.
     /// unit_distance, unit_length : float, optional
-    ///     Length that opacities belong to, see the class.
+    ///     Length along a ray to which opacities apply, see the class.
     ///
     /// Raises
     /// ------
@@ -157,7 +157,7 @@ impl TransferFunction {
     /// clamp : bool, optional
     ///     True if the values of the outermost nodes continue beyond them. Default True.
     /// unit_distance, unit_length : float, optional
-    ///     Length that opacities belong to, see the class.
+    ///     Length along a ray to which opacities apply, see the class.
     ///
     /// Raises
     /// ------
@@ -201,7 +201,7 @@ impl TransferFunction {
     /// samples : array_like, shape (n, 4) or (n,)
     ///     Red, green, blue and opacity, or opacities alone, in [0, 1]; n at least 2.
     /// unit_distance, unit_length : float, optional
-    ///     Length that opacities belong to, see the class.
+    ///     Length along a ray to which opacities apply, see the class.
     ///
     /// Raises
     /// ------

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-# Volumes and windows are shared with the tests of the C++ class.
+# Folder of the modules that make volumes and windows; the tests of the C++ class use them too.
 sys.path.append(str(Path(__file__).resolve().parents[2] / "vtk" / "python"))
 os.environ.setdefault("PYVISTA_OFF_SCREEN", "false")
 

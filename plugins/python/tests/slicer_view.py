@@ -64,7 +64,7 @@ class SlicerView(View):
         return display
 
     def move(self):
-        """Requests the interactor's rate of a held mouse button."""
+        """Requests the update rate that the interactor requests while a mouse button is down."""
         self.window.SetDesiredUpdateRate(self.interactor.GetDesiredUpdateRate())
 
     def rest(self):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Steering that ends during a frame, values of the last frame, pictures of a calibration."""
+"""Settings after steering ends during a frame, values of the last frame, pictures of a calibration."""
 
 import math
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Render modes and memory layouts of scalars that only some VTK versions have."""
+"""Render modes, and memory layouts of scalars; some VTK versions lack them."""
 
 import numpy as np
 import pytest

@@ -119,7 +119,7 @@ def test_cameras_from_vispys_matrices(canvas, fov):
         assert camera.fov == pytest.approx(fov, abs=0.1)
         assert camera.pose[2] * volume.radius == pytest.approx(120, rel=0.05)
     else:
-        # Parallel rays that see 100 voxels.
+        # Parallel rays; the visible height is 100 voxels.
         assert camera.fov is None
         assert 2 * camera.parallel_scale * volume.radius == pytest.approx(100, rel=0.02)
 

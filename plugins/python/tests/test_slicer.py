@@ -89,7 +89,7 @@ def test_display_nodes_are_followed(view, voxels):
     view.move()
     view.draw(2)
     assert len(steering.leaves) == 1
-    # A preset, another volume, one that is hidden, and another rendering method.
+    # Changes a preset, shows a second volume, hides it, and shows a third one with another rendering method.
     nodes = steering.leaves[0]._nodes
     preset(view.display, TRANSPARENT, COLOR)
     view.draw(1)

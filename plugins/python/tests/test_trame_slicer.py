@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("trame_slicer", reason="trame-slicer is not installed (requirements-trame-slicer.txt)")
 
-# Mappers and windows, which VTK makes by these names.
+# Modules of the mappers and windows that VTK's object factories make.
 import vtkmodules.vtkRenderingOpenGL2
 import vtkmodules.vtkRenderingVolumeOpenGL2  # noqa: F401
 from trame_slicer.core import SlicerApp
@@ -18,7 +18,7 @@ import entire.slicer
 from scenes import pixels
 
 
-# One in a process: Slicer crashes at the exit of a process that has made two applications.
+# One application per process: Slicer crashes at the exit of a process that has made two applications.
 @pytest.fixture(scope="module")
 def view(voxels):
     app = SlicerApp()
@@ -70,7 +70,7 @@ def test_frames_under_the_mouse_are_held_and_still_ones_are_left(view):
     assert steering.steered_frames >= 6
     assert reason == "target unreachable"
     assert distance > 4
-    # The mouse is up: the frame is VTK's.
+    # The mouse button is up: VTK draws the frame without steering.
     steered = steering.steered_frames
     view.render()
     assert steering.steered_frames == steered

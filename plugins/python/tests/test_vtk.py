@@ -187,8 +187,8 @@ def test_scene_changes_are_followed(voxels):
     view.draw(5)
     leaf = steering.leaves[0]
     first = leaf.volume_time
-    # Another input, another mapper, clipping, cropping, shading, blending, a moved and mirrored volume,
-    # parallel views.
+    # Steering continues after changes of the input, cropping, clipping, shading, the volume's matrix, the projection,
+    # the blend mode and the mapper.
     volume.GetMapper().SetInputData(image_data(voxels[:30]))
     view.draw(3)
     assert leaf.volume_time != first
@@ -264,7 +264,7 @@ def test_only_other_functions_are_new(voxels, kind):
         change()
         view.draw(1)
         assert steering.status == ""
-        # The transfer function was read only once in both cases.
+        # The key of the current functions is stored, so that they are not read again in the next frame.
         assert leaf._tf_key == entire.vtk._scene.transfer_key(prop)
         return leaf._tf is not read
 
@@ -283,7 +283,7 @@ def test_only_other_functions_are_new(voxels, kind):
         lambda: prop.GetRGBTransferFunction(0).AddRGBPoint(100, 0.2, 0.9, 0.2),
         lambda: prop.SetScalarOpacityUnitDistance(3.5),
         lambda: prop.SetScalarOpacity(opacity_function(TRANSPARENT)),
-        # The transfer function must be set in the session again.
+        # With another volume, the transfer function must be set in the session again.
         lambda: volume.GetMapper().SetInputData(image_data(voxels[:30])),
     ):
         assert is_new(other)
@@ -326,7 +326,7 @@ def test_a_producer_that_exchanges_its_output_is_followed(voxels, kind):
     view.draw(3)
     leaf, told = steering.leaves[0], mapper.GetMTime()
     assert leaf._grid.volume.shape == (48, 48, 48)
-    # Neither the mapper nor the earlier image shows the change.
+    # The producer's change does not change the MTime of the mapper.
     producer.SetOutput(other)
     assert mapper.GetMTime() == told
     view.draw(2)
@@ -342,9 +342,9 @@ def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
     waits, wait = [], view.window.WaitForCompletion
     view.window.__dict__["WaitForCompletion"] = lambda: (waits.append(0), wait())
     try:
-        # Steered frames and calibration frames wait for the graphics device under the same condition.
+        # Calibration frames and steered frames wait for the graphics device if the mapper is the GPU mapper.
         entire.vtk.calibrate(view.renderer, volume, frames=10)
-        # Twelve frames for the fit, then four scenes at twelve settings, each drawn twice.
+        # Twelve frames before the comparison of pictures, then four scenes at twelve settings, each drawn twice.
         assert len(waits) == (2 * (12 + 4 * 12 * 2) if kind == "gpu" else 0)
         waits.clear()
         entire.vtk.hold(view.renderer, volume, 100.0)
@@ -578,7 +578,7 @@ def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
         view.draw(2)
         assert steering.status == ""
         assert (leaf.session is learned) == same
-    # The state given to load() is the GPU mapper's.
+    # The state given to load() belongs to the GPU mapper; the fixed-point mapper refuses it, and a note says so.
     assert any("renderer" in note for note in steering.notes)
     with pytest.raises(entire.ModelError, match="renderer"):
         steering.load(state)

@@ -224,7 +224,8 @@ void WaitsForTheDevice(Kind kind)
   scene.Window->AddRenderer(scene.Renderer);
 }
 
-// The quality law of the class of the mapper that draws is passed to the library, which checks it.
+// The library gets the quality law that was set for the class of the drawing mapper, and checks it. A law for another
+// class has no effect.
 void KnowsItsPictures(Kind kind)
 {
   Work scene(kind);
@@ -251,7 +252,8 @@ void KnowsItsPictures(Kind kind)
   }
 }
 
-// A model of another clock than the frames' causes a warning: once, and again if either changes.
+// If the model's clock differs from the clock that times the frames, a warning is raised: once, and again after a
+// change of the model or the clock.
 void SaysItsClocks(Kind kind)
 {
   Scene scene(kind);

@@ -111,7 +111,7 @@ struct Stage : Scene
   void Touch() { this->Filter->SetShift(this->Filter->GetShift() > 0 ? 0 : 1); }
 };
 
-// Calls a function at the first of an object's events after it was armed.
+// Calls a function once: at the first event of any of some objects.
 class Once
 {
 public:
@@ -134,7 +134,7 @@ public:
   }
   ~Once()
   {
-    // Removes the observers of objects that still live.
+    // Removes the observers of objects that still exist.
     for (const auto& each : this->Subjects)
     {
       if (each.first)
@@ -161,8 +161,8 @@ struct Event
   unsigned long Id;
   // Makes the event happen in the next frame; nullptr if it happens in every frame.
   std::function<void(Stage&)> Provoke;
-  // True if the event comes between a mapper's start and end, or while VTK updates the mapper's input: then VTK
-  // itself cannot handle an exchange of its mapper or its OpenGL context.
+  // True if the event comes between a mapper's start and end, or while VTK updates the mapper's input: VTK itself
+  // cannot handle an exchange of the mapper or of the OpenGL context at that time.
   std::function<bool(Kind)> InsideMapper;
 };
 
@@ -174,7 +174,7 @@ bool Always(Kind)
 {
   return true;
 }
-// A fixed-point mapper's pipeline is updated before it draws.
+// A fixed-point mapper's pipeline is updated before the mapper draws.
 bool UnlessFixed(Kind kind)
 {
   return kind != FIXED;

@@ -98,7 +98,7 @@ def compare(options, renderer):
         for path in options.volumes:
             renderer.load(timing_table.read_nrrd(path))
             for index in range(options.scenes):
-                # Indices after those of the timed frames, for other scenes.
+                # Indices after those of the timed frames give other scenes.
                 scene = timing_table.draw_scene(
                     options.seed, path, options.frames + index, max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size)
                 )

@@ -104,7 +104,7 @@ class Scene:
         self.width, self.height, self.step, self.lobes = width, height, step, lobes
 
     def eye(self):
-        """Direction from the volume's center to the eye, and up, as unit vectors."""
+        """Returns two unit vectors: the direction from the volume's center to the eye, and the up direction."""
         x, y = math.radians(self.rx), math.radians(self.ry)
         return (
             (math.sin(y) * math.cos(x), math.sin(x), math.cos(y) * math.cos(x)),
@@ -185,7 +185,7 @@ def read_nrrd(path):
             key, value = line.split(":", 1)
             fields[key.strip().lower()] = value.lstrip("=").strip()
     if fields.get("type") not in ("uint8", "uchar", "unsigned char", "uint8_t") or fields.get("dimension") != "3":
-        raise ValueError(f"{path} holds {fields.get('type')} in {fields.get('dimension')} dimensions; only uint8 in 3 works")
+        raise ValueError(f"{path} holds {fields.get('type')} in {fields.get('dimension')} dimensions; only uint8 in 3 dimensions is supported")
     body = data[end + 2 :]
     if fields.get("encoding") in ("gzip", "gz"):
         body = zlib.decompress(body, 47)
@@ -203,7 +203,8 @@ def read_nrrd(path):
 
 
 def resampled(volume, edge):
-    """Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers; its box stays."""
+    """Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers. The volume's size
+    in space stays the same."""
     voxels = volume.voxels.astype(np.float64)
     for axis, size in enumerate(voxels.shape):
         at = np.clip((np.arange(edge) + 0.5) * size / edge - 0.5, 0.0, size - 1.0)
@@ -298,7 +299,8 @@ def collect(options, renderer):
 
 
 def volume_frames(options, renderer, path, steps, number, repeat):
-    """Draws a volume's frames and yields the rows of each. `number` and `repeat` are those of the first row."""
+    """Draws a volume's frames and yields the rows of each. `number` and `repeat` are the numbers of frame and repeat
+    in the first row."""
     volume = read_nrrd(path)
     if options.proxy:
         volume = resampled(volume, options.proxy)

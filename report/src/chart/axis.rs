@@ -57,10 +57,12 @@ impl Axis {
     }
 }
 
-/// Largest distance of a position from the lower end, in axis lengths; farther ones are clamped to it.
+/// Largest distance of a position from the lower end, in axis lengths. Positions beyond it are clamped to
+/// this distance.
 const FAR: f64 = 1e9;
 
-/// Largest magnitude of a drawn value; larger values are clamped to it, so that ranges stay finite.
+/// Largest magnitude of a drawn value. Larger values are clamped to this magnitude, so that ranges stay
+/// finite.
 const LARGEST: f64 = 1e300;
 
 /// The range that an axis shows. It implements the drawing library's trait of one coordinate.
@@ -114,7 +116,7 @@ impl Span {
         }
     }
 
-    /// True if the value can be placed on the axis or beyond its ends.
+    /// True if the scale can place the value on the axis or beyond its ends.
     pub(super) fn takes(&self, value: f64) -> bool {
         value.is_finite() && (self.scale != Kind::Log || value > 0.0)
     }
@@ -124,7 +126,7 @@ impl Span {
         (self.low..=self.high).contains(&value)
     }
 
-    /// Position of a value on the axis: 0 at the lower end, 1 at the upper one.
+    /// Returns the position of a value on the axis: 0 at the lower end, 1 at the upper end.
     pub(super) fn place(&self, value: f64) -> f64 {
         let place = if self.scale == Kind::Log {
             (value.log10() - self.low.log10()) / (self.high.log10() - self.low.log10())
@@ -134,7 +136,7 @@ impl Span {
         if place.is_nan() { 0.0 } else { place.clamp(-FAR, FAR) }
     }
 
-    /// The value at a position: the inverse of [`Span::place`].
+    /// Returns the value at a position: the inverse of [`Span::place`].
     pub(super) fn value(&self, place: f64) -> f64 {
         if self.scale == Kind::Log {
             let (low, high) = (self.low.log10(), self.high.log10());
@@ -144,7 +146,7 @@ impl Span {
         }
     }
 
-    /// At most about `most` round values between the ends.
+    /// Returns about `most` round values between the ends, or fewer.
     pub(super) fn ticks(&self, most: usize) -> Vec<f64> {
         match self.scale {
             Kind::Slots => (0..self.high.ceil() as usize).map(|slot| slot as f64).collect(),
@@ -153,8 +155,8 @@ impl Span {
         }
     }
 
-    /// Powers of ten and, if there is space, round multiples of them. The drawing library has no ticks within
-    /// a decade, where frame times often are.
+    /// Returns powers of ten and, if there is space, round multiples of them. The drawing library has no
+    /// ticks within a decade, where frame times often are.
     fn log_ticks(&self, most: usize) -> Vec<f64> {
         let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
         let stride = ((last - first) as usize).div_ceil(most).max(1) as i32;
@@ -165,8 +167,7 @@ impl Span {
                 .filter(|v| *v >= self.low * 0.9999 && *v <= self.high * 1.0001)
                 .collect()
         };
-        // Where decades are skipped, multiples within the labeled decades would look like neighboring
-        // decades.
+        // If decades are skipped, multiples within the labeled decades would look like neighboring decades.
         if stride == 1 {
             for factors in [&[1.0, 2.0, 3.0, 5.0, 7.0][..], &[1.0, 2.0, 5.0], &[1.0, 3.0]] {
                 let ticks = with(factors);
@@ -182,8 +183,8 @@ impl Span {
         self.linear_ticks(most)
     }
 
-    /// Multiples of 1, 2, 2.5 or 5 of a power of ten. The drawing library's own search does not end for some
-    /// finite ranges.
+    /// Returns multiples of 1, 2, 2.5 or 5 times a power of ten. The drawing library's own search does not
+    /// end for some finite ranges.
     fn linear_ticks(&self, most: usize) -> Vec<f64> {
         let raw = (self.high - self.low) / most as f64;
         let magnitude = 10f64.powf(raw.log10().floor());
@@ -198,7 +199,7 @@ impl Span {
         ticks
     }
 
-    /// The label of a tick among its neighbors.
+    /// Returns the label of a tick, which differs from the labels of neighboring ticks.
     pub(super) fn label(&self, value: f64, ticks: &[f64]) -> String {
         let step = match (self.scale, ticks) {
             (Kind::Log, _) => 10f64.powf(value.abs().log10().floor()),
@@ -229,8 +230,8 @@ impl Ranged for Span {
     }
 }
 
-/// A tick's label: as few digits as distinguish it from its neighbors at distance `step`; with an exponent
-/// below 1e-4 and from 1e6 on.
+/// Returns the label of a tick, with as few digits as distinguish it from its neighbors at distance `step`.
+/// Values below 1e-4 and from 1e6 on have an exponent.
 fn tick_label(value: f64, step: f64) -> String {
     if value.abs() < step.abs() * 1e-6 {
         return "0".into();

@@ -5,7 +5,7 @@ use super::axis::Span;
 
 type Point = (f64, f64);
 
-/// The parts of a line through the points that lie inside both ranges. Points that the scale cannot place
+/// Returns the parts of a line through points that are inside both ranges. Points that the scale cannot place
 /// (such as 0 on a logarithmic axis) break the line.
 pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
@@ -27,8 +27,8 @@ pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     parts
 }
 
-/// The part of a segment inside both ranges, and true if it reaches the segment's end (Liang and Barsky's
-/// clipping).
+/// Returns the part of a segment inside both ranges, and true if this part reaches the segment's end (Liang
+/// and Barsky's clipping).
 fn segment(a: Point, b: Point, x: &Span, y: &Span) -> Option<(Point, Point, bool)> {
     let from = (x.place(a.0), y.place(a.1));
     let by = (x.place(b.0) - from.0, y.place(b.1) - from.1);
@@ -67,7 +67,7 @@ mod tests {
         let line = [(-1.0, 0.5), (0.5, 0.5), (0.5, 3.0), (0.75, 3.0), (0.75, 0.25)];
         let parts = clip(&line, &unit(), &unit());
         assert_eq!(parts, [vec![(0.0, 0.5), (0.5, 0.5), (0.5, 1.0)], vec![(0.75, 1.0), (0.75, 0.25)]]);
-        // A diagonal whose ends lie outside.
+        // A diagonal whose ends are outside the ranges.
         assert_eq!(clip(&[(-1.0, -1.0), (2.0, 2.0)], &unit(), &unit()), [vec![(0.0, 0.0), (1.0, 1.0)]]);
         assert!(clip(&[(-1.0, 0.5), (0.5, 3.0)], &unit(), &unit()).is_empty());
     }

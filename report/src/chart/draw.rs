@@ -63,7 +63,7 @@ fn units(pixels: f64) -> i32 {
     (pixels * UNITS).round() as i32
 }
 
-/// Estimated width of a text, pixels; no font is available.
+/// Estimates the width of a text, in pixels, since no font is available.
 fn text_width(text: &str, size: f64) -> f64 {
     text.chars().map(|c| if "iljt.,:;|!' ".contains(c) { 0.34 } else { 0.6 }).sum::<f64>() * size
 }
@@ -81,7 +81,7 @@ fn dash_of(lengths: &[u32]) -> String {
     lengths.iter().map(|l| (f64::from(*l) * UNITS).to_string()).collect::<Vec<_>>().join(" ")
 }
 
-/// Draws on an empty sheet and returns the elements.
+/// Draws on an empty sheet and returns the SVG elements.
 fn sheet(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> String {
     let mut svg = String::new();
     {
@@ -217,7 +217,7 @@ impl Chart {
         Layout { left, right, top, bottom, title_height, legend, name_rows, x_ticks, y_ticks }
     }
 
-    /// Title, legend, axes and grid.
+    /// Draws title, legend, axes and grid.
     fn draw_ground(
         &self,
         area: &Area<'_>,
@@ -285,7 +285,7 @@ impl Chart {
         };
         match self.series[i].mark {
             Mark::Line(_) | Mark::Steps(_) => {
-                // The swatch shows the line's dashes: line and gap in turn.
+                // The swatch repeats the dashes of the line: a stroke, then a gap.
                 let dash = DASHES[self.color_of(i)];
                 let (mut from, mut drawn) = (0.0, true);
                 for length in dash.iter().copied().cycle().chain([SWATCH as u32]) {
@@ -399,7 +399,7 @@ impl Chart {
                 }
             }
         }
-        // From top to bottom; the stable sort keeps the order of coinciding points.
+        // Texts are placed from top to bottom. The stable sort keeps the order of coinciding points.
         texts.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
         let mut taken: Vec<Rect> = texts.iter().map(|(h, v, _)| Rect::around(*h, *v, 4.0)).collect();
         for (h, v, text) in texts {

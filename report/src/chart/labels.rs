@@ -11,7 +11,7 @@ pub(super) struct Rect {
 }
 
 impl Rect {
-    /// A square around a point, of twice `half` along each side.
+    /// Returns the square around a point whose sides are twice `half` long.
     pub(super) fn around(x: f64, y: f64, half: f64) -> Self {
         Self { left: x - half, top: y - half, right: x + half, bottom: y + half }
     }
@@ -27,7 +27,7 @@ impl Rect {
         (self.right - self.left).max(0.0) * (self.bottom - self.top).max(0.0)
     }
 
-    /// Area of the intersection with another rectangle.
+    /// Returns the area of the intersection with another rectangle.
     fn shared(&self, other: &Self) -> f64 {
         let left = self.left.max(other.left);
         let top = self.top.max(other.top);
@@ -42,7 +42,7 @@ impl Rect {
     }
 }
 
-/// A text's place: its baseline, and the side of the point.
+/// Place of a text: its baseline, and the side of the point on which it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
     /// True if the text ends left of the point instead of beginning right of it.
@@ -54,7 +54,7 @@ pub(super) struct Place {
 /// Distance between a point and its text, in pixels.
 const GAP: f64 = 7.0;
 
-/// Places a text of a given width beside a point: at the first free place, else at the place with the least
+/// Places a text of a given width beside a point. Takes the first free place, else the place with the least
 /// overlap with other texts, points and the outside of the frame.
 pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Rect>) -> Place {
     let rect = |(leftward, down): (bool, f64)| {
@@ -100,7 +100,7 @@ mod tests {
         let frame = Rect { left: 0.0, top: 0.0, right: 50.0, bottom: 30.0 };
         let found = place(40.0, 15.0, 80.0, &frame, &mut Vec::new());
         assert_eq!(found, Place { leftward: true, x: 33.0, baseline: 19.0 });
-        // With texts all around, the place with the least overlap.
+        // With texts all around, the place with the least overlap is chosen.
         let frame = Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 200.0 };
         let mut taken = vec![
             Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 120.0 },

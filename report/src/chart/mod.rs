@@ -19,18 +19,18 @@ use palette::PALETTE;
 pub enum Mark {
     /// A line through (x, y); a value that is not finite breaks it.
     Line(Vec<(f64, f64)>),
-    /// As [`Mark::Line`], holding each y until the next x.
+    /// As [`Mark::Line`], but each y is kept until the next x.
     Steps(Vec<(f64, f64)>),
     /// Dots, each with a text (may be empty).
     Points(Vec<(f64, f64, String)>),
     /// The area between two curves: (x, lower, upper).
     Band(Vec<(f64, f64, f64)>),
-    /// Bars from the axis' lower end (zero if it is in the range) to y.
+    /// Bars from zero to y. If the axis does not show zero, they begin at its end next to zero.
     Bars(Vec<(f64, f64)>),
     /// Intervals along x as horizontal bars, half a unit of y high: (from, to, y).
     Stretches(Vec<(f64, f64, f64)>),
-    /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile. Boxes of several series stand side by side about
-    /// their x, as bars do.
+    /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile. Boxes of several series are side by side about
+    /// their x, and so are bars.
     Boxes(Vec<(f64, [f64; 5])>),
 }
 
@@ -91,7 +91,7 @@ impl Chart {
         self
     }
 
-    /// Adds a series; later ones are drawn over earlier ones.
+    /// Adds a series. Later series are drawn over earlier series.
     pub fn series(mut self, series: Series) -> Self {
         self.series.push(series);
         self
@@ -103,12 +103,12 @@ impl Chart {
         self
     }
 
-    /// The SVG element for an HTML page.
+    /// Returns the SVG element for an HTML page.
     pub(crate) fn to_svg(&self) -> String {
         self.draw(false)
     }
 
-    /// The SVG as a standalone file.
+    /// Returns the SVG as a standalone file.
     pub fn to_svg_file(&self) -> String {
         self.draw(true)
     }
@@ -118,7 +118,7 @@ impl Chart {
         self.series[series].color.unwrap_or(series % PALETTE.len())
     }
 
-    /// The ranges of both axes.
+    /// Returns the ranges of both axes.
     fn spans(&self) -> (Span, Span) {
         let points: Vec<(f64, f64)> = self.series.iter().flat_map(|series| series.mark.points()).collect();
         let vertical =
@@ -137,7 +137,7 @@ impl Chart {
 }
 
 impl Mark {
-    /// All points of the mark.
+    /// Returns all points of the mark.
     fn points(&self) -> Vec<(f64, f64)> {
         match self {
             Self::Line(p) | Self::Steps(p) | Self::Bars(p) => p.clone(),

@@ -34,21 +34,21 @@ pub(super) const DASHES: [&[u32]; 11] = [
     &[],
 ];
 
-/// Titles, names of axes and series, and lines across the plot.
+/// Color of titles, names of axes and series, and horizontal and diagonal lines across the plot.
 pub(super) const INK: (u32, u32) = (0x1c2024, 0xe8eaed);
-/// Texts at ticks, points and lines across the plot.
+/// Color of texts at ticks, points and lines across the plot.
 pub(super) const DIM: (u32, u32) = (0x555b63, 0xa9b0b8);
-/// Grid.
+/// Color of the grid.
 pub(super) const GRID: (u32, u32) = (0xe4e7ea, 0x2a2f36);
-/// Frame of the plot, vertical marks.
+/// Color of the plot's frame and of vertical lines across the plot.
 pub(super) const FRAME: (u32, u32) = (0x8a9199, 0x6a727b);
 
-/// Every color on a light background with its counterpart on a dark one.
+/// Returns every color on a light background with its counterpart on a dark background.
 pub(super) fn pairs() -> impl Iterator<Item = (u32, u32)> {
     PALETTE.into_iter().chain([INK, DIM, GRID, FRAME])
 }
 
-/// The color on a light background, in which the chart is drawn.
+/// Returns the color on a light background, in which the chart is drawn.
 pub(super) fn light((light, _): (u32, u32)) -> RGBColor {
     let [_, r, g, b] = light.to_be_bytes();
     RGBColor(r, g, b)

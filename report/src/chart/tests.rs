@@ -1,7 +1,7 @@
 use super::*;
 use quick_xml::events::{BytesStart, Event};
 
-/// An element: its name, attributes, and the classes of the groups that hold it.
+/// An element: its name, its attributes, and the classes of the groups that contain it.
 #[derive(Debug)]
 struct Element {
     name: String,
@@ -25,7 +25,7 @@ impl Element {
     }
 }
 
-/// Parses a chart as XML.
+/// Parses a chart as XML. Returns its elements and its texts.
 fn elements(svg: &str) -> (Vec<Element>, Vec<String>) {
     fn attributes(tag: &BytesStart<'_>) -> Vec<(String, String)> {
         let version = quick_xml::XmlVersion::Implicit1_0;
@@ -53,7 +53,7 @@ fn elements(svg: &str) -> (Vec<Element>, Vec<String>) {
     }
 }
 
-/// The elements of the layers of one class.
+/// Returns the elements in the layers of one class.
 fn of_class(svg: &str, class: &str) -> Vec<Element> {
     elements(svg).0.into_iter().filter(|e| e.groups.iter().any(|g| g == class)).collect()
 }

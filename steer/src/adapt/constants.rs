@@ -1,6 +1,6 @@
 //! Constants of the correction, tuned on recorded paths.
 
-/// Defines a struct of constants with defaults, which a search can enumerate.
+/// Defines a struct of named constants with default values; a search can enumerate the constants.
 macro_rules! constants {
     ($(#[$whole:meta])* $group:ident { $($(#[$doc:meta])* $name:ident = $value:expr,)* }) => {
         $(#[$whole])*
@@ -16,10 +16,10 @@ macro_rules! constants {
         }
 
         impl $group {
-            /// Names in the order of `values`.
+            /// Names of the constants, in the order of `values`.
             pub const NAMES: &'static [&'static str] = &[$(stringify!($name),)*];
 
-            /// Every constant in turn, to read or to change.
+            /// Returns mutable references to all constants, in the order of their definition.
             pub fn values(&mut self) -> [&mut f64; Self::NAMES.len()] {
                 [$(&mut self.$name,)*]
             }
@@ -29,20 +29,21 @@ macro_rules! constants {
 pub(crate) use constants;
 
 constants! {
-    /// Constants of the online correction: its priors for an unmeasured machine and for scenes, and its
-    /// learning rates. The defaults follow from a search over recorded paths (`entire-lab tune`); nothing
-    /// needs to be set.
+    /// Constants of the online correction: its priors for an unmeasured machine and for scenes, its learning
+    /// rate and its clipping limit. The defaults come from a search over recorded paths (`entire-lab tune`);
+    /// callers need not set any.
     CorrectionConstants {
         /// Prior standard deviation of ln of each unit cost, apart from their common factor, on an unmeasured
         /// machine.
         unit_cost_sd = 1.0,
-        /// Prior standard deviation of scenes' own errors, in ln(time), on an unmeasured machine.
+        /// Prior standard deviation of the prediction errors of scenes, in ln(time), on an unmeasured
+        /// machine.
         scene_sd = 0.2,
-        /// Initial standard deviation of the errors in calm frames, in ln(time).
+        /// Initial standard deviation of the prediction errors of calm frames, in ln(time).
         spread_start = 0.07,
         /// Share of a calm frame's error that is added to the scene's own factor.
         gain = 0.4,
-        /// Clipping limit of the errors of frames faster than expected, in standard deviations.
+        /// Clipping limit of the error of a frame that is faster than expected, in standard deviations.
         clip_below = 1.42,
     }
 }

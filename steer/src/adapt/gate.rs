@@ -12,10 +12,11 @@ use crate::predict::LONGEST_FRAME;
 pub enum Verdict {
     /// The correction was updated.
     Learned = 0,
-    /// Far from the expected time: the error was clipped before the update.
+    /// The time was more than three standard deviations from the expected time. The error was clipped before
+    /// the update, unless it began or ended a load.
     Clipped = 1,
-    /// Accepted without an update: the caller marked the time as unusual, or cancelled the frame no later
-    /// than its expected end.
+    /// The time was accepted without an update: the caller marked it as unusual, or cancelled the frame
+    /// before its expected time had passed.
     Ignored = 2,
 }
 
@@ -28,8 +29,8 @@ names! { Verdict:
 /// Flags of an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ObserveFlags {
-    /// The time includes work that is not the frame's (a compilation, an upload, a stall): nothing is learned
-    /// from it.
+    /// The time includes work that most frames do not include (a compilation, an upload, a stall): nothing is
+    /// learned from it.
     pub unusual: bool,
     /// The frame was abandoned before it was complete; its time is a lower bound.
     pub cancelled: bool,
@@ -38,7 +39,8 @@ pub struct ObserveFlags {
 /// Checks that a time is a valid frame time.
 ///
 /// # Errors
-/// [`crate::ErrorKind::RejectedObservation`] unless it is finite, positive and at most [`LONGEST_FRAME`].
+/// [`crate::ErrorKind::RejectedObservation`] unless the time is finite, positive and at most
+/// [`LONGEST_FRAME`].
 pub(crate) fn check_seconds(seconds: f32) -> Result<()> {
     let text = if !seconds.is_finite() {
         "the frame time is not finite; report the seconds that the frame took"

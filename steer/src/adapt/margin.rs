@@ -3,9 +3,9 @@
 use super::state::{Reader, Writer};
 use entire_core::Result;
 
-/// Multiple of the expected error that an upper bound adds. It is adjusted after every frame so that the
-/// share of frames above the bound tends to the requested rate (adaptive conformal inference: Gibbs and
-/// Candès 2021). O(1) state.
+/// Multiple of the expected error that an upper bound adds to the expected ln(time). It is adjusted after
+/// every frame so that the share of frames above the bound tends to the requested miss rate (adaptive
+/// conformal inference: Gibbs and Candès 2021).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Margin {
     z: f64,
@@ -13,14 +13,14 @@ pub(crate) struct Margin {
     pace: f64,
 }
 
-/// Guards of the multiple: below the lower one, a bound would hardly exceed the expected time; errors beyond
-/// the upper one are outliers that a larger multiple would not cover either.
+/// Smallest multiple: with a smaller one, the bound would hardly exceed the expected time.
 const LOW: f64 = 0.5;
+/// Largest multiple: larger errors are outliers that a larger multiple would not cover either.
 const HIGH: f64 = 8.0;
 
 impl Margin {
-    /// A margin for a miss rate in (0, 0.5], starting at `multiple`, which is clamped to 0.5…8. `rate` and
-    /// the learning rate `pace` are clamped too.
+    /// Returns a margin with the given initial multiple, miss rate `rate` and learning rate `pace`. They are
+    /// clamped to 0.5…8, 0.0001…0.5 and 0.001…1.
     pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
@@ -33,7 +33,8 @@ impl Margin {
         self.z
     }
 
-    /// Adjusts the multiple by an error in units of its expectation (positive: slower than predicted).
+    /// Adjusts the multiple after a frame with the given error, in units of the expected error; positive if
+    /// the frame was slower than predicted.
     pub(crate) fn observe(&mut self, normalized_error: f64) {
         if normalized_error.is_nan() {
             return;
@@ -58,7 +59,8 @@ mod tests {
 
     #[test]
     fn the_miss_rate_tends_to_the_rate_asked_for() {
-        // Heavy-tailed errors from a fixed generator: the miss rate does not depend on the distribution.
+        // The errors are heavy-tailed and from a fixed generator. For each rate, the share of frames above
+        // the bound must be within a quarter of the rate.
         for rate in [0.03f32, 0.05, 0.2] {
             let mut margin = Margin::starting_at(2.0, rate, 0.1);
             let mut state = 1u64;

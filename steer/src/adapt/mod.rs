@@ -1,5 +1,5 @@
-//! Learning from observations: correction of each term of the cost, margin, drift, and rejection of invalid
-//! times.
+//! Learning from observed frame times: correction of each term of the cost, margin of the upper bound, and
+//! rejection of invalid times.
 
 mod constants;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]

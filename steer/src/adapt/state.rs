@@ -1,4 +1,4 @@
-//! Saved state as bytes: little-endian numbers after a tag, checked when read.
+//! Writes and reads saved state as bytes: little-endian numbers after a tag. Reading checks every number.
 
 use alloc::vec::Vec;
 use entire_core::bail;
@@ -36,7 +36,7 @@ pub(crate) fn seal(bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&sum.to_le_bytes());
 }
 
-/// Checks and removes the checksum appended by [`seal`].
+/// Checks the checksum appended by [`seal`], and returns the bytes before it.
 ///
 /// # Errors
 /// [`ErrorKind::InvalidArgument`] for bytes cut short or a wrong checksum.
@@ -55,7 +55,7 @@ pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
     Ok(body)
 }
 
-/// Reads the numbers of a [`Writer`].
+/// Reads the numbers that a [`Writer`] wrote, in the same order.
 pub(crate) struct Reader<'a>(pub(crate) &'a [u8]);
 
 impl Reader<'_> {
@@ -111,7 +111,9 @@ impl Reader<'_> {
         } else {
             Err(Error::new(
                 ErrorKind::InvalidArgument,
-                alloc::format!("the saved state holds {v} where {low}…{high} is possible; it is damaged"),
+                alloc::format!(
+                    "the saved state holds {v} where a number from {low} to {high} is expected; it is damaged"
+                ),
             ))
         }
     }

@@ -30,7 +30,7 @@ fn terms(parts: &[f64; TERMS]) -> CostTerms {
 fn sixty_frames_bring_an_unknown_machine_within_ten_percent() {
     for seed in 0..20 {
         let mut noise = Noise(100 + seed);
-        // Every unit cost has an error factor of its own (up to 4.5), times a common one (up to 20).
+        // Each unit cost has an error: a factor of its own (up to 4.5) times a common factor (up to 20).
         let common = (6.0 * (noise.uniform() - 0.5)).exp();
         let factors: [f64; TERMS] = core::array::from_fn(|_| common * (3.0 * (noise.uniform() - 0.5)).exp());
         let mut correction = Correction::new(Prior::Unknown, CorrectionConstants::default());

@@ -1,8 +1,8 @@
 //! Fits a model to frames timed on the present machine.
 //!
-//! A [`Calibration`] keeps timed frames and fits a model of another machine to them. A session fills a
-//! calibration from its observations ([`crate::Session::record`]), so that a host never leaves its render
-//! loop. [`PriorModel::choose`] is the fit.
+//! A [`Calibration`] keeps timed frames and fits a model to them, with a model of another machine as prior. A
+//! session adds its observed frames to a calibration ([`crate::Session::record`]), so that a host never
+//! leaves its render loop. [`PriorModel::choose`] does the fit.
 
 mod pictures;
 mod posterior;
@@ -35,7 +35,7 @@ pub const FEWEST_FRAMES: usize = 8;
 /// Range of the number of frames that a [`Calibration`] may keep.
 const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
 
-/// Number of time intervals for cross-validation, where there are too few volumes and transfer functions.
+/// Number of time intervals for cross-validation, used if there are too few volumes and transfer functions.
 const STRETCHES: u64 = 5;
 
 /// Scene of a timed frame: hashes of its volume and its transfer function.
@@ -48,23 +48,24 @@ pub(crate) struct Shown {
 }
 
 impl Shown {
-    /// Hashes of a volume's sizes and histogram, and of a transfer function; collisions are very unlikely.
+    /// Returns hashes of a volume's sizes and histogram and of a transfer function; equal hashes of different
+    /// scenes are very unlikely.
     fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
         Self { volume: volume.fingerprint(), transfer: transfer.fingerprint() }
     }
 }
 
-/// Groups of frames held out in cross-validation.
+/// Kind of the groups of frames that are held out together in cross-validation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum HeldOut {
-    /// None: there were too few frames. The error is measured on the frames that the model was fitted to.
+    /// None: there were too few frames. The errors are those of the frames that the model was fitted to.
     Nothing = 0,
-    /// Volumes: the error is that expected for other volumes.
+    /// Volumes: the errors are those expected for other volumes.
     Volumes = 1,
-    /// Transfer functions: the error is that expected for the same volumes under other transfer functions.
+    /// Transfer functions: the errors are those expected for the same volumes under other transfer functions.
     TransferFunctions = 2,
-    /// Time intervals: the error is that expected for other views of the same scenes.
+    /// Time intervals: the errors are those expected for other views of the same scenes.
     Stretches = 3,
 }
 
@@ -82,20 +83,21 @@ pub struct Calibrated {
     pub file: ModelFile,
     /// Number of frames that the model was fitted to.
     pub frames: usize,
-    /// Groups held out for the errors below.
+    /// Groups that were held out to measure `median_error`, `rmse_over_sd` and `upper`.
     pub held_out: HeldOut,
     /// Median of |predicted / measured − 1| over held-out frames.
     pub median_error: f64,
-    /// RMSE of held-out frames, divided by the standard deviation of their times.
+    /// Root mean square error of the seconds of held-out frames, divided by the standard deviation of these
+    /// seconds.
     pub rmse_over_sd: f64,
     /// Upper bound from the held-out frames.
     pub upper: UpperBound,
-    /// Picture quality law, where enough pictures were added.
+    /// Picture quality law; `None` if too few pictures were added.
     pub quality: Option<FittedQuality>,
 }
 
-/// Timed frames of one renderer, up to a capacity: once it is full, new frames replace others at random, so
-/// that the kept frames are a uniform random sample of all frames.
+/// Timed frames of one renderer, up to a largest number. Beyond this number, new frames replace kept frames
+/// at random, so that the kept frames are a uniform random sample of all frames.
 #[derive(Clone, Debug)]
 pub struct Calibration {
     prior: PriorModel,
@@ -119,9 +121,9 @@ struct Kept {
 }
 
 impl Calibration {
-    /// A calibration with room for `frames`, from 8 to 65 536. `prior` is a model of another machine or
-    /// renderer: an analytic model, or an analytic model times a learned factor. Without a prior, the fit
-    /// starts from the unit costs of a software renderer.
+    /// Returns a calibration that keeps at most `frames` frames, from 8 to 65 536. `prior` is a model of
+    /// another machine or renderer: an analytic model, or an analytic model times a learned factor. Without a
+    /// prior, the fit starts from the unit costs of a software renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
@@ -188,7 +190,8 @@ impl Calibration {
         self.add_measured(&inputs, Shown::of(volume, table), seconds)
     }
 
-    /// As [`Calibration::add`], for a measured frame that was drawn at the inputs' setting.
+    /// As [`Calibration::add`], for a frame whose features are already measured. The frame was drawn at the
+    /// inputs' setting.
     fn add_measured(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
             bail!(
@@ -207,8 +210,8 @@ impl Calibration {
     }
 
     /// Adds a picture that was compared with the same view at full quality. [`Calibration::fit`] then stores
-    /// a picture quality law in the model ([`fit_quality`]), where at least three scenes were drawn
-    /// at the same settings. The first 65 536 pictures are kept.
+    /// a picture quality law in the model ([`fit_quality`]), if at least three scenes were drawn at the same
+    /// settings. The first 65 536 pictures are kept.
     ///
     /// # Errors
     /// As [`Picture::check`], and [`crate::ErrorKind::OutOfMemory`].
@@ -237,7 +240,7 @@ impl Calibration {
         }
     }
 
-    /// Groups to hold out: their kind, and the group of each frame.
+    /// Returns the kind of the groups to hold out, and the group of each frame.
     fn groups(&self) -> (HeldOut, Vec<u64>) {
         let distinct = |numbers: &[u64]| {
             let mut sorted = numbers.to_vec();
@@ -273,13 +276,13 @@ impl Calibration {
         if self.kept.len() < FEWEST_FRAMES {
             bail!(
                 NotReady,
-                "{} frames were observed; a model is fitted to {FEWEST_FRAMES} at least, better to 50 or more of several \
-                 volumes and transfer functions",
+                "{} frames were observed; a fit needs at least {FEWEST_FRAMES}, better 50 or more of several volumes \
+                 and transfer functions",
                 self.kept.len()
             );
         }
-        // The fit makes many small allocations that abort the program where memory is short, so room for
-        // their total is checked first.
+        // The fit makes many small allocations, and each would abort the program if memory were short. So the
+        // total is allocated once, and freed, to return an error instead.
         let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.width() + 512);
         drop(room::<u8>(pieces)?);
         let (held_out, groups) = self.groups();

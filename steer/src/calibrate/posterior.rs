@@ -1,7 +1,7 @@
-//! Fits a model of other machines to frames of this one: unit costs and, where the prior has one, the last
-//! layer of its learned factor, regularized towards the prior.
+//! Fits a model to frames of this machine, with a model of other machines as prior: unit costs and, if the
+//! prior has a learned factor, the last layer of this factor. Both are regularized towards the prior.
 //!
-//! [`CostFit`] is the fit. The prior standard deviation of the last layer's weights is [`FACTOR_SD`] times
+//! [`CostFit`] does the fit. The prior standard deviation of the last layer's weights is [`FACTOR_SD`] times
 //! their root mean square.
 
 use crate::features::{SceneFeature, SceneQuantity};
@@ -20,17 +20,18 @@ use entire_core::model::ModelFile;
 use entire_core::nn::{Normalization, PredNet, PredNetParts, Target};
 
 const NOT_A_PRIOR: &str = "a calibration starts from analytic models, or from one analytic model times a learned factor \
-     (entire train --model-kind analytic and residual make them); give another, or none";
+     (entire train --model-kind analytic and residual make them); give another model, or none";
 
-/// Standard deviation assumed for the logarithm of a unit cost that the prior model lacks.
+/// Prior standard deviation of the logarithm of a unit cost that the prior model lacks.
 const UNKNOWN_SD: f64 = 1.5;
 
-/// Prior standard deviation of a weight of the factor's last layer, relative to their root mean square.
+/// Prior standard deviation of a weight of the factor's last layer, as a share of the root mean square of
+/// this layer's weights.
 const FACTOR_SD: f64 = 0.2;
 
-/// Assumed value of a cost that is 0 in a machine's model, as a share of an equally fast software renderer's:
-/// the cost is 0 because that machine's frames could not separate two kinds of work; frames of the next
-/// machine may separate them.
+/// Prior of a cost that is 0 in a machine's model, as a share of the cost in an equally fast typical
+/// renderer. The cost is 0 because frames of that machine could not separate two kinds of work; frames of
+/// this machine may separate them.
 const ZERO_SHARE: f64 = 0.1;
 
 /// Largest number of folds in cross-validation.
@@ -58,7 +59,7 @@ struct Factor {
     deviation: f64,
     /// Weights of the last layer, without the weight of the estimated seconds.
     weights: Vec<f64>,
-    /// Constant term of ln t, added to ln of the estimated seconds and the weighted activations.
+    /// Constant term of ln(predicted seconds), added to ln(estimated seconds) and the weighted activations.
     constant: f64,
     root_mean_square: f64,
     /// Range to which the factor's inputs are clamped.
@@ -68,7 +69,7 @@ struct Factor {
 /// One frame of the fit.
 #[derive(Clone, Debug)]
 pub struct Observed {
-    /// Inputs of the prior's factor, in its order; empty where there is none.
+    /// Inputs of the prior's factor, in the factor's order; empty if the prior has no factor.
     pub row: Vec<f32>,
     /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
     pub work: [f64; COSTS],
@@ -113,7 +114,7 @@ impl Factor {
             None => vec![(0.0, 1.0); layout.width()],
         };
         let deviation = parts.output.as_ref().and_then(|n| n.std.first()).map_or(1.0, |&s| f64::from(s));
-        // At the inputs' means every standardized input is 0, including the estimate's.
+        // If each input has its mean, all standardized inputs are 0, also that of the estimated seconds.
         let mean: Vec<f32> = inputs.iter().map(|i| i.0 as f32).collect();
         let net = PredNet::new(parts)?;
         let total = libm::log(f64::from(net.predict(&mean, &mut net.scratch(1)?)));
@@ -133,7 +134,8 @@ impl Factor {
         Ok((out, costs))
     }
 
-    /// Activations before the last layer, in units of the output.
+    /// Returns the inputs of the last layer, without the estimated seconds, multiplied by the standard
+    /// deviation of the network's output.
     fn activations(&self, row: &[f32]) -> Vec<f64> {
         let mut held = row.to_vec();
         if let Some(range) = &self.range {
@@ -147,7 +149,7 @@ impl Factor {
         values
     }
 
-    /// The model file with fitted costs and a fitted last layer.
+    /// Returns the model file with the fitted costs and the fitted last layer.
     fn with(&self, fitted: &CostFit) -> Result<ModelFile> {
         let mut file = self.file.clone();
         let mut parts = self.parts.clone();
@@ -173,9 +175,9 @@ impl Default for PriorModel {
 }
 
 impl PriorModel {
-    /// The prior of `files`: the geometric mean of the unit costs of analytic models of different machines;
-    /// or one analytic model times a learned factor; or, without files, the unit costs of a software
-    /// renderer.
+    /// Returns the prior made from `files`. For analytic models of different machines, it is the geometric
+    /// mean of their unit costs. An analytic model times a learned factor must be the only file, and is the
+    /// prior itself. Without files, the prior is the unit costs of a software renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Unsupported`] for other models.
@@ -197,12 +199,13 @@ impl PriorModel {
         Ok(if files.is_empty() { Self::default() } else { Self { costs: logs.map(libm::exp), factor: None } })
     }
 
-    /// Unit costs of the prior in seconds; 0 for work whose cost it lacks.
+    /// Unit costs of the prior, in seconds; 0 for work whose cost the prior lacks.
     pub fn costs(&self) -> &[f64; COSTS] {
         &self.costs
     }
 
-    /// Inputs of the prior's factor; `None` without a factor, where only a frame's work is used.
+    /// Input layout of the prior's factor; `None` for a prior without a factor, which uses only a frame's
+    /// work.
     pub fn layout(&self) -> Option<&InputLayout> {
         self.factor.as_ref().map(|f| &f.layout)
     }
@@ -212,8 +215,8 @@ impl PriorModel {
         self.factor.as_ref().map_or(0, |f| f.inputs.len())
     }
 
-    /// Number of rays along each side of the probe that the factor was fitted with; 0 where any number will
-    /// do.
+    /// Number of rays along each side of the probe with which the factor was fitted; 0 if any number may be
+    /// used.
     pub(crate) fn probe_side(&self) -> usize {
         self.factor.as_ref().map_or(0, |f| f.layout.probe_side)
     }
@@ -240,12 +243,13 @@ impl PriorModel {
         CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
     }
 
-    /// Fits a model to frames of this machine. `renderer` holds typical costs of this kind of renderer; they
-    /// are the prior for work whose cost the prior model lacks. Costs that are 0 in both stay 0.
+    /// Fits a model to frames of this machine. `renderer` holds typical costs of this kind of renderer. For
+    /// work whose cost the prior model lacks, a tenth of the typical cost is the prior, scaled to the speed
+    /// of the prior model. Costs that are 0 in both stay 0.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or where rows
-    /// do not fit the prior's factor.
+    /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, if rows do not
+    /// fit the prior's factor, or if the fit predicts a time that is not finite.
     pub fn choose(
         &self,
         frames: &[Observed],
@@ -308,7 +312,8 @@ impl PriorModel {
     }
 }
 
-/// Replaces unit costs of 0 by [`ZERO_SHARE`] of the typical renderer's, scaled to the same speed.
+/// Returns unit costs in which each 0 of `costs` is replaced by [`ZERO_SHARE`] times the cost in `renderer`,
+/// scaled to the speed of `costs`.
 fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
     let known = costs.0.iter().zip(&renderer.0).filter(|(c, r)| **c > 0.0 && **r > 0.0);
     let mut ratios: Vec<f64> = known.map(|(c, r)| c / r).collect();
@@ -322,7 +327,7 @@ fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
     out
 }
 
-/// Activations before a network's last layer, from standardized inputs.
+/// Returns the inputs of a network's last layer for standardized inputs of the network.
 fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
     let hidden = parts.layers.split_last().map_or(&[][..], |(_, hidden)| hidden);
     for layer in hidden {
@@ -352,8 +357,8 @@ fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) +
     }
 }
 
-/// Fold of each frame in cross-validation: groups stay whole and are distributed so that folds have similar
-/// numbers of frames.
+/// Returns the fold of each frame in cross-validation. All frames of a group are in the same fold, and folds
+/// have similar numbers of frames.
 fn folds(frames: &[Observed]) -> Vec<usize> {
     let mut sizes: BTreeMap<u64, usize> = BTreeMap::new();
     for f in frames {

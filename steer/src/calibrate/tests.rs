@@ -1,4 +1,4 @@
-//! Tests the fit on work with known costs, and the sampling of a calibration.
+//! Tests the fit on work with known costs, and the random sampling of frames by a calibration.
 
 use super::*;
 use crate::features::{COST_QUANTITIES, SceneFeature, SceneQuantity};
@@ -7,8 +7,8 @@ use alloc::vec;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, GaussianLobe, Scalars, TransferFunction, VolumeView};
 
-/// Unit costs of a software renderer times a factor of 1 that is linear in a few logarithms, for a probe with
-/// `side`² rays.
+/// Returns a model file with the unit costs of a software renderer and a learned factor that is always 1, for
+/// a probe with `side`² rays.
 pub(crate) fn unit_factor(side: usize) -> ModelFile {
     let inputs = [
         (SceneQuantity::Pixels, 10.5, 1.6),
@@ -17,7 +17,8 @@ pub(crate) fn unit_factor(side: usize) -> ModelFile {
         (SceneQuantity::EstimatedSeconds, -3.5, 1.8),
     ];
     let parts = PredNetParts {
-        // The identity on the estimate: its standardized logarithm times its deviation, plus its mean.
+        // Returns ln(estimated seconds): the standardized logarithm times its standard deviation, plus its
+        // mean.
         layers: vec![DenseParts {
             inputs: 4,
             outputs: 1,
@@ -60,7 +61,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
     for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
         assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
     }
-    // Three unit costs differ on this machine, and it is slower.
+    // On the simulated machine, three unit costs differ from the prior, and all are 1.7 times as large.
     let mut machine = UnitCosts::SOFTWARE.0;
     (machine[1], machine[4], machine[13]) = (4.0 * machine[1], 2.0 * machine[4], 0.5 * machine[13]);
     let seconds = |i: usize| 1.7 * seconds_by(&machine, &work(i));
@@ -108,7 +109,8 @@ fn several_machines_make_one_prior_and_a_factor_stands_alone() {
     for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
         assert!((found - 2.0 * stored).abs() <= 1e-6 * stored, "{found} {stored}");
     }
-    // A cost that is 0 because one machine's frames could not determine it is not taken as 0.
+    // A cost of 0 in one machine's model, which its frames could not determine, does not make the prior's
+    // cost 0.
     let mut blind = UnitCosts::SOFTWARE.0;
     blind[2] = 0.0;
     let blind = AnalyticModel::from_costs(blind).unwrap().to_model_file().unwrap();
@@ -151,7 +153,7 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
     }
 }
 
-/// A renderer with only two kinds of work.
+/// Returns the simulated seconds of a renderer with two unit costs: per frame and per pixel.
 fn seconds_of(features: &FrameFeatures, setting: &Setting) -> f64 {
     let work = Measurement::new(features, setting, 1.0).work;
     let pixels = 1 + COST_QUANTITIES.iter().position(|q| q.to_string() == "pixels").unwrap();
@@ -191,7 +193,8 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     }
     assert_eq!((calibration.frames(), calibration.offered), (60, 600));
     assert_eq!(rows, calibration.rows.as_ptr(), "moved");
-    // About as many frames of every quarter are kept: 15 expected, standard deviation 3.2.
+    // Of each quarter of the frames, about the same number is kept: 15 are expected, with a standard
+    // deviation of 3.2.
     for quarter in 0..4 {
         let n = calibration.kept.iter().filter(|k| k.order / 150 == quarter).count();
         assert!((5..=25).contains(&n), "{quarter}: {n}");

@@ -1,15 +1,16 @@
 //! Divides the frame time of a window among the volumes that it draws.
 
-/// Number of frames whose median gives the time outside of the passes.
+/// Number of frames over which the time outside of the passes is a median.
 const REST_FRAMES: usize = 5;
-/// Smallest share of the target for all passes together, however long the window's other work takes.
+/// Smallest share of the target that all passes together get, however long the window's other work takes.
 const LEAST_SHARE: f32 = 0.2;
-/// Weight of the newest time of a pass in its mean.
+/// Weight of a pass's newest time in the mean of its times.
 const NEWEST: f32 = 0.3;
 
 /// Divides the target time of a window's frame among the passes that draw volumes in it: several volumes, two
-/// eyes, several renderers. The time of the window's other work is first subtracted from the target. All
-/// passes are coarsened alike, since each gets a share in proportion to its time at full quality.
+/// eyes, several renderers. The time of the window's other work is first subtracted from the target. Each
+/// pass gets a share in proportion to its time at full quality, so all passes are coarsened by the same
+/// factor.
 ///
 /// The caller reports each frame: [`FrameBudget::begin`], then for each pass [`FrameBudget::share`] before and
 /// [`FrameBudget::drew`] after it, then [`FrameBudget::end`]. The value of a new budget is all zeros.
@@ -95,13 +96,13 @@ impl FrameBudget {
         }
     }
 
-    /// Adds a pass that took `seconds`, and would have taken about `full` seconds at full quality.
+    /// Adds a pass that took `seconds` and would have taken about `full` seconds at full quality.
     pub fn drew(&mut self, pass: &mut PassShare, seconds: f32, full: f32) {
         if pass.frame != self.frame {
             (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
         }
-        // All passes of this object enter the sum with its newest mean; the next frame's shares are computed
-        // from the sum.
+        // All passes of this object are counted in the sum with the object's newest mean. The next frame's
+        // shares are computed from the sum.
         self.full[1] -= pass.passes as f32 * pass.mean;
         if full.is_finite() && full > 0.0 {
             pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST * (full - pass.mean) } else { full };

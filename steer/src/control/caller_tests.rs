@@ -1,4 +1,5 @@
-//! Plans and settings that a caller chooses, withdraws or cancels, and clocks that the caller names.
+//! Tests of settings that a caller offers, plans that it withdraws, frames that it cancels, and clocks that
+//! it names.
 
 use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
@@ -46,7 +47,7 @@ fn a_withdrawn_plan_leaves_no_trace() {
         }
         session
     };
-    // Unknown scores are NaN, so plans are compared as text.
+    // Plans are compared as text, since their out-of-range scores are NaN.
     let expected = std::format!("{:?}", played().plan(&f, 0.02).unwrap());
     let mut session = played();
     for _ in 0..20 {
@@ -93,7 +94,7 @@ fn another_renderer_starts_without_the_learned_state() {
     let f = frame(20.0, 30.0, 2.0);
     let mut session = ready_session();
     let plan = session.plan(&f, 0.02).unwrap();
-    // Naming a renderer that had no name keeps what was learned about it.
+    // The learned state is kept when a renderer without a name gets one.
     session.set_timing_source("a renderer", "a watch").unwrap();
     session.observe(plan.id, 0.5, ObserveFlags::default()).unwrap();
     let learned = session.save_state();
@@ -271,8 +272,8 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         }
         crate::predict::load(&file.to_model().unwrap()).unwrap()
     };
-    // On four processors, a frame's wall time is a quarter of its processor time. Returns the ratio of the
-    // second frame's expected time to its measured time.
+    // On the simulated machine, a measured time is a quarter of the predicted processor time, as wall time on
+    // four processors. Returns the ratio of the second frame's expected time to its measured time.
     let second = |model: Option<&str>, clock: &str| {
         let mut session = Session::new(stated(model), HybridOptions::default());
         session.set_timing_source("a renderer", clock).unwrap();
@@ -294,7 +295,7 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         let ratio = second(Some("cpu"), clock);
         assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
     }
-    // Unless both clocks are known and differ, observed times count as times by the model's clock.
+    // If a clock is unknown, or if both are the same, the common factor is not learned from the first frame.
     for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
         let ratio = second(model, clock);
         assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");

@@ -7,18 +7,18 @@ use crate::predict::{DISTANCE_RATIO, Quality};
 /// ln of [`DISTANCE_RATIO`].
 const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 
-/// Ratio of the step, in finest steps, to the image sample distance, in pixels, along a path without a
-/// picture quality law. At a ratio of 1, samples along a ray are as far apart as neighboring rays, which
-/// theory suggests; the extra tenth is a choice.
+/// Ratio of the step, in finest steps, to the image sample distance, in pixels, if both are coarsened
+/// together without a picture quality law. Theory suggests a ratio of 1: samples along a ray are then as far
+/// apart as neighboring rays. The added tenth is a choice.
 const TOGETHER: f64 = 1.1;
 
-/// Hysteresis factor: a distance is kept until c lies beyond one of its thresholds by this factor. Successive
-/// thresholds are a factor of 1.2³ = 1.73 apart in c, so the middle between two is a factor of 1.31 from
-/// each; `KEEP` is half of this factor in ln(c).
+/// Hysteresis factor: an image sample distance is kept until c = step · distance² lies beyond one of its
+/// thresholds by more than this factor. Successive thresholds differ by a factor of 1.2³ = 1.73, so the
+/// geometric mean of two is a factor of 1.31 from each. `KEEP` is the square root of 1.31.
 const KEEP: f64 = 1.15;
 
-/// Capacity of the arrays, in levels; distance 1 and the powers of [`DISTANCE_RATIO`] up to 64 make 23
-/// levels.
+/// Capacity of the arrays, in levels of the image sample distance. Distance 1 and the powers of
+/// [`DISTANCE_RATIO`] up to 64 need 23 levels.
 const LEVELS: usize = 24;
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
@@ -26,10 +26,10 @@ const LEVELS: usize = 24;
 /// The controller chooses c = step · distance², where `distance` is the distance of neighboring rays in
 /// pixels; a frame's time is about proportional to 1/c. Without a picture quality law, step and distance grow
 /// together along the path: at equal time, the picture error is smaller than if one of them grew alone. For a
-/// renderer whose smaller images are strongly blurred, the step grows alone first (`step_alone`). With a law
-/// ([`Quality`]), the path follows the law. Distances are powers of 1.2, and a distance is kept until c lies
-/// clearly beyond its thresholds ([`KEEP`]), so that buffers seldom change. A change of the distance changes
-/// the step too, so that step · distance² stays equal to c, unless the step would leave its limits.
+/// renderer whose smaller images are strongly blurred, only the step grows at first (`step_alone`). With a
+/// law ([`Quality`]), the law determines the path. Distances are powers of 1.2, and a distance is kept until
+/// c lies clearly beyond its thresholds ([`KEEP`]), so that buffers seldom change. A change of the distance
+/// changes the step too, so that step · distance² stays equal to c, unless the step would leave its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
     steps: StepLimits,
@@ -43,7 +43,7 @@ pub(super) struct Coarsening {
     distances: [f64; LEVELS],
     /// Threshold of each level: smallest c, in finest steps, for which the level is used.
     from: [f64; LEVELS],
-    /// Level of the frame before; 0 at distance 1.
+    /// Level of the previous frame; level 0 is distance 1.
     last: usize,
 }
 
@@ -110,14 +110,14 @@ impl Coarsening {
         }
     }
 
-    /// Range of c.
+    /// Returns the range of c = step · distance².
     pub(super) fn limits(&self) -> StepLimits {
         let distance = self.distances[self.levels];
         let coarsest = f64::from(self.steps.coarsest) * distance * distance;
         StepLimits { coarsest: coarsest as f32, ..self.steps }
     }
 
-    /// Step, level and image sample distance at c.
+    /// Returns step, level and image sample distance at c.
     fn at(&self, c: f32) -> (f32, usize, f64) {
         if self.levels == 0 {
             return (c, 0, 1.0);
@@ -142,7 +142,7 @@ impl Coarsening {
         (step(level).clamp(finest, coarsest.max(finest)) as f32, level, self.distances[level])
     }
 
-    /// The setting at c for an image whose full size is that of `full`.
+    /// Returns the setting at c; its image is that of `full`, divided by the image sample distance.
     pub(super) fn setting(&self, full: Setting, c: f32) -> Setting {
         let (step, level, distance) = self.at(c);
         if level == 0 {
@@ -152,7 +152,7 @@ impl Coarsening {
         Setting { step, width: shrunk(full.width), height: shrunk(full.height), ..full }
     }
 
-    /// Level of the last drawn frame.
+    /// Level of the previous frame.
     pub(super) fn level(&self) -> usize {
         self.last
     }
@@ -162,7 +162,8 @@ impl Coarsening {
         self.last = level;
     }
 
-    /// Step and image sample distance of a frame drawn at c; updates the level.
+    /// Returns step and image sample distance of a frame drawn at c, and stores its level as the previous
+    /// one.
     pub(super) fn take(&mut self, c: f32) -> (f32, f32) {
         let (step, level, distance) = self.at(c);
         self.last = level;
@@ -238,13 +239,14 @@ mod tests {
 
     #[test]
     fn what_costs_the_picture_less_is_coarsened_first() {
-        // A smaller image has almost no error: the step stays until the image is at its smallest.
+        // A smaller image has almost no error, so the step must stay fine while the image can become smaller.
         let mut images = judged(Quality { image_weight: 0.002, ..EVEN });
         for c in [1.8f32, 2.5, 4.5, 9.0] {
             let (step, distance) = images.take(c);
             assert!(step < 1.45 && distance > 1.0, "{c}: {step} {distance}");
         }
-        // Any smaller image has a larger error than any step.
+        // Any smaller image has a larger error than any step, so the image must keep its size while the step
+        // can become coarser.
         let mut steps = judged(Quality { image_weight: 500.0, image_exponent: 0.1, ..EVEN });
         for c in [1.6f32, 2.2, 4.5, 9.0, 15.0] {
             assert_eq!(steps.take(c), (c, 1.0));
@@ -264,7 +266,8 @@ mod tests {
     #[test]
     fn the_path_taken_shows_less_than_other_distances_at_the_same_time() {
         let quality = Quality { image_weight: 2.0, step_exponent: 1.4, image_exponent: 1.2, ray_share: 0.0 };
-        // Close to full quality, distance 1 is kept.
+        // c begins at 2.2: for smaller c, distance 1 is kept although another distance may have a smaller
+        // error.
         for i in 4..40 {
             let c = 1.0 + 0.3 * i as f32;
             let (step, distance) = judged(quality).take(c);
@@ -272,7 +275,8 @@ mod tests {
             for level in 0..8 {
                 let d = libm::pow(DISTANCE_RATIO, f64::from(level));
                 let s = f64::from(c) / (d * d);
-                // Distances are kept somewhat beyond their thresholds.
+                // Distances are kept somewhat beyond their thresholds, so the chosen setting may have an
+                // error that is up to 1.2 times the smallest.
                 assert!(s < 1.0 || own <= 1.2 * quality.error(s, d), "{c}: {step} {distance}, {s} {d}");
             }
         }

@@ -1,19 +1,20 @@
 //! Constants of the hybrid controller, tuned on recorded paths.
 
 crate::adapt::constants! {
-    /// Constants of [`Hybrid`](super::Hybrid). The defaults follow from a search over recorded paths
-    /// (`entire-lab tune`); nothing needs to be set.
+    /// Constants of [`Hybrid`](super::Hybrid). The defaults come from a search over recorded paths
+    /// (`entire-lab tune`); callers need not set any.
     HybridConstants {
         /// Distance from the finest step, in ln(step), within which the finest step is drawn if it is
         /// expected to meet the target: a coarser step would save little time and lose full quality.
         full = 0.4,
-        /// Largest change of the step in a calm frame, in ln(step). It limits every change to a finer step;
-        /// it limits a change to a coarser step only if the limited step is expected to meet the target.
+        /// Largest change of the step in a calm frame, in ln(step). It limits changes to a finer step, except
+        /// to the finest allowed step. It limits a change to a coarser step only if the limited step is
+        /// expected to meet the target.
         damping = 0.16,
         /// Standard deviation of the slope of the predicted step curve, d ln(seconds) / d ln(step).
         slope_sd = 0.1,
-        /// Distance of the predictions of two successive frames at one step, in ln(time), from which the two
-        /// frames count as unrelated.
+        /// Difference between the predictions of two successive frames at one step, in ln(time), at or above
+        /// which the frames count as unrelated.
         far = 0.35,
         /// Initial margin, in standard deviations.
         margin_start = 2.0,

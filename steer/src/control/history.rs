@@ -1,10 +1,10 @@
-//! Predicts a frame's time from the times of the last three frames alone. The recent frames *lead* while this
-//! forecast replaces the model's prediction.
+//! Forecasts a frame's time from the times of the last three frames alone. *Recent frames lead* means that
+//! the controller uses this forecast instead of the model's prediction.
 
 use crate::adapt::state::{Reader, Writer};
 use entire_core::Result;
 
-/// Clipping limit of errors, in ln(time): a guard against a single dominant frame.
+/// Clipping limit of errors, in ln(time), so that no single frame dominates the mean errors.
 const LARGEST_ERROR: f64 = 2.0;
 
 /// Initial expected error, in ln(time). It affects only upper bounds: recent frames may lead only after
@@ -17,36 +17,37 @@ const SD_OF_MEAN: f64 = 1.25;
 /// Number of compared frames before recent frames may lead: fewer give no reliable mean error.
 const COMPARED: u32 = 10;
 
-/// Smallest mean error of the prediction, in ln(time), at which recent frames may lead: a guard against
-/// useless predictions. On the training paths recent frames never lead.
+/// Mean error of the prediction, in ln(time), above which recent frames may lead: they replace only a
+/// prediction that is of no use. On the training paths recent frames never lead.
 const LEAST_ERROR: f64 = 0.15;
 
-/// Smallest ratio of the prediction's mean error to that of recent frames at which recent frames lead.
+/// Ratio of the prediction's mean error to the forecast's mean error, above which recent frames begin to
+/// lead.
 const LEAD: f64 = 1.5;
 
-/// Smallest learning rate of both mean errors: averages over about twelve frames.
+/// Smallest learning rate of both mean errors, which are thus averages over about twelve frames.
 const PACE: f64 = 0.08;
 
 /// Share of a frame's time that does not depend on the step: a guess, since this share differs between
 /// renderers.
 const FIXED_SHARE: f64 = 0.1;
 
-/// Ratio of the errors below which the prediction leads again: lower than [`LEAD`], so that the two do not
-/// alternate.
+/// Ratio of the prediction's mean error to the forecast's mean error, down to which recent frames continue to
+/// lead. It is lower than [`LEAD`], so that prediction and forecast do not alternate.
 const RETURN: f64 = 1.1;
 
 /// The last three frames, and the mean errors of two predictors of the next frame: the forecast from these
 /// frames, and the corrected prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct History {
-    /// (step, seconds).
+    /// (step, seconds) of the last three frames, as a ring buffer.
     frames: [(f64, f64); 3],
     len: usize,
     next: usize,
     spread: f64,
-    /// Mean |ln(measured / predicted)| of the forecast, without frames after a change.
+    /// Mean |ln(measured / forecast)| over frames that do not follow a change.
     history_error: f64,
-    /// Mean |ln(measured / predicted)| of the corrected prediction, over the same frames.
+    /// Mean |ln(measured / corrected prediction)| over the same frames.
     own_error: f64,
     leads: bool,
     compared: u32,
@@ -74,9 +75,9 @@ impl History {
         self.leads
     }
 
-    /// Mean and upper bound of a frame's time at another step, extrapolated from the last three frames. A
-    /// fixed share of the time does not depend on the step, and the remaining share is proportional to
-    /// 1/step: every renderer's curve is flatter than 1/step.
+    /// Returns the expected seconds of a frame at `step`, extrapolated from the last three frames, and an
+    /// upper bound that is `margin` standard deviations higher in ln(time). A fixed share of the time is
+    /// assumed not to depend on the step, and the remaining share to be proportional to 1/step.
     pub(super) fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
         let step = f64::from(step);
         let mut sum = 0.0;
@@ -87,8 +88,8 @@ impl History {
         (seconds, seconds * libm::exp(margin * self.spread))
     }
 
-    /// Updates both mean errors by a measured frame; `own` is |ln(measured / predicted)| of the corrected
-    /// prediction. A frame after a change is not compared.
+    /// Updates both mean errors by a measured frame; `own` is |ln(measured / corrected prediction)|. A frame
+    /// that follows a change is ignored.
     pub(super) fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
         if self.len == 0 || changed {
             return;
@@ -110,7 +111,7 @@ impl History {
         }
     }
 
-    /// Adds a measured frame; where it follows a change, the earlier frames are dropped.
+    /// Adds a measured frame; if it follows a change, the earlier frames are dropped.
     pub(super) fn push(&mut self, step: f32, seconds: f64, changed: bool) {
         if changed {
             self.len = 0;

@@ -1,9 +1,9 @@
 //! Choice of the ray step under a time budget.
 //!
-//! A [`Controller`] sees one frame at a time: the target, the limits of the step, the announced changes, and
-//! the predicted cost at any step. It answers with a step and a [`Reason`], and later receives the frame's
-//! time. Controllers do not allocate after construction. [`Session`] combines a controller with a predictor
-//! and the scene's features for one render loop.
+//! A [`Controller`] plans one frame at a time. It receives the target, the limits of the step, the announced
+//! changes, and the predicted cost at any step, and returns a step and a [`Reason`]. Later it receives the
+//! frame's time. Controllers do not allocate after construction. [`Session`] combines a controller with a
+//! predictor and the scene's features for one render loop.
 
 mod budget;
 #[cfg(test)]
@@ -58,14 +58,14 @@ impl StepLimits {
         Ok(())
     }
 
-    /// The nearest step within the limits; the coarsest for NaN.
+    /// Returns the step within the limits that is nearest to `step`; the coarsest step for NaN.
     pub fn clamp(&self, step: f32) -> f32 {
         if step.is_nan() { self.coarsest } else { step.max(self.finest).min(self.coarsest) }
     }
 }
 
 impl Default for StepLimits {
-    /// From one reference step to sixteen.
+    /// One to sixteen reference steps.
     fn default() -> Self {
         Self { finest: 1.0, coarsest: 16.0 }
     }
@@ -76,24 +76,25 @@ impl Default for StepLimits {
 #[non_exhaustive]
 #[repr(u32)]
 pub enum Reason {
-    /// The finest step that is expected to meet the target and whose upper bound is within the tolerance; a
-    /// coarser one where no step has such a bound.
+    /// The finest step that is expected to meet the target and whose upper bound is within the tolerance; if
+    /// no step has such a bound, a coarser step than the finest that is expected to meet the target.
     Fits = 1,
-    /// As `Fits`, but the change of the step was limited, because nothing has changed abruptly.
+    /// As `Fits`, but the change of the step was limited, since the scene has not changed abruptly.
     Damped = 2,
-    /// The previous step still fits and is close to the best.
+    /// The previous step still fits and is close to the best step.
     Held = 3,
     /// The finest allowed step fits.
     FinestAllowed = 4,
     /// Even the coarsest allowed step is not expected to fit.
     TargetUnreachable = 5,
-    /// The prediction is not trusted (out of range, or recently wrong): recent frames decide.
+    /// The step was chosen from recent frame times, since the prediction is out of range or was recently
+    /// wrong.
     History = 6,
-    /// There is neither a prediction nor a timing: the coarsest allowed step.
+    /// The coarsest allowed step, since there is neither a prediction nor an observed time.
     NoInformation = 7,
-    /// Steering is off: the frame's own step.
+    /// The frame's own step, since steering is off.
     Off = 8,
-    /// A rule that reacts to past frames only.
+    /// The step was chosen by a rule that uses only the times of past frames.
     Reactive = 9,
 }
 
@@ -126,9 +127,9 @@ pub struct PlanRequest<'a> {
 pub struct Decision {
     /// Ray step to draw with.
     pub step: f32,
-    /// Expected seconds; NaN from rules without an expectation.
+    /// Expected seconds; NaN if the controller predicts no time.
     pub seconds: f32,
-    /// Upper bound, seconds; NaN where there is none.
+    /// Upper bound in seconds; NaN where there is none.
     pub upper: f32,
     /// As [`Prediction::out_of_range`]; NaN where unknown.
     pub out_of_range: f32,
@@ -155,7 +156,7 @@ pub struct Observed {
     pub unusual: bool,
 }
 
-/// A frame's place in the controller's sequence of scenes, runs of frames that continue each other.
+/// Scene of a frame. A scene is a run of frames that continue each other; the controller numbers its scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SceneMark {
     /// Number of the scene.
@@ -178,14 +179,14 @@ pub trait Controller {
     /// Forgets all observations.
     fn reset(&mut self);
 
-    /// Sets whether observed frames are timed by another clock than the predictor's. On a change, the caller
-    /// calls this method and then [`Controller::reset`].
+    /// Tells the controller if observed times come from another clock than the predicted times. If this
+    /// changes, the caller calls this method and then [`Controller::reset`].
     fn convert(&mut self, converted: bool) {
         let _ = converted;
     }
 
-    /// Begins a frame whose setting the caller chooses; [`Controller::plan`] begins its frame itself. The
-    /// frame is compared with the one before at `step`.
+    /// Begins a frame whose setting the caller chooses; [`Controller::plan`] begins its frame itself. `step`
+    /// is the frame's ray step, `cost` returns its uncorrected prediction at a ray step.
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let _ = (changes, step, cost);
     }
@@ -204,8 +205,9 @@ pub trait Controller {
         bound <= target
     }
 
-    /// Corrects a prediction; returns it unchanged by default. `changes` are those of a frame that has not
-    /// begun yet; none for the present frame.
+    /// Returns the corrected prediction; by default, the prediction without correction. For a frame that has
+    /// not begun yet, `changes` are its changes since the previous frame; for the present frame, they are
+    /// empty.
     fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
         let _ = changes;
         Prediction {
@@ -229,7 +231,7 @@ pub trait Controller {
         if !bytes.is_empty() {
             bail!(
                 InvalidArgument,
-                "controller {} keeps no state, {} bytes were given",
+                "the controller {} keeps no state, but {} bytes were given",
                 self.name(),
                 bytes.len()
             );

@@ -20,7 +20,7 @@ use entire_core::memory::{copied, reserve};
 use entire_core::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use entire_core::{Error, ErrorKind, Result};
 
-/// Largest number of plans that wait for their observation; older ones are forgotten.
+/// Largest number of plans that wait for their observation; older plans are forgotten.
 pub const PENDING_PLANS: usize = 64;
 
 /// Plan of a frame: settings to draw with, and expected time.
@@ -32,10 +32,10 @@ pub struct Plan {
     /// Ray step in multiples of the reference step.
     pub step: f32,
     /// Distance of neighboring rays along each side, in pixels of the frame: the image is drawn with the
-    /// frame's sides divided by this, rounded down. 1 unless [`Session::set_max_image_sample_distance`]
-    /// allows more.
+    /// frame's sides divided by this number, rounded down. 1 unless
+    /// [`Session::set_max_image_sample_distance`] allows more.
     pub image_sample_distance: f32,
-    /// Expected seconds; NaN from controllers without an expectation.
+    /// Expected seconds; NaN if the controller predicts no time.
     pub seconds: f32,
     /// Upper bound in seconds; NaN where there is none.
     pub upper: f32,
@@ -68,7 +68,7 @@ struct Pending {
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
     pub(super) controller: Box<dyn Controller + Send>,
-    /// Analytic model whose step curve scales the predictions of predictors that do not depend on the step.
+    /// Analytic model; its ratio of the times at two steps scales predictions that do not depend on the step.
     shape: AnalyticModel,
     volume: Option<VolumeSummary>,
     transfer: Option<TransferSummary>,
@@ -88,32 +88,33 @@ pub struct Session {
     next_id: u64,
     /// Names of the renderer and the clock of observed times; empty where unknown.
     timing: [String; 2],
-    /// True where the clock is not the predictor's.
+    /// True if the clock of observed times is known not to be that of predicted times.
     converted: bool,
     recording: Option<recording::Recording>,
-    /// Picture quality law set by the caller; the model's own is used where it is `None`.
+    /// Picture quality law set by the caller; `None` if the model's law is used.
     quality: Option<Quality>,
 }
 
 impl Session {
-    /// A session with the default controller, [`Hybrid`], around the given predictor. A prior of
-    /// [`Prior::Unknown`] is replaced by the predictor's own error where it is known.
+    /// Returns a session with the default controller, [`Hybrid`], and the given predictor. If the prior is
+    /// [`Prior::Unknown`] and the predictor's error is known, the prior is [`Prior::Fitted`] with this error.
     pub fn new(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Self {
         let controller = controller_for(&*predictor, options);
         Self::with_controller(predictor, controller)
     }
 
-    /// A session without a model: the analytic model with default costs, corrected by observations.
+    /// Returns a session without a model file: it uses the analytic model with default costs, corrected by
+    /// observations.
     pub fn untrained() -> Self {
         Self::new(Box::new(AnalyticModel::default()), HybridOptions::default())
     }
 
-    /// A session with any controller.
+    /// Returns a session with the given predictor and controller.
     pub fn with_controller(
         predictor: Box<dyn Predictor + Send>,
         controller: Box<dyn Controller + Send>,
     ) -> Self {
-        // A predictor without a probe is scaled by the analytic model, which needs a probe.
+        // Predictions without a probe are scaled by the analytic model, which needs a probe.
         let features = match predictor.probe_side() {
             0 => FrameFeatures::default(),
             side => FrameFeatures::with_probe_side(side),
@@ -145,7 +146,7 @@ impl Session {
         session
     }
 
-    /// Sets the volume's summary, and VolumeNet's output for it where the model needs one. The transfer
+    /// Sets the volume's summary, and VolumeNet's output for the volume if the model needs it. The transfer
     /// function must be set again. Does not allocate.
     pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) {
         if let Some(recording) = &mut self.recording {
@@ -158,8 +159,8 @@ impl Session {
     }
 
     /// Sets the summary of the volume's next time step (made by [`crate::features::SummarySeries`]), and
-    /// VolumeNet's output for it; `None` keeps the output for the preceding step. Transfer function and
-    /// learned state stay: no change is announced. Where a frame includes an upload, announce it with
+    /// VolumeNet's output for it; `None` keeps the output for the preceding time step. Transfer function and
+    /// learned state stay: no change is announced. If the next frame includes an upload, announce it with
     /// [`Session::mark`].
     ///
     /// # Errors
@@ -203,7 +204,7 @@ impl Session {
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] where there
-    /// is no room for the summary; on an error nothing has changed.
+    /// is no memory for the summary; on an error nothing has changed.
     pub fn set_transfer(&mut self, table: &TransferTable, lobes: Option<&[GaussianLobe]>) -> Result<()> {
         let Some(volume) = &self.volume else {
             bail!(NotReady, "no volume is set; set the volume before its transfer function");
@@ -243,15 +244,15 @@ impl Session {
         Ok(())
     }
 
-    /// Switches steering on or off. While it is off, every plan has the frame's own step, unclamped.
-    /// Observations are learned from in both cases.
+    /// Switches steering on or off. While steering is off, every plan has the frame's own step, unclamped.
+    /// The session learns from observations in both cases.
     pub fn set_enabled(&mut self, enabled: bool) {
         self.enabled = enabled;
     }
 
-    /// Announces that the next frame does not smoothly continue the one before, for changes that the session
-    /// cannot detect (a camera cut, a new pipeline). Changes of volume, transfer function, size and mode are
-    /// detected.
+    /// Announces changes that the session cannot detect (a camera cut, a new pipeline), so that the next
+    /// frame does not smoothly continue the previous frame. Changes of volume, transfer function, size and
+    /// mode are detected.
     pub fn mark(&mut self, changes: Changes) {
         let c = &mut self.changes;
         c.first |= changes.first;
@@ -267,8 +268,8 @@ impl Session {
         &self.features
     }
 
-    /// Predicts a frame at its own step, corrected by the observations. Changes no state except
-    /// [`Session::features`].
+    /// Predicts a frame's time at its own step, corrected by the observations. Changes only
+    /// [`Session::features`], and no learned state.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set,
@@ -323,12 +324,12 @@ impl Session {
     }
 
     /// Chooses among settings, best quality first: returns index and plan of the first setting that is
-    /// expected to meet the target ([`Controller::fits`]). If none is, returns those of the setting with the
-    /// shortest expected time. Images must have the frame's aspect ratio, in any size.
+    /// expected to meet the target ([`Controller::fits`]). If no setting is, returns index and plan of the
+    /// setting with the shortest expected time. Images may have any size with the frame's aspect ratio.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for an empty list, and for a step or image size that
-    /// [`Frame::checked`] refuses; otherwise as [`Session::plan`].
+    /// [`Frame::checked`] refuses; other errors as [`Session::plan`].
     pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<(usize, Plan)> {
         check_target(target)?;
         if settings.is_empty() {
@@ -340,7 +341,7 @@ impl Session {
                 bail!(InvalidArgument, "setting {i}: {e}");
             }
         }
-        // One probe serves all settings; it marches shadow rays only where a setting scatters.
+        // One probe serves all settings. It casts shadow rays only if a setting has single scattering.
         let scatters = settings.iter().any(|s| s.shading == Shading::Scatter);
         let distance = settings.iter().any(|s| s.skipping == Skipping::Distance);
         let mut widest = *frame;
@@ -411,8 +412,8 @@ impl Session {
             recording.observe(id, seconds);
         }
         if flags.cancelled && !over {
-            // The time of a cancelled frame is a lower bound. It carries no information where a longer time,
-            // or none, was expected.
+            // The time of a cancelled frame is a lower bound. It carries no information if a longer time was
+            // expected, or if no time was expected.
             return Ok(Verdict::Ignored);
         }
         let observed = Observed {
@@ -427,8 +428,8 @@ impl Session {
         Ok(self.controller.observe(&observed))
     }
 
-    /// Withdraws the newest plan, where the caller draws no frame with it. The next plan gets its id and
-    /// continues the frame before it. Any other id has no effect.
+    /// Withdraws the newest plan if the caller draws no frame with it. The next plan gets its id and
+    /// continues the frame before the withdrawn one. An older or an observed plan is not changed.
     pub fn withdraw(&mut self, id: u64) {
         if id == 0 || id.checked_add(1) != Some(self.next_id) {
             return;
@@ -450,7 +451,7 @@ impl Session {
         self.last = None;
     }
 
-    /// Marches the probe's rays.
+    /// Casts the probe's rays.
     fn cast(&mut self, frame: &Frame) -> Result<()> {
         let (Some(volume), Some(transfer)) = (&self.volume, &mut self.transfer) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
@@ -471,7 +472,7 @@ impl Session {
         Ok(())
     }
 
-    /// The controller, and the cost function of the measured frame for it. Checks that every input is
+    /// Returns the controller and the cost function of the measured frame. Checks that every input is
     /// present, so that the cost function cannot fail.
     fn costing(
         &mut self,
@@ -550,8 +551,8 @@ impl Session {
     }
 }
 
-/// Inputs of a predictor for the last measured frame. A function of the session's parts, so that the
-/// predictor, another part, can be borrowed mutably at the same time.
+/// Returns the inputs of a predictor for the last measured frame. It takes fields of the session, not the
+/// session, so that the session's predictor can be borrowed mutably at the same time.
 fn inputs_of<'a>(
     features: &'a FrameFeatures,
     setting: Setting,
@@ -569,7 +570,7 @@ fn inputs_of<'a>(
     }
 }
 
-/// The default controller around a predictor.
+/// Returns the default controller for a predictor.
 fn controller_for(predictor: &dyn Predictor, mut options: HybridOptions) -> Box<dyn Controller + Send> {
     if let (Prior::Unknown, Some(log_sd)) = (options.prior, predictor.log_sd()) {
         options.prior = Prior::Fitted { log_sd };
@@ -577,7 +578,8 @@ fn controller_for(predictor: &dyn Predictor, mut options: HybridOptions) -> Box<
     Box::new(Hybrid::new(options))
 }
 
-/// The prediction at the reference step, scaled to a step by the analytic model's ratio.
+/// Returns `terms`, predicted at the reference step, scaled to the step of `setting` by the ratio of the
+/// times that the analytic model predicts at the two steps.
 fn scaled(terms: CostTerms, shape: &AnalyticModel, features: &FrameFeatures, setting: &Setting) -> CostTerms {
     let at = shape.parts(features, setting).seconds();
     let reference = shape.parts(features, &Setting { step: 1.0, ..*setting }).seconds();

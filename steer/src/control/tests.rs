@@ -1,4 +1,4 @@
-//! Closed loops with a simulated clock: no renderer, a known cost function.
+//! Tests of controllers and sessions in closed loops, with frame times from known cost functions.
 
 use super::*;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
@@ -52,7 +52,7 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
     let summary = VolumeSummary::new(&view).unwrap();
     let mut session = Session::untrained();
     session.set_volume(summary, None);
-    // The simulated machine: other ratios of unit costs, and far slower than the defaults.
+    // The simulated machine has other ratios of unit costs than the default, and is far slower.
     let truth = AnalyticModel::from_costs([
         4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0, 0.0, 0.0,
@@ -249,7 +249,7 @@ fn state_survives_saving_and_damaged_state_is_refused() {
 
 #[test]
 fn the_state_stays_bounded_over_long_runs() {
-    // A million frames take seconds; a tenth of them finds the same faults.
+    // 100 000 frames find the same faults as a million, which would take seconds.
     let mut hybrid = Hybrid::new(HybridOptions::default());
     let mut noise = Noise(5);
     for i in 0..100_000u32 {
@@ -338,7 +338,7 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
     assert_eq!(unusual.unwrap(), Verdict::Ignored);
 }
 
-/// A session after observations of 20 views.
+/// Returns the session after observations of 20 views.
 fn taught(mut session: Session) -> Session {
     for i in 0..40 {
         let plan = session.plan(&frame(0.0, 3.0 * (i % 20) as f32, 2.0), 0.02).unwrap();
@@ -402,7 +402,7 @@ fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
     assert!(session.set_timing_source(&"x".repeat(257), "").is_err());
 }
 
-/// The learned state of a session, saved by a little-endian machine.
+/// Hexadecimal digits of a session's learned state, saved on a little-endian machine.
 const LEARNED: &str = include_str!("learned_state.hex");
 
 #[test]
@@ -463,8 +463,9 @@ fn a_session_says_what_is_missing_and_refuses_bad_targets() {
     assert_eq!((plan.step, plan.reason), (3.5, Reason::Off));
 }
 
-/// A loop with noise, late and missing observations, a switch, and a phase with steering off. Replays the
-/// entries of `log`, or records them where it is empty.
+/// Plays 150 frames with noise, late and missing observations, a switch of the transfer function, and a phase
+/// with steering off. Targets and times are those of `log`; if it is empty, they are computed and added to
+/// it. Returns the plans.
 fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
     let replaying = !log.is_empty();
     let mut session = ready_session();
@@ -511,7 +512,7 @@ fn a_log_of_targets_and_times_replays_to_the_same_bits() {
     let first = logged(&mut log);
     assert_eq!(log.len(), 150);
     assert_eq!(logged(&mut log), first);
-    // A change of one observed time by 1000 units in the last place shows.
+    // A change of one observed time by 1000 units in the last place must change the plans.
     log[20].1 = log[20].1.map(|t| t + 1000);
     assert_ne!(logged(&mut log), first);
 }
@@ -537,8 +538,8 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
         session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default()).unwrap();
     }
     session.set_enabled(true);
-    // Only step 1 was observed: the first four frames may take less time than needed but do not miss the
-    // target, and then the step is right.
+    // While steering was off, only step 1 was observed. So the first four frames may be drawn coarser than
+    // needed, but must not miss the target; later frames must be close to it.
     for i in 0..8 {
         let plan = session.plan(&f, 0.02).unwrap();
         let seconds = 3.0 * (0.0005 + 0.03 / plan.step);
@@ -582,9 +583,9 @@ fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
     hybrid.observe(&Observed { seconds: 2.0 * old.seconds, ..old });
     let after = now(&hybrid);
     assert!((after / before).ln().abs() < 0.02, "{before} {after}");
-    // Late observations of an old scene do not make recent frames lead either.
+    // Late observations of an old scene must not make recent frames replace the prediction.
     for i in 0..40 {
-        // Alternately too slow and too fast, so that no load is detected.
+        // Frames are alternately too slow and too fast, so that no load is detected.
         let wrong = if i % 2 == 0 { 2.0 } else { 0.5 };
         let terms = CostTerms::whole(wrong * old.terms.seconds(), 0.0, Source::Analytic);
         hybrid.observe(&Observed { terms, ..old });
@@ -614,18 +615,18 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
         let mut ladder = session(Some(tolerance), 11);
         let plan = ladder.plan(&frame, target).unwrap();
         let side = ladder.features().probe_side();
-        // The plan equals that of a session with this probe only.
+        // The plan equals that of a session that always uses this probe.
         let same = session(None, side).plan(&frame, target).unwrap();
         assert_eq!((plan.step, plan.seconds), (same.step, same.seconds), "{tolerance} {target}");
         // Predictions always use the finest probe.
         assert_eq!(ladder.predict(&frame).unwrap().seconds, expected);
         side
     };
-    // Every step meets the first target, no step the second.
+    // All steps meet the target of 1000 s, and no step meets that of 1 ns, so the coarsest probe suffices.
     assert_eq!(climbed(0.0, 1e3), 4);
     assert_eq!(climbed(0.0, 1e-9), 4);
-    // For a target between these two, any error of the probe changes the step; a high tolerance accepts the
-    // error.
+    // For a target between these two, any error of the probe changes the step. So a tolerance of 0 needs the
+    // finest probe, and a tolerance of 1 accepts the coarsest.
     let target = 0.8 * expected;
     assert_eq!(climbed(0.0, target), 24);
     assert_eq!(climbed(1.0, target), 4);
@@ -654,7 +655,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     let near = seen(&mut session, &frame(22.0, 32.0, 2.62));
     assert_eq!(near.0, first.0);
     assert_ne!(near.1, first.1);
-    // Views are compared with the one for which rays were cast.
+    // Each view is compared with the view for which rays were cast, not with the previous view.
     assert_eq!(seen(&mut session, &frame(24.0, 33.0, 2.64)).0, first.0);
     assert_ne!(seen(&mut session, &frame(26.0, 36.0, 2.66)).0, first.0);
     // After any other change, rays are cast again.
@@ -685,7 +686,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     let of_first = shown(&session);
     session.plan(&wide, 1e3).unwrap();
     assert!(shown(&session) < 0.5 * of_first, "{of_first}");
-    // Without a tolerance every plan casts its rays.
+    // Without a tolerance, every plan casts rays.
     let mut plain = Session::untrained().with_probe(7, None).unwrap();
     plain.set_volume(VolumeSummary::new(&view).unwrap(), None);
     plain.set_transfer(&table, Some(&l)).unwrap();

@@ -1,12 +1,12 @@
-//! Finds the cells and blocks of a volume that a transfer function leaves empty, 64 pairs of bounds at a
-//! time.
+//! Finds the cells and blocks of a volume that are empty under a transfer function. Classifies 64 cells or
+//! blocks at a time by their lowest and highest values.
 
 use entire_core::kernels::{Kernel, Level, Simd};
 use entire_core::memory::chunks;
 use entire_core::scene::TABLE_LEN;
 
-/// Largest number of runs of visible table entries up to which each pair of bounds is compared with every
-/// run. With more runs, each pair is looked up in a table of prefix sums.
+/// Largest number of runs of visible table entries for which each pair of bounds is compared with every run.
+/// With more runs, each pair is looked up in a table of prefix sums.
 const MAX_RUNS: usize = 8;
 
 /// Visible entries of a transfer table.
@@ -101,15 +101,15 @@ pub(super) struct Blocks<'a> {
     pub(super) high: &'a [u8],
     /// Index of each cell's first block, and one past the last block.
     pub(super) first: &'a [u32],
-    /// Number of blocks of a cell that the volume's border does not cut.
+    /// Number of blocks in a whole cell, one that the volume's border does not cut.
     pub(super) most: usize,
     /// True where every cell has `most` blocks.
     pub(super) uniform: bool,
 }
 
 impl Blocks<'_> {
-    /// True where a word of block bits covers eight whole cells, or a part of one cell; cells are then
-    /// classified first.
+    /// True where each word of block bits covers either eight whole cells or a part of a single cell. The
+    /// cells are then classified before their blocks.
     fn fill_words(&self) -> bool {
         self.uniform && (self.most == 8 || self.most % 64 == 0)
     }
@@ -126,10 +126,11 @@ impl Blocks<'_> {
     }
 }
 
-/// Writes one bit per block, set where an entry within its bounds is visible, and one bit per cell, set where
-/// a block of the cell has its bit set; block bits of the other cells are unspecified. Returns the sum, over
-/// cells, of the share of their blocks whose bit is set. `low` and `high` are the bounds of the cells. `bits`
-/// must have one word more than the blocks need.
+/// Writes one bit per cell to `full`, set where the cell has a block with a visible entry within its bounds.
+/// Writes one bit per block of these cells to `bits`, set where an entry within the block's bounds is
+/// visible; the bits of other cells' blocks are unspecified. Returns the sum, over all cells, of the share of
+/// the cell's blocks whose bit is set. `low` and `high` are the bounds of the cells. `bits` must have one
+/// word more than the blocks need.
 pub(super) fn classify_blocks(
     visible: &Visible<'_>,
     low: &[u8],
@@ -170,7 +171,7 @@ impl Kernel for ClassifyWords<'_> {
         if each == 8 {
             for (i, (cells, bits)) in full.iter_mut().zip(bits.chunks_mut(8)).enumerate() {
                 let mut found = 0;
-                // Eight cells of eight blocks, one byte each.
+                // Each word of `bits` holds eight cells of eight blocks, one byte per cell.
                 for (part, word) in
                     bits.iter_mut().enumerate().filter(|(part, _)| *cells >> (8 * part) & 0xff != 0)
                 {
@@ -217,8 +218,8 @@ fn occupied_bytes(word: u64) -> u64 {
     (full >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
-/// Writes one bit per cell, set where a block of the cell has its bit set; returns the sum of the cells'
-/// shares of set blocks.
+/// Kernel that writes one bit per cell, set where at least one block of the cell has its bit set. Returns the
+/// sum, over all cells, of the share of the cell's blocks whose bit is set.
 struct Gather<'a> {
     bits: &'a [u64],
     blocks: Blocks<'a>,
@@ -316,8 +317,8 @@ mod tests {
         (0..words).map(|i| i.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5555_0f0f_3333_00ff).collect()
     }
 
-    /// Cases: cells that all have the same number of blocks, with and without whole words per cell; and a
-    /// mixture with cells of fewer blocks.
+    /// Compares [`classify_blocks`] with a loop over single blocks. In some cases all cells have the same
+    /// number of blocks, with and without whole words per cell; in others, some cells have fewer blocks.
     #[test]
     fn shares_are_those_of_one_block_after_another() {
         let mut below = [0u16; TABLE_LEN + 1];

@@ -5,7 +5,8 @@ use super::{FrameFeatures, SceneQuantity, Setting};
 /// Number of unit costs of the linear model: one per frame, then one per quantity of [`COST_QUANTITIES`].
 pub const COSTS: usize = 22;
 
-/// Quantities that have a unit cost, in the order of the unit costs after the first.
+/// Quantities that have a unit cost, in the order of [`UnitCosts`] after its first element, the cost per
+/// frame.
 pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::Pixels,
     SceneQuantity::Rays,
@@ -30,8 +31,8 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::RemappedSamples,
 ];
 
-/// Number of unit costs that any renderer may have. The last unit cost, for the conversion of stored values,
-/// is nonzero only for renderers like [`UnitCosts::CONVERTING`].
+/// Number of unit costs that any renderer may have: all but the last. The last one, for the conversion of
+/// stored values, is nonzero only for renderers like [`UnitCosts::CONVERTING`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
 /// Unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
@@ -39,15 +40,15 @@ pub(crate) const COMMON_COSTS: usize = 21;
 pub struct UnitCosts(pub [f64; COSTS]);
 
 impl UnitCosts {
-    /// Costs of a software renderer on two processors: geometric means of measured costs. Only the ratios of
-    /// the costs matter, since the first observations set the scale.
+    /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs.
+    /// Only the ratios of the costs matter, since the first observed frames set their scale.
     pub const SOFTWARE: Self = Self([
         1.3e-4, 8.0e-8, 1.3e-8, 5.5e-9, 2.2e-9, 1.2e-9, 2.5e-8, 1.9e-8, 4.2e-10, 1.2e-9, 5.3e-11, 2.7e-9,
         2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0,
     ]);
 
-    /// Costs of [`UnitCosts::SOFTWARE`] and of the conversion of stored values, for a renderer that looks
-    /// them up in tables, such as VTK's fixed-point mapper and yt.
+    /// As [`UnitCosts::SOFTWARE`], with a cost for the conversion of stored values: for renderers that look
+    /// stored values up in tables, such as VTK's fixed-point mapper and yt.
     pub const CONVERTING: Self = {
         let mut costs = Self::SOFTWARE.0;
         costs[COMMON_COSTS] = 2.0e-9;
@@ -59,14 +60,16 @@ impl UnitCosts {
         core::iter::once("frame").chain(COST_QUANTITIES.iter().map(|q| q.name())).zip(self.0)
     }
 
-    /// Seconds of the given work: 1 for the frame, then the quantities' values.
+    /// Returns the seconds that `work` takes. Its elements are 1 for the frame, then the values of
+    /// [`COST_QUANTITIES`].
     pub(crate) fn seconds(&self, work: &[f64; COSTS]) -> f64 {
         self.0.iter().zip(work).map(|(c, w)| c * w).sum()
     }
 }
 
 impl FrameFeatures {
-    /// Work in the order of the unit costs: 1 for the frame, then the quantities.
+    /// Returns the work in the order of the unit costs: 1 for the frame, then the values of
+    /// [`COST_QUANTITIES`].
     pub(crate) fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];

@@ -25,10 +25,10 @@ impl Footprint {
 
     /// Projects a box of half size `half_extent` about the origin into a `width` × `height` image.
     ///
-    /// The box's back faces, seen from its inside or through it, project one to one onto the covered region
-    /// for any position of the eye; each is clipped to the image, and the areas are summed. With parallel
-    /// rays the back faces are those through which the rays leave, clipped to the half-space in front of the
-    /// rays' origin. Pixels are not rounded.
+    /// The back faces of the box are those through which rays leave it. For any position of the eye, they
+    /// project one to one onto the covered region. Each is clipped to the image, and the areas are summed.
+    /// With parallel rays, the faces are also clipped to the half-space in front of the plane where the rays
+    /// start. The region is not rounded to whole pixels.
     pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
         let parallel = camera.is_parallel();
         let (origin, direction) = camera.ray_basis(width, height);
@@ -125,7 +125,8 @@ impl Polygon {
         out
     }
 
-    /// The part of a polygon in (x, y, depth) with positive depth, which parallel rays see.
+    /// Returns the part of the polygon that parallel rays can meet. `self` has corners (x, y, depth), of
+    /// which those with depth ≥ 0 are kept; the result has corners (x, y, 1).
     fn before_the_plane(&self) -> Self {
         let mut out = self.clip([0.0, 0.0]);
         for corner in &mut out.corners[..out.len] {
@@ -147,7 +148,8 @@ impl Polygon {
                 high[k] = high[k].max(p[k]);
             }
         }
-        // A fan from the first corner; the back faces of a box never overlap in the image.
+        // Sums triangles that share the first corner. The back faces of a box never overlap in the image, so
+        // no area is counted twice.
         for pair in points[1..self.len].windows(2) {
             let (o, a, b) = (points[0], pair[0], pair[1]);
             let twice = (a[0] - o[0]) * (b[1] - o[1]) - (b[0] - o[0]) * (a[1] - o[1]);
@@ -188,8 +190,8 @@ mod tests {
                 (10.0, 20.0, 8.0),
             ] {
                 let lens = camera(rx, ry, dz);
-                // The box is wholly visible, or cut by the image's border, or, from near, cut by the image
-                // plane.
+                // Cases: the box is wholly visible, the image's border cuts it, or (from near, with parallel
+                // rays) the plane where the rays start cuts it.
                 let parallel = [0.4, 1.3].map(|scale| lens.with_parallel_scale(scale).unwrap());
                 let sizes = [(200, 200), (300, 120), (90, 240)];
                 for ((w, height), camera) in
@@ -225,14 +227,14 @@ mod tests {
         let h = Vec3::splat(0.577);
         let inside = Footprint::new(h, &camera(0.0, 0.0, 0.1), 64, 32);
         assert!(inside.inside && (inside.share - 1.0).abs() < 1e-4, "{inside:?}");
-        // The eye is turned around and looks away from the volume.
+        // A rotation after the view matrix turns the camera by 180° about the eye, so that it looks away from
+        // the volume.
         let back = Camera::from_world_view(
             glam::Mat4::from_rotation_y(core::f32::consts::PI) * camera(0.0, 0.0, 3.0).view(),
             Vec3::ZERO,
             1.0,
         );
         let back = back.unwrap();
-        // Rotating after the translation turns the view by 180° about the eye.
         let f = Footprint::new(h, &back, 64, 64);
         assert_eq!((f.share, f.inside), (0.0, false));
     }

@@ -12,13 +12,13 @@ use glam::Vec3;
 /// Number of rays along each side of the footprint's rectangle over which [`along`] averages.
 const ALONG_SIDE: usize = 3;
 
-/// Shares of the voxel borders crossed by rays that are normal to x, to y and to z. They are means over
-/// ALONG_SIDE² rays through the footprint's rectangle, or the shares of the central ray where the box is not
-/// visible.
+/// Returns the shares of borders normal to x, to y and to z among the voxel borders that rays cross. They are
+/// means over [`ALONG_SIDE`]² rays through the footprint's rectangle, or the shares of the central ray where
+/// the box is not visible.
 fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
-    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis; the ratios do
-    // not depend on the unit.
+    // Along each axis, a ray of direction d crosses |d| / spacing borders per unit of length. The shares do
+    // not depend on the unit of length.
     let spacing = ratios(spacing);
     let share = |direction: Vec3| {
         let crossed = direction.abs() / spacing;
@@ -38,7 +38,7 @@ fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
     sum / (ALONG_SIDE * ALONG_SIDE) as f32
 }
 
-/// Side of the pixel tiles that a renderer runs in lockstep, in pixels.
+/// Side of the pixel tiles whose rays a renderer marches in lockstep, in pixels.
 const TILE_SIDE: f32 = 8.0;
 
 /// Settings of a frame that a controller may change.
@@ -63,21 +63,21 @@ impl From<&Frame> for Setting {
     }
 }
 
-/// Changes since the frame before, as far as the caller knows. By default nothing has changed but the camera,
-/// which moves smoothly.
+/// Changes since the preceding frame, as far as the caller knows. The default: only the camera has changed,
+/// by a smooth motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Changes {
-    /// There is no frame before, or the pipeline was rebuilt.
+    /// True where there is no preceding frame, or where the renderer's pipeline was rebuilt.
     pub first: bool,
-    /// The transfer function changed.
+    /// True where the transfer function changed.
     pub transfer: bool,
-    /// The volume changed.
+    /// True where the volume changed.
     pub volume: bool,
-    /// The image size changed.
+    /// True where the image size changed.
     pub size: bool,
-    /// The shading, skipping or termination mode changed.
+    /// True where the shading, skipping or termination mode changed.
     pub mode: bool,
-    /// The camera jumped (a cut, not a motion).
+    /// True where the camera jumped (a cut, not a motion).
     pub camera: bool,
 }
 
@@ -105,10 +105,10 @@ pub(crate) struct Work {
     pub(crate) shaded: f64,
     /// Samples along shadow rays with single scattering, otherwise 0.
     pub(crate) shadow_samples: f64,
-    /// [`Self::shadow_samples`] of a renderer that marches eight adjacent rays in lockstep, so that all of
-    /// them wait while any of them shades.
+    /// As [`Self::shadow_samples`], plus the samples for which rays wait in a renderer that marches eight
+    /// adjacent rays in lockstep: all eight wait while any of them shades.
     pub(crate) lane_shadow_samples: f64,
-    /// [`Self::lane_shadow_samples`] if adjacent rays are so far apart that their samples are independent.
+    /// As [`Self::lane_shadow_samples`], for adjacent rays so far apart that their samples are independent.
     pub(crate) parted_shadow_samples: f64,
     /// Runs of consecutive samples between jumps; 0 without skipping.
     pub(crate) runs: f64,
@@ -141,7 +141,7 @@ pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 /// Ray spacing at which half of the reads of shading are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
-/// View of a camera on a volume under a transfer function, measured once per frame.
+/// Features of a camera's view of a volume under a transfer function, measured once per frame.
 ///
 /// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step,
 /// skipping mode and image size (of the same aspect ratio) without marching again. It also evaluates other
@@ -168,10 +168,10 @@ impl Default for FrameFeatures {
 }
 
 impl FrameFeatures {
-    /// Empty features: no ray meets anything. Frames will be measured with `side`² rays, `side` at most
-    /// [`MAX_PROBE_SIDE`]; with more rays, a measurement takes longer and its estimates have a smaller
-    /// variance. With `side` 0 no ray is cast, and quantities that [need the
-    /// probe](SceneQuantity::needs_probe) stay empty.
+    /// Returns the features of a frame in which no ray meets the volume. Frames will be measured with `side`²
+    /// rays; a `side` above [`MAX_PROBE_SIDE`] is reduced to it. With more rays, a measurement takes longer
+    /// and its estimates have a smaller variance. With `side` 0 no ray is cast, and quantities that [need the
+    /// probe](SceneQuantity::needs_probe) have the values of rays that meet no volume.
     pub fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
@@ -211,8 +211,9 @@ impl FrameFeatures {
     }
 
     /// Adapts the features to another view without casting rays: recomputes the volume's place in the image
-    /// and keeps the results of the rays. The view must be close to the measured one, and everything else
-    /// unchanged. Returns false where no ray met the volume or the new footprint is empty.
+    /// and keeps the results of the rays. The view must be close to the measured view; nothing but the view
+    /// may differ. Returns false, and changes nothing, where no ray met the volume or the new footprint is
+    /// empty.
     pub(crate) fn turn(&mut self, volume: &VolumeSummary, frame: &Frame) -> Result<bool> {
         frame.checked()?;
         if !self.probe.turn(volume.shape(), frame) {
@@ -238,7 +239,8 @@ impl FrameFeatures {
         self.probe_side = side.min(MAX_PROBE_SIDE);
     }
 
-    /// Standard error of the probe's sampled length, relative to it; infinite where it is unknown.
+    /// Standard error of the probe's sampled length, relative to this length; infinite where the error is
+    /// unknown.
     pub(crate) fn probe_error(&self) -> f32 {
         self.probe.error
     }
@@ -254,8 +256,8 @@ impl FrameFeatures {
         self.pose
     }
 
-    /// Estimated work of the frame at a setting. Monotonic: never smaller for a finer step, nor for a larger
-    /// image of the same aspect ratio.
+    /// Estimated work of the frame at a setting. Counts are monotonic: never smaller for a finer step, nor
+    /// for a larger image of the same aspect ratio.
     pub(crate) fn work(&self, setting: &Setting) -> Work {
         let p = &self.probe;
         let pixels = f64::from(setting.width) * f64::from(setting.height);
@@ -264,22 +266,23 @@ impl FrameFeatures {
         let skipping = setting.skipping != Skipping::None;
         let (length, longest) =
             if skipping { (p.occupied, p.occupied_max) } else { (p.occupied + p.empty, p.all_max) };
-        // A ray that ends early still takes the sample that crosses the threshold, on average half a step
-        // farther.
+        // A ray that ends early still takes the sample that crosses the opacity threshold. On average, this
+        // sample lies half a step beyond the crossing.
         let crossing = 0.5 * p.terminated;
         let per_ray = length * inv + crossing;
         let skips =
             if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
-        // Excess of the length of a tile's longest ray over the mean length. It is measured on a probe ray
-        // and its neighbors, and scaled from the probe's spacing to the tile's size.
+        // The excess of the longest ray's length over the mean length is measured on neighboring probe rays.
+        // This factor scales it to a tile: half the tile's side, divided by the distance of these rays; at
+        // most 1.
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
         let (mut shadow, mut shadow_skips, mut shadow_segments) = (0.0, 0.0, 0.0);
         if setting.shading == Shading::Scatter {
             let length = if skipping { p.shadow } else { p.shadow_all };
-            // A shadow ray begins one shadow step away from the sample, and takes the sample that crosses the
-            // threshold.
+            // Length / shadow step, less 0.25 samples per shadow ray: the ray begins one shadow step away
+            // from the visible sample, and it takes the sample that crosses the threshold.
             shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
             shadow_segments = p.shadow_segments * inv;
@@ -300,13 +303,14 @@ impl FrameFeatures {
             segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
             ray_spacing: f64::from(p.spread / setting.height as f32),
         };
-        // Adjacent rays closer than a voxel or two shade together.
+        // Adjacent rays less than about two voxels apart shade at the same time, so they hardly wait.
         work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared(UNSHARED_SPACING) * (waiting - 1.0));
         work
     }
 
-    /// Values of quantities at a setting, whose work is evaluated once. Counts are monotonic: never smaller
-    /// for a finer step, nor for a larger image of the same aspect ratio.
+    /// Returns a function that gives the value of any quantity at a setting; the work at the setting is
+    /// evaluated once. Counts are monotonic: never smaller for a finer step, nor for a larger image of the
+    /// same aspect ratio.
     pub fn quantities(&self, setting: Setting) -> impl Fn(SceneQuantity) -> f64 {
         let work = self.work(&setting);
         move |quantity| self.quantity_of(quantity, &setting, &work)
@@ -364,7 +368,7 @@ impl FrameFeatures {
         }
     }
 
-    /// Share of the volume outside the cache, 0…1: n / (n + [`CACHED_VOXELS`]).
+    /// Share of the volume outside the cache, 0…1: n / (n + [`CACHED_VOXELS`]) for a volume of n voxels.
     fn uncached(&self) -> f64 {
         let voxels = f64::from(self.voxels);
         voxels / (voxels + CACHED_VOXELS)

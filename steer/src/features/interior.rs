@@ -5,14 +5,15 @@ use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::memory::{fit, longer};
 
-/// Smallest distances to the nearest empty cell, in cells, of the classes 1, 2 and 3. In class c, a renderer
-/// looks its skip map up once in 2^c cells.
+/// Smallest distance to the nearest empty cell, in cells, for each of the classes 1, 2 and 3. In class c, a
+/// renderer reads its skip map once per 2^c cells.
 const FROM: [usize; 3] = [2, 3, 5];
 
 /// Number of bit vectors: one per entry of [`FROM`], and two as working memory.
 const BUFFERS: usize = FROM.len() + 2;
 
-/// Bit vectors of the cells of each class and above, by rows along x; every row begins at a word boundary.
+/// For each class, a bit vector in which the cells of this class and of higher classes are set. Cells are
+/// stored by rows along x; every row begins at a word boundary.
 ///
 /// Cells outside the grid count as not empty, as in a renderer's skip map, which ends at the border of the
 /// grid.
@@ -50,8 +51,8 @@ impl Interior {
         self.found = false;
     }
 
-    /// Computes the classes from the bits of all cells, once per classification. Called only when a ray needs
-    /// a class.
+    /// Computes the classes, unless they are valid. `full` has one bit per cell, set where the cell is not
+    /// empty. Called only when a ray needs a class.
     #[inline(always)]
     pub(super) fn find(&mut self, grid: [usize; 3], full: &[u64]) {
         if !self.found {
@@ -78,8 +79,8 @@ impl Interior {
         erode(b, fifth, a, words, ny);
     }
 
-    /// Class of a cell that is not empty: 0 next to an empty cell, otherwise by the distance to the nearest
-    /// empty cell.
+    /// Class of a cell that is not empty: 0 next to an empty cell, otherwise 1, 2 or 3 by the distance to
+    /// the nearest empty cell, see [`FROM`].
     #[inline(always)]
     pub(super) fn class(&self, grid: [usize; 3], cell: usize) -> u32 {
         let (cell, nx) = (cell as u32, grid[0] as u32);
@@ -99,7 +100,8 @@ fn read(bits: &[u64], at: usize) -> u64 {
 }
 
 /// Binary erosion: keeps set cells whose 26 neighbors inside the grid are all set, one pass per axis. Bits
-/// beyond the end of a row are set and stay set.
+/// beyond the end of a row must be set before the first erosion. An erosion clears such a bit only if the
+/// row's last cell is clear in the result too, so these bits change no cell.
 fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: usize) {
     // Along x, with carries between words.
     for (from, to) in from.chunks_exact(words).zip(to.chunks_exact_mut(words)) {

@@ -6,7 +6,7 @@ use core::str::FromStr;
 use entire_core::Result;
 use entire_core::bail;
 
-/// Keywords of the table's two yes/no columns.
+/// Converts an entry of the two yes/no columns in the table of quantities to a `bool`.
 macro_rules! flag {
     (yes) => {
         true
@@ -43,7 +43,7 @@ macro_rules! quantities {
                 match self { $(Self::$variant => $name,)* }
             }
 
-            /// Offset of the log variant: ln(value + floor).
+            /// Offset of the log variant, `floor` in ln(value + floor), in the quantity's unit.
             pub(crate) const fn log_floor(self) -> f64 {
                 match self { $(Self::$variant => $floor,)* }
             }
@@ -62,25 +62,27 @@ macro_rules! quantities {
     };
 }
 
-// Variant, name, unit, log floor, depends on the step, needs the probe, meaning.
+// Columns: variant, name, unit, log floor, depends on the step, needs the probe, meaning.
 quantities! {
     Pixels, "pixels", "pixels", 1.0, no, no, "pixels of the image";
     Rays, "rays", "rays", 1.0, no, no, "pixels whose ray meets the volume's box";
     Skips, "skips", "jumps", 1.0, yes, yes, "expected jumps over empty blocks";
     Samples, "samples", "samples", 1.0, yes, yes, "expected samples of the frame up to early termination";
     LaneSamples, "lane_samples", "samples", 1.0, yes, yes,
-        "number of samples if every ray of a tile of 8 x 8 pixels were as long as the longest";
+        "number of samples if every ray of a tile of 8 x 8 pixels were as long as the tile's longest ray";
     Runs, "runs", "runs", 1.0, no, yes, "expected runs of samples between jumps over empty blocks";
     Segments, "segments", "segments", 1.0, yes, yes,
-        "expected reads of the skip map for samples: a read gives the distance to the nearest empty block, and \
-         the next read of the run follows after this distance";
-    LocalSamples, "local_samples", "samples", 1.0, yes, yes, "visible samples, with local shading; else 0";
+        "expected reads of the skip map within runs: each read gives the distance to the nearest empty block, \
+         and the renderer takes the samples within this distance without another read";
+    LocalSamples, "local_samples", "samples", 1.0, yes, yes,
+        "visible samples with local shading, otherwise 0";
     ScatterSamples, "scatter_samples", "samples", 1.0, yes, yes,
-        "visible samples, with single scattering; else 0";
+        "visible samples with single scattering, otherwise 0";
     ShadowSamples, "shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays, with single scattering; else 0";
+        "samples along shadow rays with single scattering, otherwise 0";
     LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays if eight adjacent rays wait while any of them shades";
+        "samples along shadow rays, plus the samples for which rays wait while another ray of their group of \
+         eight adjacent rays shades";
     FarSkips, "far_skips", "jumps", 1.0, yes, yes,
         "jumps that wait for memory: skips times the far share, the share of reads outside the caches";
     FarSamples, "far_samples", "samples", 1.0, yes, yes,
@@ -91,10 +93,11 @@ quantities! {
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
         "local samples that wait for memory: local samples times the far share of shading";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays if eight rays wait while any of them shades, times the far share of shading";
+        "samples along shadow rays, plus the samples for which rays far apart would wait while another ray \
+         of their group of eight shades; all times the far share of shading";
     FarX, "far_x", "samples", 1.0, yes, yes,
-        "samples that wait for memory, times the share of crossed voxel borders that are normal to x: where \
-         voxels are far apart in memory along an axis, rays along it read slowly";
+        "samples times the far share, times the share of crossed voxel borders that are normal to x; rays \
+         along an axis read slowly if adjacent voxels of this axis are far apart in memory";
     FarY, "far_y", "samples", 1.0, yes, yes, "as far_x, for borders normal to y";
     FarZ, "far_z", "samples", 1.0, yes, yes, "as far_x, for borders normal to z";
     RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,
@@ -135,7 +138,7 @@ impl From<SceneQuantity> for &'static str {
 }
 
 impl SceneQuantity {
-    /// The log variant of a value: ln(value + floor), −69 where the sum is not positive.
+    /// Returns the log variant of a value: ln(value + floor), or −69 where value + floor is not positive.
     pub(crate) fn log(self, value: f64) -> f32 {
         libm::log((value + self.log_floor()).max(1.0e-30)) as f32
     }
@@ -174,8 +177,8 @@ impl FromStr for SceneFeature {
                 }
                 bail!(
                     Unsupported,
-                    "scene feature {name:?} is not one that this version computes; known are {known}, each \
-                     also with log_ before it"
+                    "scene feature {name:?} is unknown to this version; the known names are {known}, each \
+                     also with the prefix log_"
                 )
             }
         }

@@ -455,7 +455,8 @@ fn what_needs_no_probe_is_known_without_one() {
         assert_eq!(same, !q.needs_probe(), "{}", q.name());
     }
     let mut of = |side| of(side, Shading::None);
-    // Finer probes estimate the same value with less scatter; a side above the maximum changes nothing.
+    // The estimates of coarser probes must lie near that of the finest probe, within a tolerance that falls
+    // with the number of rays. A side above the maximum must give the result of the maximum.
     let samples = SceneQuantity::ALL.iter().position(|q| *q == SceneQuantity::Samples).unwrap();
     let finest = of(MAX_PROBE_SIDE)[samples];
     for (side, tolerance) in [(4, 0.25), (7, 0.12), (8, 0.12), (11, 0.08), (12, 0.08), (13, 0.08)] {
@@ -499,7 +500,7 @@ fn quantities_depend_on_the_step_where_the_table_says_so() {
                     };
                     let at_one = of(&frame, 1.0);
                     let at_three = of(&frame, 3.0);
-                    // The measurement depends on the step of the setting, not on that of the measured frame.
+                    // Quantities depend on the step of the setting, not on the step of the measured frame.
                     assert_eq!(at_three, of(&Frame { step: 2.0, ..frame }, 3.0));
                     for (changed, (a, b)) in changed.iter_mut().zip(at_one.iter().zip(&at_three)) {
                         *changed |= a != b;
@@ -518,7 +519,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     let dims = [20, 9, 10];
     let n = dims.iter().product::<usize>();
     let of = |scalars: Scalars<'_>| {
-        // The mapped range does not determine which values are stored.
+        // The result must depend on the stored values only, not on the range that maps them to the table.
         let view = VolumeView::with(
             scalars,
             dims,
@@ -554,7 +555,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
         let bricks = VolumeSummary::from_bricks([16, 8, 8], [1.0; 3], kind, [8; 3], &bounds).unwrap();
         assert_eq!(bricks.remapped(), remapped, "bricks of {kind:?} from {low}");
     }
-    // All samples of such a volume count as remapped samples.
+    // All samples of a volume whose integers must be remapped count as remapped samples.
     let bytes: Vec<u8> = with(9.0, 250.0).iter().map(|&v| v as u8).collect();
     let f = frame(20.0, 30.0, 2.0, 50);
     let features = measured(&summary(&bytes, dims, 48), &table(|_| 0.5), &f);
@@ -562,8 +563,8 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     assert_eq!(features.quantity_of(SceneQuantity::RemappedSamples, &Setting::from(&f), &work), work.samples);
 }
 
-/// Bound on the difference between the shares of voxel borders from nine rays and those counted over all rays
-/// of an image.
+/// Largest allowed difference between a share of crossed voxel borders, computed from nine rays, and the
+/// share that is counted over all rays of an image.
 const ALONG_TOLERANCE: f64 = 0.06;
 
 #[test]
@@ -589,7 +590,7 @@ fn shares_of_borders_are_those_that_rays_count() {
             if near >= far {
                 continue;
             }
-            // Planes between the entry and the exit of the ray, counted along each axis.
+            // Number of voxel borders normal to each axis between the ray's entry into the box and its exit.
             let planes = [0, 1, 2].map(|k| {
                 let index = |t: f32| f64::from((o[k] + t * d[k] + half[k]) / voxel[k]).floor();
                 (index(far) - index(near)).abs()
@@ -605,7 +606,7 @@ fn shares_of_borders_are_those_that_rays_count() {
         let axes = [SceneQuantity::FarX, SceneQuantity::FarY, SceneQuantity::FarZ];
         let far = axes.map(|q| features.quantity_of(q, &setting, &work));
         let all: f64 = far.iter().sum();
-        // Errors along x and z add up along y.
+        // The three shares sum to 1, so the error of y can be the sum of the errors of x and z.
         for (axis, tolerance) in
             [ALONG_TOLERANCE, 2.0 * ALONG_TOLERANCE, ALONG_TOLERANCE].into_iter().enumerate()
         {

@@ -9,11 +9,11 @@ use entire_core::memory::{fit, longer};
 use entire_core::scene::{TABLE_LEN, TransferTable};
 
 /// Length over which values along a ray are fully correlated, in reference steps. A cell's extinction is
-/// computed from its mean transmittance over this length; at length 0 it would be the mean extinction, an
-/// overestimate for cells that hold a few opaque voxels among transparent ones.
+/// computed from its mean transmittance over this length. With a length of 0, the result would be the cell's
+/// mean extinction, an overestimate for cells that hold a few opaque voxels among transparent ones.
 pub(crate) const CORRELATION_LENGTH: f32 = 2.0;
 
-/// Cap on opacities before the conversion to extinction, −ln(1 − α).
+/// Largest opacity α that is converted to extinction, −ln(1 − α); larger opacities are reduced to it.
 const MAX_OPACITY: f32 = 1.0 - 1.0e-6;
 
 /// Optical properties of a cell.
@@ -25,23 +25,24 @@ pub(super) struct Optics {
     pub(super) visible: f32,
     /// Share of the cell's blocks that are not empty.
     pub(super) occupied: f32,
-    /// Number of lookups in the skip map per crossed cell border: 2^−class.
+    /// Number of lookups in the skip map per crossed cell border: 2^−c for a cell of depth class c
+    /// ([`Interior::class`]).
     pub(super) looks: f32,
 }
 
-/// Layout of a cell's packed word, which packets of rays gather. From the lowest bit on: the square root of
-/// the visible share in units of 1/1023; the depth class ([`Interior`]); the extinction as an unsigned
-/// floating-point number (10 bits of mantissa, 5 of exponent, 2⁻²⁷ at least). The other bits hold the number
-/// of the edit in which the word was computed. Without the edit's bits, the word is zero exactly for an empty
-/// cell.
+/// Layout of the 32-bit word into which a cell's optics are packed, so that packets of rays can load them
+/// with one gather operation. From the lowest bit on: the square root of the visible share in units of
+/// 1/1023; the depth class ([`Interior::class`]); the extinction as an unsigned floating-point number (10
+/// bits of mantissa, 5 of exponent, 2⁻²⁷ at least). The other bits hold the number of the edit in which the
+/// word was computed. With these bits cleared, the word is zero exactly for an empty cell.
 pub(super) mod packed {
-    /// Bits of the visible share's root.
+    /// Bits of the square root of the visible share.
     pub(crate) const SHOWS: u32 = 0x0000_03ff;
     /// Bits of the extinction: at the positions of an f32's bits, with the exponent offset by [`EXPONENT`].
     pub(crate) const EXTINCTION: u32 = 0x0fff_e000;
     /// Offset that, added to the bits of the extinction, gives the bits of the f32.
     pub(crate) const EXPONENT: u32 = (127 - 27) << 23;
-    /// Unit of the visible share's root.
+    /// Unit in which the square root of the visible share is stored.
     pub(crate) const UNIT: f32 = 1.0 / 1023.0;
     /// Bits of the depth class.
     pub(crate) const DEPTH: u32 = 0x0000_0c00;
@@ -50,10 +51,10 @@ pub(super) mod packed {
     pub(crate) const HALVING: u32 = 1 << 13;
     /// Bits of the edit's number.
     pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION | DEPTH);
-    /// Number of edits after which their numbers repeat.
+    /// Exclusive upper bound of edit numbers. The number after `EDITS` − 1 is 1.
     pub(super) const EDITS: u32 = 1 << 5;
 
-    /// Bits of an edit's number, which is less than [`EDITS`].
+    /// Returns the bits that represent an edit's number, which is less than [`EDITS`], in a word.
     pub(super) fn edit(number: u32) -> u32 {
         number << 28 | number >> 4 << 12
     }
@@ -67,7 +68,7 @@ pub(super) mod packed {
         extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS) | class << 10
     }
 
-    /// Extinction, visible share, and 2^−class.
+    /// Returns the extinction, the visible share and 2^−class of a packed word.
     #[inline(always)]
     pub(super) fn unpack(word: u32) -> (f32, f32, f32) {
         let root = (word & SHOWS) as f32 * UNIT;
@@ -78,7 +79,7 @@ pub(super) mod packed {
 
 /// Emptiness and extinction of each cell of a volume under a transfer function.
 ///
-/// An edit classifies all cells as empty or not at once. The optics of a cell that is not empty are computed
+/// An edit of the transfer function finds all empty cells at once. The optics of any other cell are computed
 /// when a ray first meets the cell, and are kept until the next edit, so the optics are never computed for
 /// cells that no ray meets.
 #[derive(Clone, Debug)]
@@ -92,7 +93,7 @@ pub struct TransferSummary {
     occupied: Vec<f32>,
     /// Packed word of each cell, see [`packed`].
     cells: Vec<u32>,
-    /// Bits of the present edit's number in a cell's word; never 0, the content of fresh memory.
+    /// Bits of the present edit's number in a cell's word. Never 0, because newly allocated words are 0.
     edit: u32,
     /// The present edit's number.
     edits: u32,
@@ -102,8 +103,8 @@ pub struct TransferSummary {
     unit_distance: f32,
     /// Prefix sums: number of visible table entries below each entry.
     opaque: [u16; TABLE_LEN + 1],
-    /// Prefix sums of transmittances over the correlation length. In double precision: differences of sums
-    /// near 256 must resolve transmittances near 1e-12.
+    /// Prefix sums of the entries' transmittances over [`CORRELATION_LENGTH`]. In double precision, because
+    /// differences of sums near 256 must resolve transmittances near 1e-12.
     transmittance: [f64; TABLE_LEN + 1],
     grid: [usize; 3],
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
@@ -120,10 +121,10 @@ pub struct TransferSummary {
 }
 
 impl TransferSummary {
-    /// Applies a table to a volume.
+    /// Makes the summary of a volume under a transfer table.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for the summary.
+    /// [`crate::ErrorKind::OutOfMemory`] if memory does not suffice for the summary.
     pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
         let mut summary = Self {
             full: Vec::new(),
@@ -232,7 +233,8 @@ impl TransferSummary {
         self.visible_share = shown as f32;
     }
 
-    /// Finds the empty cells, and the mean share of blocks that are not empty.
+    /// Finds the cells that are not empty. Computes the mean, over all cells, of the share of the cell's
+    /// blocks that are not empty.
     fn classify(&mut self, volume: &VolumeSummary) {
         let (low, high) = volume.cell_ranges();
         let n = low.len();
@@ -317,7 +319,7 @@ impl TransferSummary {
         self.full.get(cell / 64).is_some_and(|word| word >> (cell % 64) & 1 != 0)
     }
 
-    /// Share of the volume's blocks that are not empty.
+    /// Mean, over all cells, of the share of the cell's blocks that are not empty.
     pub(crate) fn occupied_share(&self) -> f32 {
         self.occupied_share
     }
@@ -371,8 +373,9 @@ impl TransferSummary {
                 *d = if word >> i & 1 != 0 { 0 } else { u8::MAX };
             }
         }
-        // One pass per axis, each exact because the Chebyshev ball is a product of intervals:
-        // d(x) becomes the least max(d(x'), |x − x'|) along the axis.
+        // One pass per axis replaces each distance d(x) by the minimum of max(d(x'), |x − x'|) over all cells
+        // x' on its line along the axis. The result is exact, because a Chebyshev ball is a product of
+        // intervals.
         let strides = [1, nx, nx * ny];
         for axis in 0..3 {
             let (n, stride) = (self.grid[axis], strides[axis]);
@@ -394,14 +397,14 @@ impl TransferSummary {
         self.distance_ready = true;
     }
 
-    /// Chebyshev distances in cells to the nearest occupied cell (255 where there is none); `None` until
-    /// prepared.
+    /// Chebyshev distance of each cell to the nearest occupied cell, in cells (255 where there is none);
+    /// `None` before [`TransferSummary::prepare_distance`].
     pub(super) fn distance(&self) -> Option<&[u8]> {
         self.distance_ready.then_some(&self.distance)
     }
 }
 
-/// Writes the minimum of max(d(j), |i − j|) over j for each i.
+/// Writes to each `out[i]` the minimum of max(`line[j]`, |i − j|) over all j.
 fn chebyshev_line(line: &[u8], out: &mut [u8]) {
     let n = line.len();
     for i in 0..n {
@@ -418,7 +421,7 @@ fn chebyshev_line(line: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Table of 1 / (n + 1) for the lengths of quantile intervals.
+/// 1 / (n + 1) for every difference n of two neighboring quantile bounds.
 static RECIPROCAL: [f32; TABLE_LEN] = {
     let mut out = [0.0; TABLE_LEN];
     let mut i = 0;

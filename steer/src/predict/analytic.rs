@@ -26,12 +26,12 @@ pub const TERMS: usize = 9;
 const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 3, 3, 6, 8, 5, 5, 5, 4];
 
 impl UnitCosts {
-    /// The first cost that is negative or not finite, with its name.
+    /// Returns the first cost that is negative or not finite, with its name.
     fn invalid(&self) -> Option<(&'static str, f64)> {
         self.named().find(|(_, cost)| !(cost.is_finite() && *cost >= 0.0))
     }
 
-    /// The value of [`Key::UnitCosts`], as JSON.
+    /// Returns the costs as JSON, for [`Key::UnitCosts`] of a model file.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for costs that JSON cannot represent.
@@ -43,11 +43,11 @@ impl UnitCosts {
         }
     }
 
-    /// The unit costs in a model file; `None` where it has none.
+    /// Returns the unit costs in a model file; `None` if the file has none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for an unknown name, a cost that is negative or not finite, or
-    /// where all are zero.
+    /// [`crate::ErrorKind::InvalidModel`] for an unknown name, a cost that is negative or not finite, or if
+    /// all costs are zero.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(Key::UnitCosts.name()) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
@@ -71,8 +71,8 @@ impl UnitCosts {
     }
 }
 
-/// Smallest number of scene features in a file of unit costs; a file of one layer with fewer is loaded as a
-/// network.
+/// Smallest number of scene features in a file of unit costs; a file of one layer with fewer scene features
+/// is loaded as a network.
 const FEWEST_NAMES: usize = 11;
 
 /// Lower clamp of predicted times, in seconds.
@@ -91,13 +91,13 @@ pub struct Measurement {
 }
 
 impl Measurement {
-    /// The estimated work of a frame at a setting, with its measured time.
+    /// Returns the estimated work of a frame at a setting, with the measured `seconds`.
     pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
         Self { work: features.cost_work(setting), seconds }
     }
 }
 
-/// Goodness of a fit on the measurements it was fitted to.
+/// Errors of a fit on the measurements to which it was fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitReport {
     /// Number of measurements used.
@@ -111,8 +111,8 @@ pub struct FitReport {
     pub p95_error: f64,
 }
 
-/// Linear cost model, t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer
-/// step or more pixels.
+/// Linear cost model: seconds = cost per frame + Σ unit cost · work, over all kinds of work. No cost is
+/// negative, so no prediction is negative, and none falls with a finer step or more pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
     costs: [f64; COSTS],
@@ -144,10 +144,11 @@ impl Default for AnalyticModel {
 }
 
 impl AnalyticModel {
-    /// A model with the given unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
+    /// Returns a model with the given unit costs in seconds: per frame, then per unit of each of
+    /// [`COST_QUANTITIES`].
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or where all are
+    /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or if all costs are
     /// zero.
     pub fn from_costs(costs: [f64; COSTS]) -> Result<Self> {
         if let Some((name, cost)) = UnitCosts(costs).invalid() {
@@ -159,7 +160,7 @@ impl AnalyticModel {
         Ok(Self { costs, fitted: true, ..Self::default() })
     }
 
-    /// Sets the probe to which the costs are fitted: `side`² rays.
+    /// Sets the probe to whose counts the costs were fitted: `side` rays along each side.
     #[must_use]
     pub fn with_probe_side(mut self, side: usize) -> Self {
         self.probe_side = side;
@@ -172,9 +173,9 @@ impl AnalyticModel {
         self
     }
 
-    /// Fits the unit costs to measured frames, with `default`, scaled to this machine's speed, as the prior;
-    /// calibrates the upper bound on the same frames. Costs of work that no measurement has keep the ratio to
-    /// the other costs that they have in `default`; costs that are 0 in `default` stay 0.
+    /// Fits the unit costs to measured frames. The prior is `default`, scaled to this machine's speed. The
+    /// upper bound is calibrated on the same frames. Costs of work that no measurement has keep their prior
+    /// values; costs that are 0 in `default` stay 0.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable.
@@ -228,11 +229,12 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer that predicts seconds, with [`COST_QUANTITIES`] as scene features
-    /// (without the last one if its cost is 0); calibration and range are stored under [`Key::Calibration`].
+    /// Returns the model as a file with one dense layer that predicts seconds. Its scene features are
+    /// [`COST_QUANTITIES`], without the last quantity if its cost is 0. Calibration and range are stored
+    /// under [`Key::Calibration`].
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidTensor`] where a cost does not fit single precision.
+    /// [`crate::ErrorKind::InvalidTensor`] if a cost overflows single precision.
     pub fn to_model_file(&self) -> Result<ModelFile> {
         let mut file = ModelFile::default();
         let used = if self.costs[COMMON_COSTS..].iter().all(|&c| c == 0.0) { COMMON_COSTS } else { COSTS };
@@ -313,7 +315,7 @@ impl AnalyticModel {
         Ok(Some(out))
     }
 
-    /// Predicts from the given work: 1, then the quantities of [`COST_QUANTITIES`].
+    /// Returns the predicted seconds for the given work: 1, then the quantities of [`COST_QUANTITIES`].
     #[cfg(test)]
     pub(crate) fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
         dot(&self.costs, work)
@@ -324,7 +326,7 @@ impl AnalyticModel {
         UnitCosts(self.costs)
     }
 
-    /// The cost of a frame at a setting, by terms.
+    /// Returns the predicted terms of a frame's time at a setting.
     pub(crate) fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
         let work = features.cost_work(setting);
         let mut sums = [0.0f64; TERMS];
@@ -368,7 +370,7 @@ impl Predictor for AnalyticModel {
     }
 
     fn identity(&self) -> u32 {
-        // Little-endian on every machine, so that a saved state fits its model on any.
+        // Bytes are little-endian on every machine, so that a saved state can be loaded on all of them.
         crc32fast::hash(self.costs.map(f64::to_le_bytes).as_flattened())
     }
 
@@ -386,8 +388,8 @@ impl Predictor for AnalyticModel {
     }
 }
 
-/// Point of a frame in the range of the model: logarithm of its pixels; logarithms of its rays, skips,
-/// samples and lane samples, each per pixel.
+/// Returns the quantities of a frame that are compared with the model's range: logarithm of its pixels, and
+/// logarithms of its rays, skips, samples and lane samples, each per pixel.
 fn range_point(work: &[f64; COSTS]) -> RangePoint {
     let log = |v: f64| libm::log(v + 1.0) as f32;
     let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;

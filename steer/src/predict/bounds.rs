@@ -25,9 +25,10 @@ impl Default for UpperBound {
 }
 
 impl UpperBound {
-    /// The bound from held-out residuals ln(measured / predicted), or from residuals of fitted frames, if
-    /// these are so many that holding out makes no difference. It is the ⌈(n + 1)·[`UPPER_LEVEL`]⌉-th
-    /// smallest residual, or the largest if there are fewer. Sorts the slice; NaN residuals count as misses.
+    /// Returns the bound from n held-out residuals ln(measured / predicted). Residuals of fitted frames may
+    /// be used if there are so many that holding out makes no difference. The bound is the
+    /// ⌈(n + 1)·[`UPPER_LEVEL`]⌉-th smallest residual, or the largest if there are fewer. Sorts the slice;
+    /// NaN residuals count as infinite.
     pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
         if log_residuals.is_empty() {
             return Self::default();
@@ -43,9 +44,9 @@ impl UpperBound {
         Self { log_factor: log_residuals[rank.clamp(1, n) - 1] as f32 }
     }
 
-    /// As [`UpperBound::from_residuals`] for frames in groups (volumes), where new frames belong to new
-    /// groups: every group has the same weight, regardless of its number of frames. `residuals` are pairs of
-    /// residual and group.
+    /// Returns the bound from frames in groups (volumes), for new frames that belong to new groups.
+    /// `residuals` are pairs of residual and group. As [`UpperBound::from_residuals`], but all groups have
+    /// the same weight, regardless of their numbers of frames.
     pub fn from_groups<G: Ord>(residuals: impl IntoIterator<Item = (f64, G)>) -> Self {
         let mut sorted: Vec<(f64, G)> =
             residuals.into_iter().map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, g)).collect();
@@ -116,13 +117,13 @@ pub(super) fn store_in_calibration<const N: usize>(
     Ok(())
 }
 
-/// Number of quantities in the range of the analytic model.
+/// Number of quantities of a frame that are compared with the analytic model's range.
 const RANGE_TERMS: usize = 5;
 
-/// Values of the range's quantities for one frame.
+/// Logarithms of a frame's quantities that are compared with the analytic model's range.
 pub(crate) type RangePoint = [f32; RANGE_TERMS];
 
-/// Bounding box of the training data.
+/// Range of each quantity of a [`RangePoint`] in the training data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FeatureRange {
     low: RangePoint,
@@ -147,7 +148,7 @@ impl FeatureRange {
         self.known.then_some((&self.low, &self.high))
     }
 
-    /// The range of the rows; values that are not finite are ignored.
+    /// Returns the range of the rows; values that are not finite are ignored.
     pub(crate) fn from_rows(rows: &[RangePoint]) -> Self {
         if rows.is_empty() {
             return Self::unknown();
@@ -170,8 +171,9 @@ impl FeatureRange {
         out
     }
 
-    /// 0 inside the range; outside, the largest distance from it in any dimension, in units of half the
-    /// range's width (at least 0.7, a factor of two in logarithms). NaN for an unknown range.
+    /// Returns the out-of-range score of a frame: 0 inside the range; outside, the largest distance of a
+    /// quantity from its range, in units of half the range's width (at least 0.7, a factor of two in
+    /// logarithms). NaN for an unknown range.
     pub(crate) fn score(&self, row: &RangePoint) -> f32 {
         if !self.known {
             return f32::NAN;

@@ -1,5 +1,5 @@
-//! Clocks of frame times. If a model predicts the times of one clock and a renderer reports those of another,
-//! the times differ by a factor that is neither the model's error nor the machine's speed.
+//! Clocks of frame times. If a model predicts times of one clock and a renderer reports times of another
+//! clock, they differ by a factor that is neither the model's error nor the machine's speed.
 
 use entire_core::model::{Key, Model};
 use entire_core::names;
@@ -22,13 +22,13 @@ names! { Clock:
 }
 
 impl Clock {
-    /// The clock with this name: `cpu`, `wall` or `device`; `None` for any other text.
+    /// Returns the clock with this name: `cpu`, `wall` or `device`; `None` for any other text.
     pub(crate) fn named(name: &str) -> Option<Self> {
         [Self::Cpu, Self::Wall, Self::Device].into_iter().find(|c| c.name() == name)
     }
 
-    /// The clock whose seconds a model predicts, from [`Key::Clock`] of its file; `None` where the file does
-    /// not state it.
+    /// Returns the clock whose seconds a model predicts, from [`Key::Clock`] of its file; `None` if the file
+    /// states no clock.
     pub(crate) fn of(model: &Model) -> Option<Self> {
         Self::named(model.metadata().get(Key::Clock.name())?)
     }

@@ -7,15 +7,12 @@ use entire_core::scene::{Arcball, GaussianLobe};
 
 /// Origin of a prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
 #[repr(u32)]
 pub enum Source {
     /// The linear cost model on estimated work.
     Analytic = 1,
     /// A network from a model file.
     Network = 2,
-    /// Recent frames, scaled to the requested setting.
-    History = 3,
 }
 
 /// A predicted frame time.
@@ -23,7 +20,7 @@ pub enum Source {
 pub struct Prediction {
     /// Expected seconds; finite and positive.
     pub seconds: f32,
-    /// Upper bound at the calibrated level, in seconds; NaN where the predictor is uncalibrated.
+    /// Upper bound in seconds; NaN if the predictor is uncalibrated.
     pub upper: f32,
     /// Distance of the inputs from the training range: 0 inside, growing with the distance; NaN where the
     /// predictor has no range. A session trusts predictions up to
@@ -33,7 +30,7 @@ pub struct Prediction {
     pub source: Source,
 }
 
-/// A prediction as a sum of terms that are corrected separately.
+/// A predicted frame time as a sum of terms. The online correction scales each term separately.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CostTerms {
     /// Seconds of each term, none negative; their sum is the prediction.
@@ -45,7 +42,8 @@ pub struct CostTerms {
 }
 
 impl CostTerms {
-    /// A prediction without terms of its own: 2 % count as the frame's fixed cost, and 98 % as one term.
+    /// Splits a prediction that has no terms: 2 % of the seconds become the frame's fixed cost, and 98 % one
+    /// other term.
     pub fn whole(seconds: f32, out_of_range: f32, source: Source) -> Self {
         let mut parts = [0.0; TERMS];
         parts[0] = 0.02 * seconds;
@@ -84,7 +82,7 @@ pub trait Predictor {
     /// [`crate::ErrorKind::MissingInput`] where an input group of the model was not supplied.
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction>;
 
-    /// The prediction by terms. The default is [`CostTerms::whole`].
+    /// The prediction as a sum of terms. The default is [`CostTerms::whole`] of [`Predictor::predict`].
     ///
     /// # Errors
     /// As [`Predictor::predict`].
@@ -112,20 +110,20 @@ pub trait Predictor {
         None
     }
 
-    /// Picture quality law of the renderer with this name, where it was measured; an empty name stands for
-    /// the predictor's own renderer. The default is `None`.
+    /// Picture quality law of the renderer with this name; `None` if no law was measured for it. An empty
+    /// name means the predictor's own renderer. The default is `None`.
     fn quality(&self, _renderer: &str) -> Option<Quality> {
         None
     }
 
-    /// Number of rays along each side of the probe that the predictor was trained with, see
-    /// [`FrameFeatures::with_probe_side`]. 0 where no input needs the probe.
+    /// Number of rays along each side of the probe with which the predictor was trained, see
+    /// [`FrameFeatures::with_probe_side`]; 0 if no input needs the probe.
     fn probe_side(&self) -> usize {
         PROBE_SIDE
     }
 
-    /// True where a probe with any number of rays may be used. This holds for models that are linear in
-    /// counts, since every probe estimates counts without bias.
+    /// True if a probe with any number of rays may be used, as for models that are linear in counts: every
+    /// probe estimates counts without bias.
     fn any_probe_side(&self) -> bool {
         false
     }
@@ -136,7 +134,8 @@ pub trait Predictor {
         0
     }
 
-    /// True where the prediction depends on the ray step. Otherwise callers scale it by the analytic model.
+    /// True if the prediction depends on the ray step. Otherwise callers scale the prediction by the ratio of
+    /// the times that the analytic model predicts at the two steps.
     fn knows_step(&self) -> bool {
         true
     }

@@ -1,4 +1,4 @@
-//! Input rows of a model: its groups, their order and their format.
+//! Layout of a model's input rows: input groups, their order and their format.
 
 use super::{GroupKind, Inputs, UnitCosts};
 use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work};
@@ -10,7 +10,7 @@ use entire_core::model::{InputGroup, Key, Model, ModelFile};
 use entire_core::nn::PredNetParts;
 use entire_core::scene::{Arcball, GaussianLobe};
 
-/// Source of the values of a row. `None` stands for a value that is unknown for the frame.
+/// Source of the values of an input row for one frame. `None` means that a value is unknown for the frame.
 pub trait InputValues {
     /// VolumeNet's output for the volume.
     fn volume_features(&self) -> Option<&[f32]>;
@@ -24,7 +24,7 @@ pub trait InputValues {
     fn lobes(&self) -> Option<&[GaussianLobe]>;
     /// A quantity of the scene, in its unit.
     fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64>;
-    /// Seconds of the frame's work under unit costs.
+    /// Seconds that the frame's work takes with these unit costs.
     fn seconds(&mut self, costs: &UnitCosts) -> Option<f64>;
 }
 
@@ -72,13 +72,13 @@ impl InputValues for FrameValues<'_> {
 /// them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputLayout {
-    /// The groups with their sizes, in order.
+    /// The groups in order, each with its number of values.
     pub groups: Vec<(GroupKind, usize)>,
-    /// The scene features, in order; as many as the size of their group.
+    /// The scene features, in order: one for each value of their group.
     pub scene_features: Vec<SceneFeature>,
-    /// Unit costs of `estimated_seconds`, where the model file has them.
+    /// Unit costs for the scene feature `estimated_seconds`; `None` if the model file has none.
     pub unit_costs: Option<UnitCosts>,
-    /// True where Gaussian lobes are sorted by center; false where they keep the caller's order.
+    /// True if Gaussian lobes are sorted by center; false if they keep the caller's order.
     pub sorted_lobes: bool,
     /// Number of rays along each side of the probe that measures the scene features, 1 to [`MAX_PROBE_SIDE`];
     /// 0 where no scene feature needs a probe.
@@ -86,9 +86,8 @@ pub struct InputLayout {
 }
 
 impl InputLayout {
-    /// The layout of a new model. `lobes` is the number of Gaussian lobes of the transfer functions,
-    /// `volume_features` the number of outputs of the VolumeNet; both are ignored by groups that do not need
-    /// them.
+    /// Returns the layout of a new model. `lobes` is the number of Gaussian lobes of the transfer functions,
+    /// and `volume_features` the number of outputs of the VolumeNet. Each is ignored if no group needs it.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for an empty list, a repeated group, or a group without values.
@@ -130,7 +129,7 @@ impl InputLayout {
         })
     }
 
-    /// The layout of a model file.
+    /// Returns the layout of a model file.
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
@@ -164,7 +163,8 @@ impl InputLayout {
         self.groups.iter().map(|(_, size)| size).sum()
     }
 
-    /// Stores a network with this layout in a model file: its tensors and the description of its inputs.
+    /// Stores a network with this layout in a model file: the network's tensors and the description of its
+    /// inputs.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] where the parts do not fit together or a weight overflows its
@@ -190,8 +190,8 @@ impl InputLayout {
     /// Writes a frame's row of [`InputLayout::width`] values.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] where a group was not supplied or has another size than the
-    /// model's, [`crate::ErrorKind::SizeMismatch`] for a row of another width.
+    /// [`crate::ErrorKind::MissingInput`] if a group was not supplied or has another size than in the model,
+    /// [`crate::ErrorKind::SizeMismatch`] for a row of another width.
     pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
         self.write_from(&mut FrameValues { inputs, work: None, seconds: None }, row)
     }
@@ -204,7 +204,7 @@ impl InputLayout {
         if row.len() != self.width() {
             bail!(
                 SizeMismatch,
-                "a row of {} numbers; the model takes {}, see InputLayout::width",
+                "the row has {} numbers, but the model takes {}; see InputLayout::width",
                 row.len(),
                 self.width()
             );
@@ -252,8 +252,8 @@ impl InputLayout {
                         lobes.len()
                     );
                 }
-                // Missing lobes are filled by splitting the tallest lobe into equal parts, which add up to
-                // the same function.
+                // If there are fewer lobes than the model takes, the tallest is split into equal parts. Their
+                // sum is the same function.
                 let mut tallest = 0;
                 for (i, lobe) in lobes.iter().enumerate() {
                     if lobe.height > lobes[tallest].height {
@@ -280,7 +280,7 @@ impl InputLayout {
                 if self.scene_features.len() != size {
                     bail!(
                         MissingInput,
-                        "the model takes {size} scene features and names {}; its file must name each",
+                        "the model takes {size} scene features, but its file names {}; it must name each",
                         self.scene_features.len()
                     );
                 }
@@ -346,14 +346,15 @@ fn takes_sorted_lobes(model: &Model) -> Result<bool> {
         Some(other) => {
             bail!(
                 Unsupported,
-                "{} is {other:?}; center is accepted, or no entry for lobes in the caller's order",
+                "{} is {other:?}; only \"center\" is accepted, or no entry if lobes keep the caller's order",
                 Key::LobeOrder
             )
         }
     }
 }
 
-/// Sorts the lobes of a `transfer_function` group, (c, w, h) each, by center; the sort is stable.
+/// Sorts the lobes of a `transfer_function` group by center. Each lobe is (center, width, height). The sort
+/// is stable.
 fn sort_lobes(group: &mut [f32]) {
     let count = group.len() / 3;
     for end in 1..count {

@@ -16,7 +16,8 @@ use entire_core::model::{Key, Model};
 use entire_core::nn::{PredNet, PredScratch};
 use serde::{Deserialize, Serialize};
 
-/// Distance from the training mean up to which an input counts as inside, in standard deviations.
+/// Distance of an input from its training mean up to which it counts as inside the range, in standard
+/// deviations.
 const INSIDE: f32 = 2.5;
 
 /// Content of [`Key::Calibration`].
@@ -29,7 +30,7 @@ pub(super) struct Stored {
     pub(super) low: Option<Vec<f32>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) high: Option<Vec<f32>>,
-    /// Ends of [`InputRange`].
+    /// Lower ends of [`InputRange`]; the upper ends are `input_high`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) input_low: Option<Vec<f32>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -53,7 +54,7 @@ impl Stored {
     }
 }
 
-/// Makes the predictor of a model file: the analytic model where the file holds one, otherwise its PredNet.
+/// Returns the predictor of a model file: an analytic model if the file holds one, otherwise its PredNet.
 ///
 /// # Errors
 /// As [`ModelPredictor::new`].
@@ -64,8 +65,8 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
     })
 }
 
-/// As [`load`], with a network already built from the same model, so that several predictors share its
-/// weights. The analytic model does not use it.
+/// As [`load`], with a network that was already built from the same model, so that several predictors share
+/// its weights. An analytic model does not use the network.
 ///
 /// # Errors
 /// As [`load`], and [`crate::ErrorKind::SizeMismatch`] for a network with another number of inputs.
@@ -84,7 +85,8 @@ pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor 
 pub struct ModelPredictor {
     net: Arc<PredNet>,
     layout: InputLayout,
-    /// Mean and standard deviation per input; the mean is NaN where an input does not count in the score.
+    /// Mean and standard deviation of each input; the mean is NaN if the input is ignored by the out-of-range
+    /// score.
     spread: Vec<(f32, f32)>,
     scratch: PredScratch,
     row: Vec<f32>,
@@ -99,7 +101,7 @@ pub struct ModelPredictor {
 }
 
 impl ModelPredictor {
-    /// A predictor from a checked model, for this CPU's best level.
+    /// Returns a predictor for a checked model. It uses the fastest instruction set of this CPU.
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
@@ -159,7 +161,7 @@ impl ModelPredictor {
         })
     }
 
-    /// The input row of a frame, in the model's order, before it is clamped to [`InputRange`].
+    /// Returns the input row of a frame, in the model's order, before it is clamped to [`InputRange`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
@@ -183,10 +185,10 @@ impl ModelPredictor {
     }
 }
 
-/// Checksum of everything that determines a model's predictions: weights, input layout and metadata, which
-/// names renderer, device and clock where they are known.
+/// Returns a checksum of everything that determines a model's predictions: weights, input layout and
+/// metadata. The metadata names renderer, device and clock, if they are known.
 fn identity_of(model: &Model) -> u32 {
-    // Little-endian on every machine, so that a saved state fits its model on any.
+    // Bytes are little-endian on every machine, so that a model has the same checksum on all of them.
     let numbers = |hash: &mut crc32fast::Hasher, values: &[f32]| {
         let mut bytes = [0; 256];
         for chunk in values.chunks(64) {
@@ -233,7 +235,7 @@ impl Predictor for ModelPredictor {
         }
         let seconds = self.net.predict(&self.row, &mut self.scratch);
         let (seconds, clamped) = checked_seconds(seconds)?;
-        // If no range is known, the score is NaN; `max` replaces NaN too.
+        // Without a known range the score is NaN; `max` replaces NaN by `CLAMPED_SCORE`.
         let out_of_range = if clamped { out_of_range.max(CLAMPED_SCORE) } else { out_of_range };
         Ok(Prediction {
             seconds,
@@ -248,8 +250,8 @@ impl Predictor for ModelPredictor {
     }
 
     fn log_sd(&self) -> Option<f32> {
-        // A network without calibration was nevertheless trained on times of a machine; its errors are
-        // assumed to have a standard deviation of 0.5 in ln(time).
+        // Even without calibration, a network was trained on times of a machine. Its errors are assumed to
+        // have a standard deviation of 0.5 in ln(time).
         Some(self.calibration.log_sd().unwrap_or(0.5))
     }
 
@@ -443,7 +445,8 @@ mod tests {
         };
         assert_eq!(row(&[lobe(0.4, 0.6)]), [0.4, 0.01, 0.6 / 3.0].repeat(3));
         assert_eq!(row(&[lobe(0.2, 0.1), lobe(0.4, 0.6)]), [0.2, 0.01, 0.1, 0.4, 0.01, 0.3, 0.4, 0.01, 0.3]);
-        // The same function: the sum of its lobes (Eq. 4) at every value.
+        // The full row describes the same function: the sum of its lobes (Eq. 4 of the paper) has the same
+        // value everywhere.
         let of = |row: &[f32], s: f32| -> f32 {
             row.chunks(3).map(|l| l[2] * libm::expf(-(s - l[0]).powi(2) / l[1])).sum()
         };

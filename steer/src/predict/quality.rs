@@ -10,18 +10,19 @@ use serde::{Deserialize, Serialize};
 /// Picture error and time of a renderer as functions of ray step and image size. Among combinations of step
 /// and image size that take the same time, a plan uses the one with the smallest error.
 ///
-/// For a step of s finest steps and rays d pixels apart along each side, the picture's error against full
-/// quality is proportional to (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, its time
-/// to (`ray_share` + (1 − `ray_share`) / s) / d². The unit of the error does not matter.
-/// [`crate::calibrate::fit_quality`] fits the law to compared pictures.
+/// Let the step be s finest steps, and let neighboring rays be d pixels apart along each side. A power of
+/// the picture's error against full quality is then proportional to
+/// (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`,
+/// and its time is proportional to (`ray_share` + (1 − `ray_share`) / s) / d². The unit of the error does not
+/// matter. [`crate::calibrate::fit_quality`] fits the law to compared pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
     /// Ratio of the error of an image of half the size along each side (d = 2) to the error of a step twice
     /// as coarse (s = 2).
     pub image_weight: f32,
-    /// Exponent of the step's error.
+    /// Exponent of the error caused by the step.
     pub step_exponent: f32,
-    /// Exponent of the image's error; near 0 where any smaller image is blurred.
+    /// Exponent of the error caused by the image size; near 0 if all smaller images are similarly blurred.
     pub image_exponent: f32,
     /// Share of the time at full quality that depends on the number of rays and not on their samples.
     pub ray_share: f32,
@@ -45,7 +46,8 @@ impl Quality {
         [self.image_weight, self.step_exponent, self.image_exponent, self.ray_share]
     }
 
-    /// A law from values in the order of the fields, each clamped to the bounds of [`Quality::check`].
+    /// Returns a law from values in the order of the fields, each clamped to the bounds of
+    /// [`Quality::check`].
     pub(crate) fn within(numbers: [f64; 4]) -> Self {
         let [image_weight, step_exponent, image_exponent, ray_share] = core::array::from_fn(|i| {
             let (_, low, high) = BOUNDS[i];
@@ -61,36 +63,40 @@ impl Quality {
     pub(crate) fn check(&self) -> Result<()> {
         for ((what, low, high), v) in BOUNDS.into_iter().zip(self.numbers()) {
             if !(low..=high).contains(&v) {
-                bail!(InvalidArgument, "the quality's {what} is {v}; it must be {low} to {high}");
+                bail!(
+                    InvalidArgument,
+                    "the {what} of the picture quality law is {v}; it must be {low} to {high}"
+                );
             }
         }
         Ok(())
     }
 
-    /// The picture's error against full quality, in units of the error at a step of 2 finest steps.
+    /// Returns the picture's error against full quality, in units of the error at a step of 2 finest steps
+    /// and full image size.
     pub fn error(&self, step: f64, distance: f64) -> f64 {
         let power = |x: f64, exponent: f32| if x > 0.0 { libm::pow(x, f64::from(exponent)) } else { 0.0 };
         power(step - 1.0, self.step_exponent)
             + f64::from(self.image_weight) * power(distance - 1.0, self.image_exponent)
     }
 
-    /// The picture's time, as a share of that at full quality.
+    /// Returns the picture's time, as a share of the time at full quality.
     pub(crate) fn time_share(&self, step: f64, distance: f64) -> f64 {
         let rays = f64::from(self.ray_share);
         (rays + (1.0 - rays) / step) / (distance * distance)
     }
 
-    /// The step at which an image takes the given share of the time of full quality; `None` where this step
-    /// would be below 1 or does not exist.
+    /// Returns the step at which an image takes the given share of the time at full quality; `None` if this
+    /// step would be below 1 or does not exist.
     pub(crate) fn step_for(&self, share: f64, distance: f64) -> Option<f64> {
         let rays = f64::from(self.ray_share);
         let left = share * distance * distance - rays;
         (left > 0.0 && left <= 1.0 - rays).then(|| (1.0 - rays) / left)
     }
 
-    /// Computes the thresholds between image sample distances. `distances` ascends from 1; `from` receives
-    /// for each distance the smallest value of step · distance² at which it has a smaller error than the
-    /// smaller distances at equal time; infinity if there is no such value.
+    /// Computes the thresholds between image sample distances. `distances` ascends from 1. For each further
+    /// distance, `from` receives the smallest value of step · distance² at which this distance has a smaller
+    /// error than all smaller distances at equal time; infinity if there is no such value.
     pub(crate) fn lay(&self, distances: &[f64], from: &mut [f64]) {
         /// Ratio of successive frame times that are tried.
         const FINER: f64 = 0.97;
@@ -112,9 +118,9 @@ impl Quality {
                 }
             }
             if best.0 > taken {
-                // The smaller distance reaches this time, if at all, at another value of step · distance²:
-                // the threshold is the geometric mean of both, or this distance's own value where that is
-                // smaller.
+                // At this time, the distance `taken` has another value of step · distance² than the best one.
+                // The threshold is the geometric mean of both values. It is the best distance's value if that
+                // is smaller, or if `taken` does not reach this time.
                 let square = distances[taken] * distances[taken];
                 let before = self.step_for(share, distances[taken]).map_or(best.2, |s| s * square);
                 let at = libm::sqrt(before.min(best.2) * best.2).max(from[taken]);
@@ -125,16 +131,16 @@ impl Quality {
         }
     }
 
-    /// The law in a model file, under [`Key::Quality`]; `None` where the file has none.
+    /// Returns the law in a model file, under [`Key::Quality`]; `None` if the file has none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for anything but an object of the four parameters within their
-    /// bounds.
+    /// [`crate::ErrorKind::InvalidModel`] unless the entry is a JSON object with the four parameters within
+    /// their bounds.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(Key::Quality.name()) else { return Ok(None) };
         let quality: Self = match serde_json::from_str(text) {
             Ok(quality) => quality,
-            Err(e) => bail!(InvalidModel, "{} is not an object of its four numbers: {e}", Key::Quality),
+            Err(e) => bail!(InvalidModel, "{} is not a quality law of four numbers: {e}", Key::Quality),
         };
         if let Err(e) = quality.check() {
             bail!(InvalidModel, "{}: {e}", Key::Quality);
@@ -166,7 +172,7 @@ impl KnownQuality {
         Ok(Quality::of(model)?.map(|quality| Self { quality, renderer }))
     }
 
-    /// The law if it belongs to the renderer of this name; an empty name matches any.
+    /// Returns the law if it was measured with the renderer of this name; an empty name matches any renderer.
     pub(super) fn holds_for(known: Option<&Self>, renderer: &str) -> Option<Quality> {
         known.filter(|k| renderer.is_empty() || renderer == k.renderer).map(|k| k.quality)
     }

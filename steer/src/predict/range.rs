@@ -9,7 +9,7 @@ use entire_core::model::{Key, Model, ModelFile};
 
 /// Range of each input in a network's training data, to which its inputs are clamped.
 ///
-/// Networks extrapolate linearly outside their training data, which is not justified for a factor on an
+/// Outside their training data, networks extrapolate linearly. This is not justified for a factor on an
 /// estimated time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputRange {
@@ -18,8 +18,8 @@ pub struct InputRange {
 }
 
 impl InputRange {
-    /// The range of rows of `width` inputs each; `free` further inputs, after these, are never clamped.
-    /// Values that are not finite are ignored.
+    /// Returns the range of rows of `width` inputs each. Values that are not finite are ignored. The `free`
+    /// inputs that come after these `width` inputs are never clamped.
     pub fn of_rows(rows: &[f32], width: usize, free: usize) -> Self {
         let mut seen = Self { ends: alloc::vec![(f32::MAX, f32::MIN); width].into() };
         seen.extend(rows);
@@ -39,11 +39,11 @@ impl InputRange {
         }
     }
 
-    /// The range in a model file; `None` where its inputs are not clamped.
+    /// Returns the range in a model file; `None` if the file states none, so that inputs are not clamped.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] where the number of inputs is not `width`, or ends are out of order
-    /// or not finite.
+    /// [`crate::ErrorKind::InvalidModel`] if the number of inputs is not `width`, or if ends are not
+    /// ascending or not finite.
     pub fn of(model: &Model, width: usize) -> Result<Option<Self>> {
         let Some(Stored { input_low: Some(low), input_high: Some(high), .. }) = Stored::of(model)? else {
             return Ok(None);
@@ -122,7 +122,8 @@ mod tests {
         assert!(held(&range, [f32::NAN, 6.0])[0].is_nan());
         range.extend(&[-4.0, 6.0]);
         assert_eq!(held(&range, [-9.0, 99.0]), [-4.0, 9.0]);
-        // The second input is not clamped; nor is one without a finite value in any row.
+        // The second input is free, so it is not clamped. Inputs without a finite value are not clamped
+        // either.
         let free = InputRange::of_rows(&[1.0], 1, 1);
         assert_eq!(held(&free, [7.0, 1e30]), [1.0, 1e30]);
         assert_eq!(held(&InputRange::of_rows(&[f32::NAN, 1.0], 2, 0), [3.0, 3.0]), [3.0, 1.0]);

@@ -1,4 +1,4 @@
-//! Validation of every network's output: a finite, positive number of seconds, or an error.
+//! Converts every network's output to a finite, positive number of seconds, or returns an error.
 
 use core::ops::RangeInclusive;
 use entire_core::Result;
@@ -11,12 +11,12 @@ pub const PREDICTED_SECONDS: RangeInclusive<f32> = 1.0e-6..=1.0e9;
 /// Longest accepted time of an observed frame, and of a frame that a model is fitted to, in seconds.
 pub const LONGEST_FRAME: f32 = 10_000.0;
 
-/// Smallest out-of-range score of a prediction that was clamped to [`PREDICTED_SECONDS`]; far beyond every
-/// limit of trust.
+/// Smallest out-of-range score of a prediction that was clamped to [`PREDICTED_SECONDS`]; far above the
+/// default of [`crate::control::HybridOptions::trust_limit`], 2.
 pub(crate) const CLAMPED_SCORE: f32 = 1000.0;
 
-/// Converts a network's output to seconds, clamped to [`PREDICTED_SECONDS`]; also returns true if the value
-/// was clamped; the caller then raises the out-of-range score to at least [`CLAMPED_SCORE`].
+/// Returns a network's output in seconds, clamped to [`PREDICTED_SECONDS`], and true if clamping changed it.
+/// The caller then raises the out-of-range score to at least [`CLAMPED_SCORE`].
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidModel`] for NaN or infinity: the weights are so large that sums overflow `f32`.

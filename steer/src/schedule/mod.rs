@@ -1,8 +1,8 @@
-//! Longest-processing-time-first for render farms (paper, section "Load Balancing").
+//! Scheduling by longest processing time first, for render farms (paper, section "Load Balancing").
 //!
-//! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half as long. An assignment
-//! is made from *predicted* times and evaluated with *measured* ones: [`Assignment::makespan`] accepts any
-//! times whose sum is finite on the slowest node.
+//! Each task is given by its time on a node of speed 1; on a node of speed 2, the task takes half that time.
+//! An assignment is made from *predicted* times and evaluated with *measured* times: [`Assignment::makespan`]
+//! accepts any times whose sum is finite on the slowest node.
 
 use alloc::vec::Vec;
 use entire_core::Result;
@@ -25,9 +25,9 @@ impl Assignment {
     /// Time until the last node has finished, for given task times and node speeds.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] where the number of `times` or `speeds` is not that of this
-    /// assignment's tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for an invalid time or speed, or a
-    /// task on a node that does not exist.
+    /// [`crate::ErrorKind::SizeMismatch`] where `times` does not have one time per task or `speeds` does not
+    /// have one speed per node; [`crate::ErrorKind::InvalidArgument`] for an invalid time or speed, or a task
+    /// on a node that does not exist.
     pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
         check(times, speeds)?;
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
@@ -55,22 +55,23 @@ impl Assignment {
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for a time that is negative or not finite,
-/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the indices.
+/// [`crate::ErrorKind::OutOfMemory`] if memory does not suffice for the indices.
 pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
     check_times(times)?;
     let mut order = collected(0..times.len())?;
-    // An unstable sort in place; the index orders equal times.
+    // The unstable sort allocates nothing; the comparison by index gives equal times a defined order.
     order.sort_unstable_by(|&a, &b| times[b].total_cmp(&times[a]).then(a.cmp(&b)));
     Ok(order)
 }
 
-/// Longest processing time first (Graham 1969): tasks in descending time, each to the node that would finish
-/// it first. Equal times give a round-robin assignment on equal nodes.
+/// Assigns tasks by longest processing time first (Graham 1969): takes the tasks in descending order of time,
+/// and assigns each to the node that would finish it first. Tasks of equal time on nodes of equal speed are
+/// assigned round-robin.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for no node or more than [`MAX_NODES`], for a speed that is not
 /// finite and positive, for a time that is negative or not finite, and for times whose sum is not finite;
-/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the assignment.
+/// [`crate::ErrorKind::OutOfMemory`] if memory does not suffice for the assignment.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
     let mut loads = filled(speeds.len(), 0.0f64)?;

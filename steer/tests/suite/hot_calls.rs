@@ -1,4 +1,4 @@
-//! The calls of a render loop never allocate; the test's allocator aborts the process if they do.
+//! Tests that the calls of a render loop never allocate: otherwise the test's allocator aborts the process.
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use entire_core::model::{GroupKind, ModelFile};
@@ -68,7 +68,7 @@ fn plan_choose_predict_and_observe_never_allocate() {
                 } else {
                     session.choose(&frame, &settings, 0.02).expect("a choice").1
                 };
-                // Rejected, accepted, and rejected as a repetition.
+                // The first observation is invalid, the second is accepted, and the third repeats the second.
                 for (seconds, accepted) in [(f32::NAN, false), (0.01, true), (0.01, false)] {
                     let verdict = session.observe(plan.id, seconds, ObserveFlags::default());
                     assert!(verdict.is_ok() == accepted);

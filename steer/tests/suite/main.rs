@@ -1,4 +1,4 @@
-//! Integration tests that need no harness of their own, in one program.
+//! Integration tests that use the standard test harness, in one program.
 
 mod hot_calls;
 mod units;

@@ -1,5 +1,5 @@
-//! A scene's predicted time is independent of the unit of length, for units over 60 orders of magnitude,
-//! summaries from voxels and from bricks, and cameras given as arcball and as view matrix.
+//! Tests that a scene's predicted time does not depend on the unit of length: for units over 60 orders of
+//! magnitude, summaries from voxels and from bricks, and cameras given as arcball and as view matrix.
 
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, Shading, Skipping, TransferFunction,
@@ -10,7 +10,8 @@ use entire_steer::features::VolumeSummary;
 use entire_steer::predict::Prediction;
 use glam::{Mat3, Mat4, Vec3};
 
-/// Bound on the relative difference between units whose ratio is not a power of two: f32 rounds the spacing.
+/// Largest relative difference of predictions in units whose ratio is not a power of two: f32 rounds the
+/// spacing.
 const TOLERANCE: f32 = 1e-5;
 
 const DIMS: [usize; 3] = [40, 24, 31];
@@ -21,7 +22,7 @@ fn voxels() -> Vec<u8> {
     (0..DIMS.iter().product::<usize>()).map(|i| (i * 37 % 251) as u8).collect()
 }
 
-/// Summaries of the scene in a unit of length, from voxels and from bricks.
+/// Returns summaries of the scene in the given unit of length: from voxels and from bricks.
 fn summaries(unit: f32) -> [VolumeSummary; 2] {
     let spacing = SPACING.map(|s| s * unit);
     let voxels = voxels();
@@ -35,7 +36,7 @@ fn summaries(unit: f32) -> [VolumeSummary; 2] {
     [whole, bricks]
 }
 
-/// The arcball camera, and the same camera as a view matrix in world units.
+/// Returns a camera given as arcball, and the same camera given as view matrix in world units.
 fn cameras(radius: f32) -> [Camera; 2] {
     let arcball = Camera::from_arcball(Arcball { rx: 20.0, ry: -40.0, dz: 2.5 }).unwrap();
     let center = radius * Vec3::new(0.25, -0.5, 0.125);
@@ -45,8 +46,8 @@ fn cameras(radius: f32) -> [Camera; 2] {
     [arcball, Camera::from_world_view(world, center, radius).unwrap()]
 }
 
-/// Predictions of the scene in a unit of length: from voxels and bricks, each with both cameras, with and
-/// without shading.
+/// Returns predictions of the scene in the given unit of length: for both summaries, each with both cameras,
+/// each without shading and with single scattering.
 fn predictions(unit: f32) -> Vec<Prediction> {
     let table = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.4, width: 0.05, height: 0.3 }])
         .to_table()

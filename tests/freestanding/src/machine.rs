@@ -72,7 +72,7 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 const ARENA_BYTES: usize = 64 << 20;
 
-/// An arena that grows in one direction. Only the last piece can be freed or grown in place.
+/// An arena that grows in one direction. Only the last piece can be freed.
 #[repr(C, align(64))]
 struct Arena {
     memory: UnsafeCell<[u8; ARENA_BYTES]>,
@@ -85,7 +85,7 @@ unsafe impl Sync for Arena {}
 #[global_allocator]
 static ARENA: Arena = Arena { memory: UnsafeCell::new([0; ARENA_BYTES]), used: AtomicUsize::new(0) };
 
-// SAFETY: pieces lie inside the arena, are aligned (the arena is, to 64 bytes) and disjoint.
+// SAFETY: pieces are disjoint, lie inside the arena, and are aligned, since the arena is aligned to 64 bytes.
 unsafe impl GlobalAlloc for Arena {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let used = self.used.load(Ordering::Relaxed);
@@ -112,10 +112,10 @@ unsafe impl GlobalAlloc for Arena {
 // from turning their own loops into such calls.
 
 /// # Safety
-/// As in C.
+/// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memcpy(to: *mut u8, from: *const u8, count: usize) -> *mut u8 {
-    // SAFETY: the caller vouches for both pieces.
+    // SAFETY: the caller guarantees both pieces.
     unsafe {
         asm!("rep movsb", inout("rcx") count => _, inout("rdi") to => _, inout("rsi") from => _,
              options(nostack, preserves_flags));
@@ -124,16 +124,16 @@ unsafe extern "C" fn memcpy(to: *mut u8, from: *const u8, count: usize) -> *mut 
 }
 
 /// # Safety
-/// As in C.
+/// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memmove(to: *mut u8, from: *const u8, count: usize) -> *mut u8 {
     if (to as usize).wrapping_sub(from as usize) >= count {
-        // SAFETY: the caller vouches for both pieces; going up is safe when the target does not begin inside
-        // the source.
+        // SAFETY: the caller guarantees both pieces; ascending order is safe if the target does not begin
+        // inside the source.
         return unsafe { memcpy(to, from, count) };
     }
-    // SAFETY: the caller vouches for both pieces; going down reads every byte before it is overwritten. The
-    // direction flag is put back.
+    // SAFETY: the caller guarantees both pieces; descending order reads every byte before it is overwritten.
+    // The direction flag is cleared again.
     unsafe {
         asm!("std", "rep movsb", "cld", inout("rcx") count => _,
              inout("rdi") to.wrapping_add(count).wrapping_sub(1) => _,
@@ -143,10 +143,10 @@ unsafe extern "C" fn memmove(to: *mut u8, from: *const u8, count: usize) -> *mut
 }
 
 /// # Safety
-/// As in C.
+/// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memset(to: *mut u8, value: i32, count: usize) -> *mut u8 {
-    // SAFETY: the caller vouches for the piece.
+    // SAFETY: the caller guarantees the piece.
     unsafe {
         asm!("rep stosb", inout("rcx") count => _, inout("rdi") to => _, in("al") value as u8,
              options(nostack, preserves_flags));
@@ -155,11 +155,12 @@ unsafe extern "C" fn memset(to: *mut u8, value: i32, count: usize) -> *mut u8 {
 }
 
 /// # Safety
-/// As in C.
+/// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
     for i in 0..count {
-        // SAFETY: the caller vouches for both pieces; volatile keeps the loop from becoming a call of itself.
+        // SAFETY: the caller guarantees both pieces. Volatile reads keep the compiler from turning the loop
+        // into a call of this function.
         let (x, y) = unsafe { (a.add(i).read_volatile(), b.add(i).read_volatile()) };
         if x != y {
             return i32::from(x) - i32::from(y);
@@ -169,18 +170,18 @@ unsafe extern "C" fn memcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
 }
 
 /// # Safety
-/// As in C.
+/// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn bcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
-    // SAFETY: the caller vouches for both pieces.
+    // SAFETY: the caller guarantees both pieces.
     unsafe { memcmp(a, b, count) }
 }
 
-/// Named by the precompiled library, never called: panics abort.
+/// The precompiled library names this symbol, but never calls it: panics abort.
 #[unsafe(no_mangle)]
 extern "C" fn rust_eh_personality() {}
 
-/// Named by the precompiled library, never called: panics abort.
+/// The precompiled library names this symbol, but never calls it: panics abort.
 #[unsafe(no_mangle)]
 extern "C" fn _Unwind_Resume() -> ! {
     exit(102)

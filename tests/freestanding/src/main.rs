@@ -2,13 +2,13 @@
 //!
 //! Built with the profile `freestanding` on x86-64 Linux, with `ENTIRE_FREESTANDING_MODEL` naming a model
 //! file to embed, it has its own entry point, a fixed arena as its only memory, its own panic handler, and
-//! two system calls (write, exit). Built in any other way it is an ordinary program that takes the model file
-//! as its argument and prints the same.
+//! two system calls (write, exit). Built in any other way, it is an ordinary program that takes the model
+//! file as its argument and prints the same results.
 #![cfg_attr(freestanding, no_std)]
 #![cfg_attr(freestanding, no_main)]
 
 #[cfg(all(freestanding, not(panic = "abort")))]
-compile_error!("without libc there is nothing to unwind with: build with --profile freestanding");
+compile_error!("without libc a panic cannot unwind: build with --profile freestanding");
 
 #[cfg(freestanding)]
 mod machine;

@@ -1,7 +1,7 @@
 """Writes toy.safetensors: a small model file with both networks, for examples and tests of the C library.
 
 It is fitted to a formula: 2 ns per pixel and sample, and fewer samples for a longer step, a more opaque transfer
-function and a more distant camera. No real device behaves like this; `entire train` makes models of real ones.
+function and a more distant camera. No real device behaves like this; `entire train` makes models of real devices.
 
     python make.py toy.safetensors
 """

@@ -1,5 +1,5 @@
-//! Rules that the compiler does not check: modules depend only on those listed before them, and `unsafe` is
-//! confined.
+//! Checks rules that the compiler does not check: modules depend only on modules listed before them, and
+//! `unsafe` is confined.
 
 use proc_macro2::{TokenStream, TokenTree};
 use quote::ToTokens;
@@ -14,7 +14,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace root").to_path_buf()
 }
 
-/// Rust files of a folder and those below it, or the one file.
+/// Returns the Rust files of a folder and of all folders below it; for a file, the file itself.
 fn rust_files(place: &Path) -> Vec<PathBuf> {
     if place.is_file() {
         return vec![place.to_path_buf()];
@@ -114,7 +114,7 @@ impl VisitMut for WithoutTests {
     }
 }
 
-/// The tokens of a text without test-only code, and the names of test-only modules.
+/// Returns the tokens of a text without test-only code, and the names of test-only modules.
 fn product_tokens(text: &str) -> syn::Result<(TokenStream, BTreeSet<String>)> {
     let mut file = syn::parse_file(text)?;
     let mut without = WithoutTests::default();
@@ -122,7 +122,7 @@ fn product_tokens(text: &str) -> syn::Result<(TokenStream, BTreeSet<String>)> {
     Ok((file.into_token_stream(), without.test_modules))
 }
 
-/// The code of a folder or file, file by file, without tests: neither test items nor files that are test
+/// Returns the code of a folder or file, file by file, without test items and without files that are test
 /// modules.
 fn product(place: &Path) -> Vec<(PathBuf, TokenStream)> {
     let mut code = Vec::new();
@@ -294,8 +294,8 @@ const LAB: &Rooms = &[
     ("command_line", &["commands"]),
 ];
 
-/// The modules in a crate's source folder: its folders, and its files except the two crate roots; test-only
-/// ones do not count.
+/// Returns the modules in a crate's source folder: its folders, and its files except `lib.rs` and `main.rs`.
+/// Test-only modules do not count.
 fn rooms_of(source: &Path) -> Vec<String> {
     let text = fs::read_to_string(source.join("lib.rs")).expect("lib.rs");
     let (_, tests) = product_tokens(&text).expect("Rust");
@@ -309,7 +309,7 @@ fn rooms_of(source: &Path) -> Vec<String> {
     found
 }
 
-/// Uses of a module that the table does not allow.
+/// Returns the uses of modules that the table does not allow.
 fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     let mut wrong = Vec::new();
     for (room, allowed) in rooms {
@@ -327,7 +327,8 @@ fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     wrong
 }
 
-/// Modules that may use one that is not listed before them: a table with a cycle would allow anything.
+/// Returns the table's entries that allow the use of a module that is not listed before the user. Without
+/// such entries, the table has no cycle.
 fn rooms_in_a_circle(rooms: &Rooms) -> Vec<String> {
     let place = |room: &str| rooms.iter().position(|r| r.0 == room);
     rooms
@@ -337,7 +338,7 @@ fn rooms_in_a_circle(rooms: &Rooms) -> Vec<String> {
             allowed
                 .iter()
                 .filter(move |other| place(other).is_none_or(|at| at >= i))
-                .map(move |other| format!("{room} may use {other}, which does not stand above it"))
+                .map(move |other| format!("{room} may use {other}, which is not listed before it"))
         })
         .collect()
 }
@@ -422,7 +423,8 @@ fn unsafe_stays_behind_its_fences() {
     );
 }
 
-/// Code after a test module counts, tests do not, and every way of naming a module is found.
+/// Checks that code after a test module counts, that tests do not count, and that every way of naming a
+/// module is found.
 #[test]
 fn the_rules_read_all_of_a_file_and_nothing_but_the_product() {
     let text = r#"

@@ -1,5 +1,5 @@
-//! A program without libc, with a fixed arena as memory, loads a model and predicts with the same bits as
-//! this hosted build, at every level.
+//! Checks that a program without libc, with a fixed arena as memory, loads a model and predicts with the same
+//! bits as this hosted build, at every level.
 
 use entire_core::model::{GroupKind, InputGroup, Key, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
@@ -14,7 +14,7 @@ fn noise() -> impl FnMut() -> f32 {
     }
 }
 
-/// A small model with both networks; widths that are no multiple of any vector length.
+/// Returns a small model with both networks; most widths are no multiple of a vector length.
 fn model() -> Vec<u8> {
     let mut next = noise();
     let widths = [19, 70, 33, 1];

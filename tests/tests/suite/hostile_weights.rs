@@ -1,5 +1,5 @@
-//! No prediction is ever zero, negative, infinite or NaN, neither of models with hostile weights nor of the
-//! shipped ones.
+//! Checks that no prediction is zero, negative, infinite or NaN, neither of models with hostile weights nor
+//! of the shipped models.
 
 use entire_core::ErrorKind;
 use entire_core::kernels::Executor;

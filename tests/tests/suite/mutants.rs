@@ -1,5 +1,5 @@
-//! Two thousand mutants of model files through opening, prediction and encoding; `make bars-robust` runs many
-//! more, with a memory limit.
+//! Opens 2000 mutants of model files, predicts with those that open, and encodes a volume. `make bars-robust`
+//! runs many more mutants, with a memory limit.
 
 use entire_tests::mutants::{Mutants, exercise};
 use entire_tests::small_models;

@@ -1,5 +1,5 @@
-//! Calls that run in every frame allocate nothing after set-up. The global allocator counts allocations, for
-//! every level and storage format.
+//! Checks that calls that run in every frame allocate nothing after set-up, on every level and with every
+//! storage format. The global allocator counts its calls.
 
 use entire_core::kernels::Level;
 use entire_core::kernels::{Executor, Helper, Storage};
@@ -22,7 +22,7 @@ fn count() {
 }
 
 // SAFETY: every call is passed to the system allocator unchanged.
-#[allow(unsafe_code, reason = "an allocator that counts has to be one")]
+#[allow(unsafe_code, reason = "the trait of global allocators is unsafe")]
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
@@ -44,7 +44,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Calls of the allocator that this thread makes in `work`.
+/// Returns the number of allocator calls that this thread makes in `work`.
 fn allocations(mut work: impl FnMut()) -> usize {
     let before = CALLS.with(Cell::get);
     work();

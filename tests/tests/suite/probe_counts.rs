@@ -1,4 +1,5 @@
-//! The coarse ray probe's estimates against the exact counts of the CPU version, on the volumes in `data/`.
+//! Compares the estimates of the coarse ray probe with the exact counts of the CPU version, on the volumes in
+//! `data/`.
 
 use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
 use entire_io::scenes::SceneDistribution;
@@ -7,13 +8,14 @@ use entire_steer::features::{FrameFeatures, SceneQuantity, Setting, TransferSumm
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::path::{Path, PathBuf};
 
-/// Largest median of |estimate / count − 1| over random scenes.
+/// Upper bound of the median of |estimate / count − 1| over random scenes.
 const MEDIAN_TOLERANCE: f64 = 0.1;
 
-/// The same tolerance with single scattering, where one shadow ray per probe ray represents all shadow rays.
+/// Upper bound of the same median with single scattering, where one shadow ray per probe ray represents all
+/// shadow rays.
 const SCATTER_TOLERANCE: f64 = 0.2;
 
-/// One volume of each folder under `data/`.
+/// Returns the volumes in `data/` and one volume of each folder under it.
 fn shipped() -> Vec<PathBuf> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data");
     let volumes = |folder: &Path| {
@@ -26,7 +28,7 @@ fn shipped() -> Vec<PathBuf> {
     let is_volume = |p: &PathBuf| p.extension().is_some_and(|e| e == "nrrd");
     for path in volumes(&data) {
         if path.is_dir() {
-            // Of an ensemble: the last step of its first member.
+            // Of an ensemble, takes the last time step of the first member.
             let steps = volumes(&path).into_iter().filter(|p| p.is_dir()).flat_map(|p| volumes(&p));
             let mut steps = steps.filter(is_volume).collect::<Vec<_>>();
             let member = steps.first().and_then(|p| p.parent()).map(PathBuf::from);
@@ -36,7 +38,7 @@ fn shipped() -> Vec<PathBuf> {
             found.push(path);
         }
     }
-    assert!(found.len() >= 4, "an ensemble each and the scan are expected under {}", data.display());
+    assert!(found.len() >= 4, "fewer than four volumes under {}", data.display());
     found
 }
 
@@ -76,7 +78,7 @@ fn estimated_work_is_the_counted_work() {
                 renderer.set_transfer(&table).expect("the transfer function");
                 let mut camera = Camera::from_arcball(scene.camera).expect("a camera");
                 if parallel {
-                    // Shows as much of the plane through the center as the field of view does.
+                    // At the center, the parallel camera shows the same height as the perspective camera.
                     let scale = scene.camera.dz * (0.5 * DEFAULT_FOV_Y_DEGREES.to_radians()).tan();
                     camera = camera.with_parallel_scale(scale).expect("a scale");
                 }
@@ -102,7 +104,7 @@ fn estimated_work_is_the_counted_work() {
                     (shaded, counts.shaded),
                 ];
                 for (errors, (estimate, count)) in errors.iter_mut().zip(pairs) {
-                    // Less than half an event per ray is negligible.
+                    // A count of less than half an event per ray is negligible.
                     if count * 2 > counts.rays {
                         errors.push((estimate / count as f64 - 1.0).abs());
                     }
@@ -110,7 +112,7 @@ fn estimated_work_is_the_counted_work() {
             }
         }
         for (name, errors) in ["rays", "samples", "skips", "shaded"].iter().zip(&mut errors) {
-            // Skips of shadow rays are estimated roughly; they cost little beside their samples.
+            // Skips of shadow rays are estimated roughly: they cost little compared with the rays' samples.
             let rough = *name == "skips" && shading == Shading::Scatter;
             if errors.len() >= 6 && !rough {
                 let m = median(errors);

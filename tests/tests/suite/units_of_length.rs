@@ -1,4 +1,4 @@
-//! The same scene gives the same prediction in any unit of length, from 1e-29 to 1e29.
+//! Checks that the same scene gives the same prediction in any unit of length, from 1e-29 to 1e29.
 
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, TransferFunction, TransferTable,
@@ -27,14 +27,15 @@ fn table() -> TransferTable {
     TransferFunction::Gaussian(lobes).to_table().expect("a table")
 }
 
-/// Seconds of two cameras around a volume: by angles, and by a view matrix in the volume's unit.
+/// Returns the predicted seconds of two cameras around a volume: the first is given by angles, the second by
+/// a view matrix in the volume's unit of length.
 fn predicted(summary: VolumeSummary) -> [f32; 2] {
     let radius = summary.shape().bounding_radius;
     let mut session = Session::untrained();
     session.set_volume(summary, None);
     session.set_transfer(&table(), None).expect("a transfer function");
     let pose = Camera::from_arcball(Arcball { rx: 20.0, ry: 35.0, dz: 2.0 }).expect("a camera");
-    // A pose whose distance is converted from radii to the volume's unit of length.
+    // The distance of this pose is converted from radii to the volume's unit of length.
     let other = Camera::from_arcball(Arcball { rx: -15.0, ry: 250.0, dz: 2.6 }).expect("a camera");
     let mut view = other.view();
     view.w_axis *= Vec3::splat(radius).extend(1.0);
@@ -53,7 +54,7 @@ fn equal(found: [f32; 2], expected: [f32; 2], what: &str, unit: f32) {
     }
 }
 
-/// Every power of ten such that all spacings, multiplied by it, are still accepted.
+/// Returns every power of ten with which all spacings can be multiplied and are still accepted.
 fn units() -> impl Iterator<Item = f32> {
     (-29..=29).map(|power| 10f64.powi(power) as f32)
 }

@@ -30,8 +30,9 @@ pub(super) fn fit_analytic(
     Ok((model, text))
 }
 
-/// The initial unit costs of a fit: those of a renderer that converts stored scalar values, unless all frames
-/// were drawn by the project's raycaster or its CPU version, which convert none.
+/// Returns the initial unit costs of a fit. They are the costs of a renderer that converts stored scalar
+/// values, unless all frames were drawn by the project's raycaster or its CPU version, which do not convert
+/// values.
 pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
     let own = |f: &&TimedFrame| {
         let manifest = context.tables.get(f.table).and_then(|t| t.manifest.as_ref());
@@ -40,7 +41,8 @@ pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
     if part.frames.iter().all(own) { UnitCosts::SOFTWARE } else { UnitCosts::CONVERTING }
 }
 
-/// The counts that unit costs multiply, one row per frame; 0 for counts whose unit cost is 0.
+/// Returns the counts that are multiplied by unit costs, one row per frame; 0 for counts whose unit cost is
+/// 0.
 pub fn counts(
     context: &FitContext<'_>,
     part: Timed<'_>,

@@ -4,8 +4,8 @@ use anyhow::{Context, Result, ensure};
 use entire_core::kernels::SELU_SCALE;
 use entire_core::nn::{DenseParts, Normalization, PredNetParts, Target};
 
-/// One network that computes the mean of several with equal widths and standardization: their hidden layers
-/// side by side, and a last layer over all of them.
+/// Returns a network that computes the mean of several networks with equal widths and standardization: their
+/// hidden layers side by side, and a last layer over all of them.
 pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     let count = members.len();
     let mut members = members.into_iter();
@@ -29,7 +29,7 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
         for (b, block) in blocks.iter().enumerate() {
             for (r, row) in block.weight.chunks_exact(width).enumerate() {
                 let at = (if last { r } else { b * height + r }) * inputs + if first { 0 } else { b * width };
-                // In a network of one layer, members share their columns.
+                // In a network of one layer, all members use the same columns, so their weights are added.
                 for (w, v) in weight[at..at + width].iter_mut().zip(row) {
                     *w += share * v;
                 }
@@ -41,8 +41,8 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     Ok(out)
 }
 
-/// Largest distance of the estimate below its mean, in standard deviations, at which it reaches the output
-/// exactly.
+/// Largest distance of the estimate's logarithm below its mean, in standard deviations, up to which the added
+/// units pass the logarithm on exactly.
 const CARRY_RANGE: f32 = 12.0;
 
 /// Adds the logarithm of an estimate to the output of a network that predicts log ratios. The logarithm
@@ -65,7 +65,7 @@ pub(super) fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetPart
             weight.extend_from_slice(row);
             weight.push(0.0);
         }
-        // The unit's value is gain · (z + shift) with z the standardized estimate.
+        // The unit's value is gain · (z + shift), where z is the standardized logarithm of the estimate.
         let gain = SELU_SCALE.powi(i as i32);
         let shift = if first { 0.0 } else { f64::from(CARRY_RANGE) };
         if last {

@@ -55,8 +55,8 @@ pub struct FittedModel {
     pub outcome: String,
 }
 
-/// Seconds for rows of inputs, by the model's network as a session runs it: finite and positive, as from
-/// every predictor.
+/// Returns the seconds that the model's network predicts for rows of inputs, computed as in a session. They
+/// are finite and positive.
 ///
 /// # Errors
 /// When the model holds no PredNet, or its output for a row is not finite.
@@ -68,7 +68,7 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
 /// As [`predict_rows`], with the model's network already built.
 ///
 /// # Errors
-/// When its output for a row is not finite.
+/// When the network's output for a row is not finite.
 pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
     let rows = held(model, rows, width)?;
@@ -77,7 +77,8 @@ pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize)
     Ok(seconds.into_iter().map(f64::from).collect())
 }
 
-/// Rows as inputs of a model's network: clamped to the training range, if the model states it.
+/// Returns rows in the form in which the model's network gets them: clamped to the training range, if the
+/// model states it.
 fn held<'a>(model: &Model, rows: &'a [f32], width: usize) -> Result<Cow<'a, [f32]>> {
     let Some(range) = InputRange::of(model, width)? else { return Ok(Cow::Borrowed(rows)) };
     let mut rows = rows.to_vec();
@@ -85,19 +86,19 @@ fn held<'a>(model: &Model, rows: &'a [f32], width: usize) -> Result<Cow<'a, [f32
     Ok(Cow::Owned(rows))
 }
 
-/// Seconds that a model file predicts for frames.
+/// Returns the seconds that a model file predicts for frames.
 ///
 /// # Errors
-/// When its inputs cannot be computed.
+/// When the model's inputs cannot be computed.
 pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
     let (rows, width) = rows_of(model, context, frames)?;
     predict_rows(model, &rows, width)
 }
 
-/// As [`predict`], with another storage format of the network's weights.
+/// As [`predict`], but with another storage format of the network's weights.
 ///
 /// # Errors
-/// As [`predict`]; a model without a network has no weights.
+/// When the model's inputs cannot be computed, or the model contains no network.
 pub fn predict_stored(
     model: &Model,
     storage: Storage,
@@ -109,7 +110,7 @@ pub fn predict_stored(
     rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, &rows, width)
 }
 
-/// A model's inputs for frames, and their number per frame.
+/// Returns a model's inputs for frames, and the number of inputs per frame.
 fn rows_of(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<(Vec<f32>, usize)> {
     let layout = Layout::of_model(model)?;
     let rows = layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;

@@ -1,4 +1,4 @@
-//! Recipe of a predictor, shared by commands and studies, and its execution.
+//! Recipe of a predictor, which commands and studies share, and the fit that it describes.
 
 use super::analytic::{estimates, fit_analytic};
 use super::compose::{carry_past, side_by_side};
@@ -63,7 +63,7 @@ pub enum DtypeChoice {
 }
 
 impl DtypeChoice {
-    /// The format.
+    /// Storage format in model files.
     pub fn storage(self) -> Dtype {
         match self {
             Self::F32 => Dtype::F32,
@@ -85,9 +85,9 @@ pub struct Recipe {
     pub preset: Option<String>,
     /// Input groups, in order.
     pub inputs: Vec<String>,
-    /// Scene features, in order; default: the standard ones.
+    /// Scene features, in order; default: [`standard_features`].
     pub scene_features: Vec<String>,
-    /// Rays along each side of the probe for scene features; default: the standard number.
+    /// Number of rays along each side of the probe for scene features; default: the standard number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_side: Option<usize>,
     /// Number of networks with different seeds whose mean is taken; stored as one network.
@@ -98,7 +98,7 @@ pub struct Recipe {
     pub loss: String,
     /// Maximum number of passes over the training frames.
     pub epochs: usize,
-    /// Frames per step.
+    /// Number of frames per training step.
     pub batch: usize,
     /// First learning rate; default: 1e-4 with a preset or when fine-tuning, else 1e-3.
     pub learning_rate: Option<f64>,
@@ -155,7 +155,7 @@ impl Default for Recipe {
 /// Reads a loss: `mse`, `relative`, `huber`, `huber:DELTA`, `pinball:QUANTILE`.
 ///
 /// # Errors
-/// For anything else.
+/// When the text is no such loss.
 pub fn parse_loss(text: &str) -> Result<Loss> {
     let (name, value) = match text.split_once(':') {
         Some((name, value)) => {
@@ -205,7 +205,7 @@ impl Recipe {
     /// The scene features of the recipe.
     ///
     /// # Errors
-    /// For a name that is not known.
+    /// When the name of a scene feature is not known.
     pub fn features(&self) -> Result<Vec<SceneFeature>> {
         if self.scene_features.is_empty() {
             return Ok(standard_features());
@@ -271,7 +271,7 @@ impl Recipe {
     /// True if the ray step is an input, by itself or in counts of samples.
     ///
     /// # Errors
-    /// For a group or feature that is not known.
+    /// When a group or feature is not known.
     pub fn knows_step(&self) -> Result<bool> {
         if matches!(self.kind, Kind::Analytic | Kind::Residual) {
             return Ok(true);
@@ -282,7 +282,7 @@ impl Recipe {
             .map(|n| n.trim().parse::<GroupKind>())
             .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
-        // One lobe and one volume feature stand for any number: neither depends on the step.
+        // The result does not depend on the number of lobes and volume features, so it is 1 for each.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
     }
 
@@ -290,10 +290,10 @@ impl Recipe {
         self.probe_side.unwrap_or(PROBE_SIDE)
     }
 
-    /// A new model file, with the VolumeNet if the recipe names one, and the layout of the inputs.
+    /// Returns a new model file, with the VolumeNet if the recipe names one, and the layout of the inputs.
     ///
     /// # Errors
-    /// For names that are not known, or when the VolumeNet's file cannot be read.
+    /// When the name of a group or feature is not known, or the VolumeNet's file cannot be read.
     pub fn layout(&self, training: Timed<'_>) -> Result<(ModelFile, Layout)> {
         let groups: Vec<GroupKind> =
             self.inputs.iter().map(|n| Ok(n.trim().parse::<GroupKind>()?)).collect::<Result<_>>()?;
@@ -333,7 +333,8 @@ impl Recipe {
         Ok(settings)
     }
 
-    /// The recipe for a model file: other files by name only, since their folders differ between machines.
+    /// Returns the recipe for a model file. It refers to other files by name only, since folders differ
+    /// between machines.
     fn portable(&self) -> Self {
         let name = |path: &Option<PathBuf>| path.as_ref().and_then(|p| p.file_name()).map(PathBuf::from);
         Self {

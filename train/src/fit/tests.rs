@@ -1,4 +1,4 @@
-//! Every kind of predictor against an independent evaluation of its parts.
+//! Compares every kind of predictor with an independent evaluation of its parts.
 
 use super::compose::{carry_past, side_by_side};
 use super::*;
@@ -115,7 +115,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         assert_eq!(layout.probe_side(), 5);
         let mut predictor = ModelPredictor::new(&model).unwrap();
         let factor = PredNet::new(&ratio).unwrap();
-        // Training range: images of 3 to 50 pixels, so that most images are outside; chords of 12 to 13.
+        // The training range contains images with 3 to 50 pixels, so that most images are outside it, and
+        // chords of 12 to 13.
         let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
         InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
         let limited = file.to_model().unwrap();
@@ -148,7 +149,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
             let expected =
                 seconds_of(&costs, &counts) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
-            // Far from a network's shortest time, where all predictions would be equal.
+            // The expected time is far above a network's shortest time, at which all predictions would be
+            // equal.
             assert!((1e-4..1e4).contains(&expected), "{expected}");
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
             let mut row = vec![0.0; layout.width()];
@@ -157,7 +159,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             for found in [predicted, by_row] {
                 assert!((found / expected - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
             }
-            // Clamped to the training range, only the factor changes.
+            // If inputs are clamped to the training range, only the learned factor changes.
             let held = [x[0].clamp(seen[0], seen[2]), x[1].clamp(seen[1], seen[3])];
             assert_ne!(held, x);
             let mut scratch = factor.scratch(1).unwrap();

@@ -48,7 +48,7 @@ pub(super) fn run_training(
     Ok((trained.to_parts(), trained.history, outcome))
 }
 
-/// Text that states the reason for the end of a run, and the epoch of its weights.
+/// Returns a text that states the reason for the end of a run, and the epoch of its weights.
 fn ending(trained: &Trained<f32>) -> String {
     let ran = trained.history.len();
     let why = match trained.stop {
@@ -64,7 +64,8 @@ fn ending(trained: &Trained<f32>) -> String {
     format!("{why}, {best} with loss {:.4e}", trained.best_loss)
 }
 
-/// Number of frames in `steps` training steps; every epoch takes `frames` frames in batches of `batch`.
+/// Returns the number of frames in `steps` training steps. Every epoch takes `frames` frames in batches of
+/// `batch`.
 fn passed(frames: usize, batch: usize, steps: u64) -> u64 {
     let (frames, batch) = (frames as u64, batch.min(frames).max(1) as u64);
     let per_epoch = frames.div_ceil(batch).max(1);
@@ -96,7 +97,7 @@ mod tests {
 
     #[test]
     fn frames_are_counted_in_whole_and_unfinished_epochs() {
-        // Ten frames in batches of 4, 4 and 2.
+        // Ten frames form batches of 4, 4 and 2.
         assert_eq!([0, 1, 2, 3, 4, 7].map(|steps| passed(10, 4, steps)), [0, 4, 8, 10, 14, 24]);
         assert_eq!(passed(3, 256, 5), 15);
     }

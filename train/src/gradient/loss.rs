@@ -38,7 +38,8 @@ impl Loss {
         }
     }
 
-    /// The loss and its derivative with respect to the prediction, both times the frame's `weight`.
+    /// Returns the loss and its derivative with respect to the prediction, both multiplied by the frame's
+    /// `weight`.
     #[inline]
     pub(crate) fn value_and_slope<T: Real>(self, prediction: T, target: T, weight: T) -> (T, T) {
         let error = prediction - target;

@@ -16,7 +16,7 @@ pub(super) fn vectorized<R>(loops: impl FnOnce() -> R) -> R {
     level().vectorize(loops)
 }
 
-/// A matrix in a slice: `rows` × `columns`, rows one after the other.
+/// Returns a slice as a matrix of `rows` × `columns`, stored row by row.
 ///
 /// # Panics
 /// When the slice has fewer than `rows` × `columns` elements.

@@ -41,8 +41,8 @@ impl Span {
 }
 
 impl<T: Real> Network<T> {
-    /// A network with random weights: normal with mean 0 and variance 1/inputs (LeCun), as SELU needs; biases
-    /// 0. `widths` lists the layer widths from input to output.
+    /// Returns a network with random weights, normal with mean 0 and variance 1/inputs (LeCun), as SELU
+    /// needs, and biases 0. `widths` lists the layer widths from input to output.
     ///
     /// # Errors
     /// For fewer than two widths, a width of 0 or over 65 536, or over 1024 layers.
@@ -58,7 +58,7 @@ impl<T: Real> Network<T> {
         Ok(Self { widths: widths.to_vec(), parameters })
     }
 
-    /// A network from its layers: (weights \[out, in\] by rows, biases \[out\]).
+    /// Returns a network with the given layers: weights \[out, in\] by rows, and biases \[out\].
     ///
     /// # Errors
     /// When sizes do not fit together or a number is not finite.
@@ -85,7 +85,7 @@ impl<T: Real> Network<T> {
         Ok(Self { widths, parameters })
     }
 
-    /// The network of a model file, to be fine-tuned.
+    /// Returns the network of a model file, to be fine-tuned.
     ///
     /// # Errors
     /// When the parts do not fit together.
@@ -106,7 +106,7 @@ impl<T: Real> Network<T> {
         self.widths.len() - 1
     }
 
-    /// Weights \[out, in\] by rows and biases \[out\] of a layer.
+    /// Returns the weights \[out, in\] by rows and the biases \[out\] of a layer.
     ///
     /// # Panics
     /// When there is no such layer.
@@ -115,7 +115,7 @@ impl<T: Real> Network<T> {
         (&self.parameters[span.weight()], &self.parameters[span.bias()])
     }
 
-    /// All parameters, layer after layer, each its weights and then its biases.
+    /// All parameters, layer after layer. Each layer has its weights first, then its biases.
     pub fn parameters(&self) -> &[T] {
         &self.parameters
     }
@@ -124,7 +124,7 @@ impl<T: Real> Network<T> {
         &mut self.parameters
     }
 
-    /// The same network in another precision.
+    /// Returns the same network in another precision.
     pub fn cast<U: Real>(&self) -> Network<U> {
         Network {
             widths: self.widths.clone(),
@@ -148,28 +148,29 @@ fn check_widths(widths: &[usize]) -> Result<()> {
     Ok(())
 }
 
-/// A standard normal number (Box–Muller, one of the pair).
+/// Returns a standard normal number (Box–Muller, one of the pair).
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let unit = |bits: u64| ((bits >> 11) as f64 + 0.5) * (1.0 / (1u64 << 53) as f64);
     let (u, v) = (unit(rng.next_u64()), unit(rng.next_u64()));
     libm::sqrt(-2.0 * libm::log(u)) * libm::cos(std::f64::consts::TAU * v)
 }
 
-/// Buffers for the rows of one task, and the gradient of their part of the loss.
+/// Buffers for the rows of one task, and the gradient of the loss over these rows.
 #[derive(Clone, Debug)]
 pub(crate) struct Pass<T> {
     rows: usize,
     /// Output of every layer, [rows, width] each.
     activations: Vec<Vec<T>>,
-    /// Gradients with respect to the output of a layer, and of the layer before it.
+    /// Gradient of the loss with respect to the output of a layer.
     delta: Vec<T>,
+    /// Gradient of the loss with respect to the output of the layer before it.
     next_delta: Vec<T>,
-    /// As `Network::parameters`.
+    /// Gradient of the loss with respect to the parameters, in the order of `Network::parameters`.
     pub(crate) gradient: Vec<T>,
 }
 
 impl<T: Real> Pass<T> {
-    /// Buffers for `rows` rows; those of the backward pass are empty unless `backward` is true.
+    /// Returns buffers for `rows` rows. The buffers of the backward pass are empty unless `backward` is true.
     pub(crate) fn new(network: &Network<T>, rows: usize, backward: bool) -> Self {
         let widest = network.widths.iter().copied().max().unwrap_or(0);
         let delta = if backward { rows * widest } else { 0 };
@@ -223,8 +224,8 @@ impl<T: Real> Pass<T> {
         }
     }
 
-    /// The gradient of a loss whose derivative with respect to the outputs is `output_delta`, after
-    /// [`Pass::forward`] with the same inputs. Overwrites `gradient`.
+    /// Computes the gradient of a loss whose derivative with respect to the outputs is `output_delta`, and
+    /// writes it to `gradient`. [`Pass::forward`] must have been called with the same inputs.
     pub(crate) fn backward(&mut self, network: &Network<T>, inputs: &[T], output_delta: &[T]) {
         self.delta[..output_delta.len()].copy_from_slice(output_delta);
         for i in (0..network.layers()).rev() {
@@ -252,7 +253,7 @@ impl<T: Real> Pass<T> {
                     matrix(&network.parameters[span.weight()], span.outputs, span.inputs),
                     next,
                 );
-                // SELU's slope from its output y: λ where y > 0, else y + λα.
+                // SELU's slope from its output y: `scale` if y > 0, else y + `floor`.
                 let (scale, floor) = (T::of(SELU_SCALE), T::of(SELU_SCALE * SELU_ALPHA));
                 vectorized(|| {
                     for (d, y) in next.iter_mut().zip(x) {

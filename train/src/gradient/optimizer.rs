@@ -15,12 +15,14 @@ const ADAM_BETA2: f64 = 0.999;
 const ADAM_EPSILON: f64 = 1e-8;
 
 /// Smallest number of rows of a task, if the batch has as many. Tasks do not depend on the number of threads,
-/// so results do not either.
+/// so results do not depend on it either.
 const ROWS_PER_TASK: usize = 64;
+/// Maximum number of tasks into which a batch is divided.
 const MAX_TASKS: usize = 16;
+/// Number of parameters that one task sums or updates.
 const PARAMETERS_PER_TASK: usize = 8192;
 
-/// The learning rate after `step` of `steps` steps: a half cosine from `first` to `last`.
+/// Returns the learning rate after `step` of `steps` steps: a half cosine from `first` to `last`.
 pub fn cosine_learning_rate(first: f64, last: f64, step: u64, steps: u64) -> f64 {
     let t = if steps == 0 { 1.0 } else { (step as f64 / steps as f64).min(1.0) };
     last + 0.5 * (first - last) * (1.0 + libm::cos(std::f64::consts::PI * t))
@@ -53,8 +55,7 @@ impl<T: Real> Trainer<T> {
     /// clipping.
     ///
     /// # Errors
-    /// When the network has more than one output, or a setting is out
-    /// of range.
+    /// When the network has more than one output, or a setting is out of range.
     pub fn new(network: Network<T>, loss: Loss, clip_norm: f64) -> Result<Self> {
         loss.check()?;
         if network.widths().last() != Some(&1) {
@@ -86,12 +87,11 @@ impl<T: Real> Trainer<T> {
         &self.gradient
     }
 
-    /// Loss and gradient over a batch, without a step. Inputs [rows, width] by rows, one target and one
-    /// weight a row. Equal bits for any number of threads.
+    /// Computes loss and gradient over a batch, without a step. `inputs`: [rows, width] by rows, with one
+    /// target and one weight per row. The result has the same bits for any number of threads.
     ///
     /// # Errors
-    /// When the numbers of inputs, targets and weights do not fit, or are
-    /// 0.
+    /// When the numbers of inputs, targets and weights do not fit together, or are 0.
     pub fn evaluate(
         &mut self,
         pool: &ThreadPool,
@@ -166,11 +166,12 @@ impl<T: Real> Trainer<T> {
         })
     }
 
-    /// One step on a batch: gradient, clipping by its global norm, Adam with the given learning rate. A batch
-    /// whose gradient is not finite changes nothing; its [`Step`] says so.
+    /// Does one step on a batch: gradient, clipping by its global norm, Adam with the given learning rate. If
+    /// the gradient is not finite, the batch changes nothing, and the norm in the returned [`Step`] is not
+    /// finite.
     ///
     /// # Errors
-    /// As [`Trainer::evaluate`].
+    /// When the numbers of inputs, targets and weights do not fit together, or are 0.
     pub fn step(
         &mut self,
         pool: &ThreadPool,
@@ -212,7 +213,7 @@ impl<T: Real> Trainer<T> {
         Ok(step)
     }
 
-    /// Mean loss over rows, without gradients.
+    /// Returns the mean loss over rows, without gradients.
     pub(crate) fn validate(&self, pool: &ThreadPool, inputs: &[T], targets: &[T], weights: &[T]) -> f64 {
         let rows = targets.len();
         let outputs = predict(pool, &self.network, inputs);
@@ -227,7 +228,7 @@ impl<T: Real> Trainer<T> {
     }
 }
 
-/// Outputs of a one-output network for rows of inputs, in parallel.
+/// Returns the outputs of a network with one output for rows of inputs, computed in parallel.
 pub(crate) fn predict<T: Real>(pool: &ThreadPool, network: &Network<T>, inputs: &[T]) -> Vec<T> {
     const ROWS: usize = 256;
     let width = network.widths()[0];
@@ -243,7 +244,7 @@ pub(crate) fn predict<T: Real>(pool: &ThreadPool, network: &Network<T>, inputs: 
     })
 }
 
-/// Σ x² in eight running sums, so that the compiler vectorizes the loop.
+/// Returns Σ x², computed in eight running sums, so that the compiler vectorizes the loop.
 #[inline(always)]
 fn sum_of_squares<T: Real>(values: &[T]) -> f64 {
     let mut sums = [0.0f64; 8];

@@ -25,13 +25,13 @@ pub trait Real:
     const ZERO: Self;
     /// 1.
     const ONE: Self;
-    /// The nearest number of this type.
+    /// Returns the nearest number of this type.
     fn of(value: f64) -> Self;
     /// Converts to `f64`, exactly.
     fn wide(self) -> f64;
     /// √x.
     fn sqrt(self) -> Self;
-    /// Neither NaN nor infinite.
+    /// True if the number is neither NaN nor infinite.
     fn is_finite(self) -> bool;
     /// x ← selu(x) for every element.
     fn selu(values: &mut [Self]);

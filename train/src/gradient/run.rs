@@ -11,7 +11,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::ThreadPool;
 use std::ops::ControlFlow;
 
-/// The training target for the seconds of a frame.
+/// Returns the training target for the seconds of a frame.
 fn target_of(target: Target, seconds: f64) -> f64 {
     match target {
         Target::Seconds => seconds,
@@ -19,7 +19,7 @@ fn target_of(target: Target, seconds: f64) -> f64 {
     }
 }
 
-/// The seconds for a training target: the inverse of [`target_of`].
+/// Returns the seconds for a training target: the inverse of [`target_of`].
 fn seconds_of(target: Target, value: f64) -> f64 {
     match target {
         Target::Seconds => value,
@@ -56,8 +56,8 @@ impl Samples<'_> {
         let longest = f64::from(LONGEST_FRAME);
         if let Some(i) = self.seconds.iter().position(|t| !(*t > 0.0 && *t <= longest)) {
             bail!(
-                "{what}: frame {i} took {} seconds; times must be positive and at most {longest}: check their unit, or leave \
-                 the frame out",
+                "{what}: frame {i} took {} seconds; times must be positive and at most {longest}: check \
+                 their unit, or leave the frame out",
                 self.seconds[i]
             );
         }
@@ -72,7 +72,7 @@ impl Samples<'_> {
 pub struct Settings {
     /// Maximum number of passes over the training frames.
     pub epochs: usize,
-    /// Frames per step.
+    /// Number of frames per training step.
     pub batch: usize,
     /// Learning rate at the start.
     pub learning_rate: f64,
@@ -130,21 +130,21 @@ impl Settings {
     }
 }
 
-/// x ← (x − mean) / std for inputs, and the same for the target; as in the model file.
+/// Standardization x ← (x − mean) / std of the inputs and of the target, as in the model file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Standardization {
     /// Mean of each input.
     pub input_mean: Vec<f32>,
-    /// Standard deviation of each input; 1 where an input never changes.
+    /// Standard deviation of each input; 1 if an input never changes.
     pub input_std: Vec<f32>,
     /// Mean of the target.
     pub output_mean: f32,
-    /// Standard deviation of the target; 1 where it never changes.
+    /// Standard deviation of the target; 1 if it never changes.
     pub output_std: f32,
 }
 
 impl Standardization {
-    /// Standardization fitted to the training frames.
+    /// Returns the standardization fitted to the training frames.
     pub fn fit(samples: Samples<'_>, width: usize, target: Target) -> Self {
         let n = samples.seconds.len().max(1) as f64;
         let mut mean = vec![0.0f64; width];
@@ -175,7 +175,7 @@ impl Standardization {
         Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
     }
 
-    /// Standardization of a model; the identity where it has none.
+    /// Returns the standardization of a model; the identity if the model has none.
     pub fn of(parts: &PredNetParts) -> Self {
         let mut out = Self::identity(parts.layers.first().map_or(0, |layer| layer.inputs));
         if let Some(Normalization { mean, std }) = &parts.input {
@@ -220,15 +220,15 @@ impl Standardization {
     }
 }
 
-/// The square root of a variance, or 1 where it is only rounding noise.
+/// Returns the square root of a variance, or 1 if the variance is only rounding noise.
 fn deviation(variance: f64, mean: f64) -> f32 {
     let deviation = libm::sqrt(variance);
     if deviation > 1e-7 * mean.abs() && deviation > 1e-30 { deviation as f32 } else { 1.0 }
 }
 
-/// Layer widths of a paper preset such as `12C256`: inputs → 256, 12 × (256 → 256), then halved down to 16,
-/// then 1 (paper, section "Architecture"). Up to 1000 layers are accepted, and any power of two from 32 to
-/// 65 536 as width.
+/// Returns the layer widths of a paper preset such as `12C256`: inputs → 256, 12 × (256 → 256), then halved
+/// down to 16, then 1 (paper, section "Architecture"). Up to 1000 layers are accepted, and as width any power
+/// of two from 32 to 65 536.
 ///
 /// # Errors
 /// For any other text.
@@ -252,21 +252,21 @@ pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
     Ok(widths)
 }
 
-/// Losses of one epoch. The squared error is in squared standard deviations of the target, every other loss
-/// in its own unit.
+/// Losses of one epoch. The quantile loss is in standard deviations of the target, all other losses are in
+/// squared standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpochRecord {
     /// Number of the epoch, from 1.
     pub epoch: usize,
     /// Mean loss over the epoch's batches, each evaluated before its step.
     pub training_loss: f64,
-    /// Loss of the validation frames after the epoch; the training loss where there are none.
+    /// Loss of the validation frames after the epoch; the training loss if there are no such frames.
     pub validation_loss: f64,
-    /// Learning rate of its last step.
+    /// Learning rate of the epoch's last step.
     pub learning_rate: f64,
 }
 
-/// Argument of the callback after every step.
+/// State of the training, given to the callback after every step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
     /// Epoch in progress, from 1.
@@ -306,11 +306,11 @@ pub struct Trained<T> {
     pub network: Network<T>,
     /// Standardization, stored with the weights.
     pub standardization: Standardization,
-    /// Meaning of the output.
+    /// Output quantity of the network.
     pub target: Target,
     /// Every epoch that ended.
     pub history: Vec<EpochRecord>,
-    /// The epoch after which the network had these weights; 0 for the initial weights.
+    /// Epoch in which the network reached these weights; 0 for the initial weights.
     pub best_epoch: usize,
     /// The validation loss of the weights.
     pub best_loss: f64,
@@ -319,7 +319,7 @@ pub struct Trained<T> {
 }
 
 impl<T: Real> Trained<T> {
-    /// Contents of a model file, weights as F32.
+    /// Returns the contents of a model file, with weights as F32.
     pub fn to_parts(&self) -> PredNetParts {
         let single = |values: &[T]| values.iter().map(|v| v.wide() as f32).collect();
         let s = &self.standardization;
@@ -343,7 +343,7 @@ impl<T: Real> Trained<T> {
         }
     }
 
-    /// Seconds for rows of inputs (not standardized), in parallel.
+    /// Returns the seconds for rows of inputs (not standardized), computed in parallel.
     ///
     /// # Errors
     /// When the number of inputs is not a multiple of the row length.
@@ -385,9 +385,9 @@ fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settin
 /// Trains a network (random, or given to be fine-tuned) and returns the weights with the lowest validation
 /// loss.
 ///
-/// `standardization` is fitted to the training frames where it is `None`; a fine-tuned model brings its own.
+/// `standardization` is fitted to the training frames if it is `None`; a fine-tuned model has its own.
 /// Without validation frames, the lowest training loss decides. `progress` is called after every step and
-/// stops the run by [`ControlFlow::Break`]; the weights at that moment are then also candidates for the best.
+/// stops the run by [`ControlFlow::Break`]; the weights at this moment are then also candidates for the best.
 ///
 /// # Errors
 /// When a setting is out of range, an input or a time is invalid, there are no training frames, or

@@ -15,12 +15,12 @@ const FOLDS: usize = 5;
 pub struct TimedFrames<'a> {
     /// The frames.
     pub frames: Vec<&'a TimedFrame>,
-    /// Seconds of each.
+    /// Seconds of each frame.
     pub seconds: Vec<f64>,
 }
 
 impl<'a> TimedFrames<'a> {
-    /// Frames that have seconds by the clock.
+    /// Returns the frames that have seconds by the clock.
     pub fn of(frames: impl IntoIterator<Item = &'a TimedFrame>, clock: Clock) -> Self {
         let (frames, seconds) = frames.into_iter().filter_map(|f| Some((f, f.seconds(clock)?))).unzip();
         Self { frames, seconds }
@@ -31,21 +31,21 @@ impl<'a> TimedFrames<'a> {
         Timed { frames: &self.frames, seconds: &self.seconds }
     }
 
-    /// These frames together with others.
+    /// Returns these frames together with others.
     pub fn and(&self, other: Self) -> Self {
         let frames = self.frames.iter().copied().chain(other.frames).collect();
         let seconds = self.seconds.iter().copied().chain(other.seconds).collect();
         Self { frames, seconds }
     }
 
-    /// The frames that `wanted` accepts, and all others.
+    /// Returns the frames that `wanted` accepts, and all others.
     pub fn parted(&self, wanted: impl Fn(&TimedFrame) -> bool) -> (Self, Self) {
         self.divided(|i| wanted(self.frames[i]))
     }
 
-    /// Kind of the groups, and the groups in at most five folds for cross-validation. Groups are
-    /// ensemble members, or volumes where there are fewer than three members; there are no folds for fewer
-    /// than three volumes.
+    /// Returns the kind of groups, and at most five folds of groups for cross-validation. Groups are ensemble
+    /// members, or volumes if there are fewer than three members. There are no folds for fewer than three
+    /// volumes.
     pub fn folds(&self) -> (GroupBy, Vec<BTreeSet<String>>) {
         let by = self.groups_at_least(3);
         let groups: BTreeSet<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
@@ -82,15 +82,15 @@ impl<'a> TimedFrames<'a> {
         (pick(true), pick(false))
     }
 
-    /// Groups that a split keeps together: ensemble members, or volumes where there are fewer than `needed`
-    /// members.
+    /// Returns the kind of groups that a split keeps together: ensemble members, or volumes if there are
+    /// fewer than `needed` members.
     pub fn groups_at_least(&self, needed: usize) -> GroupBy {
         let members: BTreeSet<String> = self.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
         if members.len() < needed { GroupBy::Volume } else { GroupBy::Member }
     }
 
-    /// Validation and training frames: those of a random tenth of the groups (at least one), and all others.
-    /// With fewer than three groups, all frames are for training.
+    /// Returns validation frames and training frames: the frames of a random tenth of the groups (at least
+    /// one group), and all others. With fewer than three groups, all frames are for training.
     pub fn hold_out(&self, by: GroupBy, seed: u64) -> (Self, Self) {
         let of_frame: Vec<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
         let groups: BTreeSet<String> = of_frame.iter().cloned().collect();
@@ -101,7 +101,7 @@ impl<'a> TimedFrames<'a> {
         self.divided(|i| order[..tenth].contains(&&of_frame[i]))
     }
 
-    /// `count` random frames, and all others.
+    /// Returns `count` random frames, and all others.
     pub fn sample(&self, count: usize, seed: u64) -> (Self, Self) {
         let mut order: Vec<usize> = (0..self.frames.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
@@ -164,7 +164,7 @@ mod tests {
         let held: usize =
             folds.iter().map(|f| part.parted(|x| f.contains(&by.group(&x.scene))).0.frames.len()).sum();
         assert_eq!(held, part.frames.len());
-        // With two members, volumes are held out; with two volumes, nothing is.
+        // With two members, volumes are held out. With two volumes, there are no folds.
         let few = table(&[("e/a/t0.nrrd", "a"), ("e/a/t1.nrrd", "a"), ("e/b/t0.nrrd", "b")]);
         let (by, folds) = TimedFrames::of(&few.frames, Clock::Cpu).folds();
         assert_eq!((by, folds.len()), (GroupBy::Volume, 3));

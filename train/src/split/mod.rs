@@ -33,8 +33,8 @@ impl GroupBy {
         }
     }
 
-    /// The group of a frame. A member's name includes the folder above its own, since ensembles often have
-    /// the same member numbers: `castro_blast/m01`.
+    /// Returns the group of a frame. A member's name includes the name of the folder above its own folder,
+    /// since ensembles often have the same member numbers: `castro_blast/m01`.
     pub fn group(self, scene: &Scene) -> String {
         let folder = Path::new(&scene.volume).parent();
         let name = |p: Option<&Path>| p.and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned());
@@ -64,12 +64,11 @@ pub struct Split {
 }
 
 impl Split {
-    /// Splits groups: `validation` and `test` name groups, all others are for training. Where both are empty
-    /// and there are at least three groups, a random tenth of the groups (at least one group) is taken for
-    /// each.
+    /// Splits groups: `validation` and `test` name groups, all others are for training. If both are empty and
+    /// there are at least three groups, a random tenth of the groups (at least one group) is taken for each.
     ///
     /// # Errors
-    /// For a name that is no group or is named twice, or when no training group is left.
+    /// When a name is no group or is named twice, or no training group is left.
     pub fn new<'a>(
         frames: impl IntoIterator<Item = &'a TimedFrame>,
         by: GroupBy,
@@ -109,7 +108,7 @@ impl Split {
         Ok(split)
     }
 
-    /// The part that a frame belongs to.
+    /// Returns the part that a frame belongs to.
     pub fn part(&self, scene: &Scene) -> Part {
         let group = self.by.group(scene);
         if self.test.contains(&group) {
@@ -123,7 +122,7 @@ impl Split {
         }
     }
 
-    /// Frames per part.
+    /// Returns the frames of each part.
     pub fn divide<'a>(&self, frames: &[&'a TimedFrame]) -> BTreeMap<Part, Vec<&'a TimedFrame>> {
         let mut parts: BTreeMap<Part, Vec<&TimedFrame>> = BTreeMap::new();
         for frame in frames {
@@ -133,7 +132,7 @@ impl Split {
     }
 }
 
-/// The groups in random order, and a tenth of their number, at least one.
+/// Returns the groups in random order, and a tenth of their number, but at least 1.
 fn shuffled(groups: &BTreeSet<String>, seed: u64) -> (Vec<&String>, usize) {
     let mut order: Vec<&String> = groups.iter().collect();
     order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));

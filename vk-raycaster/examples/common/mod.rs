@@ -80,8 +80,8 @@ pub(crate) fn vessels(n: usize) -> Vec<u8> {
     out
 }
 
-/// The transfer functions by name: `transparent` (no ray terminates), `medium`, `opaque`, and `scan`
-/// (contrast-filled vessels).
+/// Returns the transfer function with a name: `transparent` (no ray terminates), `medium`, `opaque`, or
+/// `scan` (contrast-filled vessels).
 pub(crate) fn transfer(name: &str) -> Option<TransferTable> {
     let list: &[(f32, [f32; 3], f32)] = match name {
         "transparent" => {
@@ -96,7 +96,7 @@ pub(crate) fn transfer(name: &str) -> Option<TransferTable> {
             (0.3, [0.8, 0.5, 0.3], 0.5),
             (1.0, [1.0, 0.9, 0.6], 0.9),
         ],
-        // Only bright vessels.
+        // Shows only bright vessels.
         "scan" => &[
             (0.0, [0.5, 0.1, 0.1], 0.0),
             (0.3, [0.7, 0.2, 0.1], 0.0),

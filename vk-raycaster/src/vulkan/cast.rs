@@ -11,9 +11,9 @@ use entire_core::scene::Frame;
 
 /// Destination of the pixels.
 enum Sink<'a> {
-    /// Rows of the region.
+    /// Memory of the host for the rows of the region.
     Host(&'a mut [u8]),
-    /// The region's place in the picture.
+    /// A picture on the device; the pixels go to the region's place in it.
     Picture(&'a mut Picture),
 }
 
@@ -45,7 +45,7 @@ impl VulkanRaycaster {
     /// pixels of the picture are unchanged. Returns once the device has finished.
     ///
     /// # Errors
-    /// For a region beyond the frame or the picture, a picture of another device; else as
+    /// For a region beyond the frame or the picture, and for a picture on another device; else as
     /// [`crate::Renderer::render`].
     pub fn render_to(&mut self, frame: &Frame, region: Region, picture: &mut Picture) -> Result<FrameTime> {
         region.check(frame)?;
@@ -101,7 +101,8 @@ impl VulkanRaycaster {
                     let counting = self.options.count_work;
                     let commands = record_tile(&setup, tile, table, timestamps, counting, sink.output(done));
                     let cast = Cast { pass: &pass, key: plan.key, tile, windowed, brick };
-                    // Drivers compile shaders until the end of the first dispatch.
+                    // Drivers may compile a shader until the end of its first dispatch, whose time is
+                    // ignored.
                     let compiled = self.engine.has_pipeline(plan.key);
                     let tile_watch = Stopwatch::start();
                     let ticket = self.engine.start(slot, &cast, &commands)?;

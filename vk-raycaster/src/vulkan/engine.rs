@@ -1,4 +1,4 @@
-//! Executes recordings on a device: its resources, and the lifetime of submissions.
+//! Executes recordings on a device: owns the device's resources and tracks the submissions.
 
 mod play;
 mod waiting;
@@ -23,7 +23,7 @@ const STAGING_BYTES: u64 = 64 << 20;
 /// Largest size of a table's texels, in bytes: the limit of `vkCmdUpdateBuffer`.
 const TABLE_BYTES: u64 = 65536;
 
-/// Bytes per pixel of the state of a ray between its windows.
+/// Size of a ray's state between two windows, in bytes per pixel.
 pub(crate) const STATE_BYTES: u64 = 32;
 
 /// Key of a shader variant.
@@ -69,7 +69,7 @@ pub(crate) struct CastTile<'a> {
     pub(crate) work: &'a [u8],
 }
 
-/// Resources of one submission, so that another may run meanwhile.
+/// Resources of one submission. Each slot has its own, so that several submissions can run at the same time.
 struct Slot {
     descriptors: Owned<vk::DescriptorPool>,
     /// The descriptor sets made so far, by brick of the volume, each with all resources of a dispatch.
@@ -226,8 +226,8 @@ impl Engine {
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         };
         let bindings = [
-            // A storage buffer, not a uniform one: lavapipe recompiles the shader for every set of uniform
-            // values that affect its control flow, some 60 ms for every camera.
+            // A storage buffer, not a uniform buffer: lavapipe recompiles the shader for every set of uniform
+            // values that affects the control flow, which takes about 60 ms for every camera.
             binding(0, vk::DescriptorType::STORAGE_BUFFER),
             binding(1, vk::DescriptorType::SAMPLED_IMAGE),
             binding(2, vk::DescriptorType::SAMPLED_IMAGE),
@@ -308,7 +308,7 @@ impl Engine {
             Target::SkipMap => "skip map",
             Target::Table => "transfer table",
         };
-        // The old image is freed first: the memory may not have room for both.
+        // The old image is freed first: the device's memory may not hold both.
         match target {
             Target::Volume(brick) => self.volume.truncate(brick),
             Target::SkipMap => self.skip_map = None,
@@ -376,7 +376,7 @@ impl Engine {
         self.pipelines.contains_key(&key)
     }
 
-    /// A slot for a frame without a running submission.
+    /// Returns the index of a frame slot that has no running submission.
     pub(crate) fn free_slot(&self) -> Result<usize> {
         self.slots[..COPIES].iter().position(|s| s.running.is_none()).ok_or_else(|| {
             Error::new(format!(
@@ -483,9 +483,9 @@ impl Engine {
         Ok(())
     }
 
-    /// The slot's descriptor set for a brick, made from the current resources if it does not exist. Sets are
-    /// never rewritten: some drivers read every descriptor of a set, including those that the shader does not
-    /// use and whose resources are freed.
+    /// Returns the slot's descriptor set for a brick; makes it from the current resources if it does not
+    /// exist. Sets are never rewritten: some drivers read every descriptor of a set, including those that the
+    /// shader does not use and whose resources are freed.
     fn prepare_set(&mut self, index: usize, brick: usize) -> Result<vk::DescriptorSet> {
         let slot = &mut self.slots[index];
         if let Some(set) = slot.sets.get(&brick) {
@@ -501,7 +501,7 @@ impl Engine {
         }
         let layouts = [self.set_layout.get()];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
-        // SAFETY: the pool has room for a set of each brick.
+        // SAFETY: the pool can hold one set per brick.
         let set =
             unsafe { device.allocate_descriptor_sets(&info) }.on(&self.gpu, "vkAllocateDescriptorSets")?[0];
         let write = |write: vk::WriteDescriptorSet<'_>| {
@@ -571,7 +571,7 @@ impl Engine {
     }
 }
 
-/// An error with the name of the device's pass.
+/// Returns an error with the name of the device's last pass.
 fn with_pass(e: &Error, pass: &str) -> Error {
     Error::new(format!("{e} (last pass: {pass})"))
 }

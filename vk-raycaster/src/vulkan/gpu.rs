@@ -12,15 +12,15 @@ use std::time::Duration;
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
 /// Time limit of a submission on a GPU, after which the device counts as hanging: 30 s. A submission is one
-/// tile or one copy of 64 MiB. A working device stays far below the limit: tiles shrink after one has taken
-/// half a second, and drivers reset a GPU that does not answer for 2 to 10 s.
+/// tile or one copy of 64 MiB. A working device stays far below the limit: tiles shrink after a tile has
+/// taken half a second, and drivers reset a GPU that does not answer for 2 to 10 s.
 const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
-/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. The largest tile takes minutes
-/// on such a device, more on a loaded host, and no driver stops it.
+/// Time limit of a submission on a software device (llvmpipe, SwiftShader): 30 min. The largest tile takes
+/// minutes on such a device, and more on a loaded host; no driver stops it.
 const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 
-/// Replaces functions of the device by those of a test.
+/// Function that replaces functions of the device by those of a test.
 pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 
 /// Options of opening a device.
@@ -74,7 +74,7 @@ pub(crate) struct Gpu {
     pub(crate) subgroup_arithmetic: bool,
     pub(crate) subgroup_size: u32,
     pub(crate) api_version: u32,
-    /// Bytes of the largest heap that is the device's own.
+    /// Bytes of the largest device-local heap.
     pub(crate) memory: u64,
     pub(crate) name: String,
     pub(crate) driver: String,
@@ -92,7 +92,8 @@ pub(crate) struct Gpu {
     entry: ManuallyDrop<ash::Entry>,
 }
 
-/// The error of a failed Vulkan call, with the remedy. `device` is the name of the open device, if any.
+/// Returns the error of a failed Vulkan call, with the remedy. `device` is the name of the open device, if
+/// any.
 pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
@@ -103,12 +104,12 @@ pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) 
             "the host's memory is full: use a smaller volume or image, or close other programs"
         }
         vk::Result::ERROR_DEVICE_LOST => {
-            "the driver gave the device up, often because one dispatch ran too long: make a new renderer, \
+            "the driver lost the device, often because one dispatch ran too long: make a new renderer, \
              with smaller tiles (ENTIRE_TILE) or a coarser step"
         }
         vk::Result::ERROR_INCOMPATIBLE_DRIVER | vk::Result::ERROR_INITIALIZATION_FAILED => {
             "no working Vulkan driver was found: install one (Debian and Ubuntu: mesa-vulkan-drivers, \
-             which holds the software device llvmpipe too), or render on the CPU"
+             which also has the software device llvmpipe), or render on the CPU"
         }
         vk::Result::ERROR_LAYER_NOT_PRESENT => {
             "install the validation layer (Debian and Ubuntu: vulkan-validationlayers) or switch \
@@ -279,7 +280,7 @@ impl Gpu {
         self.abandoned.load(Ordering::Relaxed)
     }
 
-    /// Leaks everything made from the device until the process ends.
+    /// Marks the device as abandoned: everything made from it is leaked until the process ends.
     pub(crate) fn abandon(&self) {
         self.abandoned.store(true, Ordering::Relaxed);
     }
@@ -435,7 +436,7 @@ struct ChosenDevice {
     driver: String,
 }
 
-/// The named device, else the first of the best kind.
+/// Returns the device that the options name, otherwise the first device of the best kind.
 fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<ChosenDevice> {
     let wanted = options.device;
     let presents = !options.surface_extensions.is_empty();
@@ -450,7 +451,7 @@ fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<C
     if usable.is_empty() {
         return Err(Error::new(
             "no Vulkan 1.1 device with a compute queue was found; install a driver (Debian and Ubuntu: \
-             mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU",
+             mesa-vulkan-drivers, which also has the software device llvmpipe), or render on the CPU",
         ));
     }
     let position = match wanted {
@@ -487,7 +488,8 @@ fn rank(kind: vk::PhysicalDeviceType) -> u32 {
     }
 }
 
-/// A device's properties, if it can run compute shaders (and draw, where it `presents`) under Vulkan 1.1.
+/// Returns the properties of a device, or `None` if it cannot run compute shaders under Vulkan 1.1 or, if
+/// `presents` is true, cannot draw.
 fn describe_device(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,

@@ -36,8 +36,8 @@ use upload::Brick;
 /// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink from the next frame on.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
-/// Largest number of loop iterations of an invocation on a software device. llvmpipe ends the loops after
-/// 65535, so longer rays are cast in several dispatches.
+/// Largest number of loop iterations of an invocation on a software device. llvmpipe ends loops after 65535
+/// iterations, so longer rays are cast in several dispatches.
 const LOOP_LIMIT: f64 = 60_000.0;
 
 /// Smallest edge of tiles that shrink, in pixels.
@@ -63,7 +63,7 @@ pub struct VulkanOptions {
     pub device: Option<String>,
     /// True to run under the Khronos validation layer with synchronization validation.
     pub validation: bool,
-    /// Source of voxels. `None` takes the fastest on the device.
+    /// Source of voxels. `None` takes the fastest source on the device.
     pub fetch: Option<VoxelFetch>,
     /// True to count rays, samples, skips and shaded samples, by a variant of the shader; frames take a
     /// little longer.
@@ -162,7 +162,7 @@ struct Plan {
     key: ShaderKey,
     /// Samples per dispatch.
     window: f32,
-    /// Start of the last window.
+    /// Number of the first sample of the last window.
     last_window: f32,
     table: Option<Vec<u8>>,
 }
@@ -195,8 +195,8 @@ impl VulkanRaycaster {
     /// As [`VulkanRaycaster::new`].
     ///
     /// # Safety
-    /// The functions of the device that `wrap` returns must follow the Vulkan specification, also where they
-    /// fail.
+    /// The functions of the device that `wrap` returns must follow the Vulkan specification, also when they
+    /// return an error.
     #[doc(hidden)]
     #[allow(unsafe_code, reason = "calls into Vulkan go through what the caller gives")]
     pub unsafe fn with_device_functions(
@@ -216,7 +216,7 @@ impl VulkanRaycaster {
         Self::on(Arc::new(Gpu::open(&gpu, wrap)?), options)
     }
 
-    /// A raycaster on an open device.
+    /// Makes a raycaster on an open device.
     fn on(gpu: Arc<Gpu>, options: VulkanOptions) -> Result<Self> {
         let groups = gpu.limits.max_compute_work_group_count;
         let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
@@ -268,8 +268,8 @@ impl VulkanRaycaster {
     pub const FRAMES_IN_FLIGHT: usize = engine::FRAMES_IN_FLIGHT;
 
     /// Starts a frame and returns while the device renders it, so that the host can prepare the next frame or
-    /// use the last one meanwhile. [`VulkanRaycaster::collect`] returns the frames in order. A change of
-    /// volume or transfer function applies to frames that are enqueued after it.
+    /// use the previous frame meanwhile. [`VulkanRaycaster::collect`] returns the frames in order. A change
+    /// of volume or transfer function applies to frames that are enqueued after it.
     ///
     /// # Errors
     /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one
@@ -330,7 +330,7 @@ impl VulkanRaycaster {
         Ok(Some(Rendered { image, time, counts: counting.then_some(counts) }))
     }
 
-    /// Parameters that the dispatches of a frame share.
+    /// Returns the parameters that all dispatches of a frame share.
     fn plan(&self, frame: &Frame) -> Result<Plan> {
         check(frame)?;
         let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
@@ -516,9 +516,9 @@ fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
     }
 }
 
-/// The bricks from front to back. Along each axis, rays go away from the eye (parallel rays: from the side of
-/// the box where they enter). The bricks are therefore sorted by the number of bricks between them and the
-/// first one, summed over the axes.
+/// Returns the bricks from front to back. Along each axis, rays go away from the eye (parallel rays: from the
+/// side of the box where they enter). The bricks are therefore sorted by their distance in bricks from the
+/// brick at the eye (at that side), summed over the axes.
 fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     let parallel = setup.origin_up != [0.0; 3];
     let inside = |brick: &Brick, a: usize| {
@@ -540,13 +540,14 @@ fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     order
 }
 
-/// Maximum number of samples of a ray: the diagonal of the box, 2 in scene space, in steps of `step`.
+/// Returns the maximum number of samples of a ray: the diagonal of the box, which is 2 in scene space, in
+/// steps of length `step`.
 fn longest_ray(step: f64) -> f64 {
     (2.0 / step).ceil() + 1.0
 }
 
-/// Number of samples of a ray that one dispatch may take on a software device, so that all loops together
-/// stay below [`LOOP_LIMIT`].
+/// Returns the number of samples of a ray that one dispatch may take on a software device, so that all loops
+/// together stay below [`LOOP_LIMIT`].
 fn window(step: f64, shading: Shading) -> f32 {
     let shadow = longest_ray(step * f64::from(crate::setup::SHADOW_STEP));
     // A sample costs one iteration of its own loop and at most one of the enclosing loop; so does each

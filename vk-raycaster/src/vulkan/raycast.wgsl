@@ -7,7 +7,7 @@
 // FETCH     source of voxels: 0 sampler, 1 eight texels, 2 two texels of four packed bytes
 // COUNTING  1 to count the work of each pixel
 // BRICKS    1: the texture holds a part of the volume, and the dispatch takes the samples in that part
-// PACKETS   1: the rays of a subgroup skip together (same picture; cannot count)
+// PACKETS   1: the rays of a subgroup are a packet and skip together (same picture; not with COUNTING 1)
 
 const SMALLEST_ADVANCE: f32 = 1e-9;
 const FAR: f32 = 3.0e38;
@@ -60,11 +60,12 @@ struct FrameSetup {
 @group(0) @binding(0) var<storage, read> setup: FrameSetup;
 // Software devices load from storage images without the arithmetic of mip levels.
 #if FETCH == 2
-// COLORS_PER_ENTRY texels per entry. Each holds the bits of two opacities, of the entry and of the next, and an
-// interpolated color in 11, 11 and 10 bits.
+// There are COLORS_PER_ENTRY texels per entry. Each texel holds the bits of two opacities (of the entry and
+// of the next entry) and an interpolated color in 11, 11 and 10 bits.
 @group(0) @binding(7) var table: texture_storage_2d<rgba32uint, read>;
-// A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice. The words lie block by block, 8 × 8 × 8
-// each, in rows of 2^ROW_SHIFT: samples that follow each other are close in memory.
+// A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice. The words lie block by
+// block (8 × 8 × 8 words), in image rows of 2^ROW_SHIFT words, so that successive samples are close in
+// memory.
 @group(0) @binding(8) var volume: texture_storage_2d<r32uint, read>;
 #if SKIPPING != 0
 @group(0) @binding(9) var skip_map: texture_storage_3d<r32uint, read>;
@@ -132,7 +133,7 @@ struct Segment {
     end: f32,
 }
 
-// The run of samples from k on that are all skipped or all taken.
+// Returns the run of samples from k on that are all skipped or all taken.
 fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32) -> Segment {
     let cell = floor(min(max(first + k * advance - 0.5, vec3<f32>(0.0)), last));
     let block = whole(cell) >> vec3<u32>(block_shift);
@@ -156,14 +157,14 @@ fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, cou
 }
 #endif
 
-// A run of samples: those of consecutive non-empty blocks.
+// A run of samples to take: `begin` is its first sample, `end` is the sample after its last one.
 struct Samples {
     begin: f32,
     end: f32,
 }
 
 #if SKIPPING != 0
-// The next run of samples of this ray, from k on.
+// Returns the ray's next run of samples, from `start` on.
 fn next_run(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, start: f32, count: f32) -> Samples {
     var k = start;
     var end = count;
@@ -182,7 +183,7 @@ fn next_run(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, start: f32
 }
 #endif
 
-// The next samples to take, from k on. `own` is the ray's current run, kept between the calls.
+// Returns the next samples to take, from k on. `own` is the ray's current run, kept between the calls.
 fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32, own: ptr<function, Samples>) -> Samples {
 #if SKIPPING == 0
     return Samples(k, count);
@@ -190,9 +191,9 @@ fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32
 #if PACKETS == 0
     return next_run(first, advance, inverse, k, count);
 #else
-    // A subgroup runs in lockstep: skipping in one ray while its neighbor samples gains nothing. All rays go on to the
-    // first sample that one of them needs, and take the samples of the runs that begin there; blocks that are empty for
-    // a ray are transparent to it.
+    // A subgroup runs in lockstep: a ray that skips while its neighbor takes samples gains nothing. All rays
+    // go on to the first sample that any of them needs, and take the samples of the runs that begin there. In
+    // blocks that are empty for a ray, these samples are transparent.
     var run = *own;
     if k >= run.end {
         run = next_run(first, advance, inverse, k, count);
@@ -206,7 +207,7 @@ fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32
 }
 
 #if FETCH == 2
-// The word at an index of the packed volume.
+// Returns the word at an index of the packed volume.
 fn word_at(index: i32) -> u32 {
     return textureLoad(volume, vec2<i32>(index & ((1 << ROW_SHIFT) - 1), index >> ROW_SHIFT)).x;
 }
@@ -216,7 +217,7 @@ fn mix1(a: f32, b: f32, f: f32) -> f32 {
     return a + f * (b - a);
 }
 
-// The table position (0…255) of the volume at p.
+// Returns the table position (0…255) of the volume at p.
 fn position(p: vec3<f32>) -> f32 {
 #if FETCH == 0
 #if BRICKS == 1
@@ -275,7 +276,7 @@ fn classify_texel(position: f32, texel: vec4<u32>) -> f32 {
 }
 #endif
 
-// The opacity at a table position.
+// Returns the opacity at a table position.
 fn opacity(position: f32) -> f32 {
 #if FETCH == 2
     return classify_texel(position, textureLoad(table, vec2<i32>(whole1(floor(position * COLORS_PER_ENTRY)), 0)));
@@ -288,7 +289,7 @@ fn opacity(position: f32) -> f32 {
 #endif
 }
 
-// Color and opacity at a table position.
+// Returns color and opacity at a table position.
 fn classify(position: f32) -> vec4<f32> {
 #if FETCH == 2
     let texel = textureLoad(table, vec2<i32>(whole1(floor(position * COLORS_PER_ENTRY)), 0));
@@ -306,7 +307,7 @@ fn classify(position: f32) -> vec4<f32> {
 }
 
 #if SHADING == 1
-// Blinn–Phong with a head light.
+// Returns `color` with Blinn–Phong lighting by a headlight, which shines along the ray.
 fn light(p: vec3<f32>, view: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let x = (position(p + vec3<f32>(1.0, 0.0, 0.0)) - position(p - vec3<f32>(1.0, 0.0, 0.0))) * setup.gradient_scale.x;
     let y = (position(p + vec3<f32>(0.0, 1.0, 0.0)) - position(p - vec3<f32>(0.0, 1.0, 0.0))) * setup.gradient_scale.y;
@@ -327,7 +328,7 @@ fn light(p: vec3<f32>, view: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 #endif
 
 #if SHADING == 2
-// Single scattering with a shadow ray towards the light.
+// Returns `color` after single scattering: a shadow ray towards the light attenuates it.
 fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let face = select(vec3<f32>(0.0), dims, setup.light > vec3<f32>(0.0));
     let t = (face - p) * setup.light_inverse;
@@ -344,7 +345,7 @@ fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
             loop {
                 counts.samples += 1u;
                 let clear = 1.0 - opacity(position(p + k * step));
-                // Once for each of the SHADOW_STEP steps.
+                // One multiplication for each of the SHADOW_STEP steps.
                 transmittance *= clear;
                 transmittance *= clear;
                 k += 1.0;
@@ -456,7 +457,7 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
     return sum;
 }
 
-// Eight by eight pixels in Morton order: eight neighboring invocations cover 4 × 2 pixels.
+// A workgroup is 8 × 8 pixels in Morton order: eight successive invocations cover 4 × 2 pixels.
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let x = group.x * 8u + ((lane & 1u) | ((lane >> 1u) & 2u) | ((lane >> 2u) & 4u));

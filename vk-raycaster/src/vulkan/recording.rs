@@ -1,4 +1,4 @@
-//! Commands of a submission, as plain data that can be tested without a device. The engine plays them.
+//! Commands of a submission, as plain data that can be tested without a device. The engine executes them.
 
 use crate::setup::FrameSetup;
 use ash::vk;
@@ -67,7 +67,7 @@ pub(crate) enum Hazard {
 pub(crate) enum Output {
     /// To the buffer that the host reads.
     Host,
-    /// Nowhere: another dispatch continues these rays.
+    /// No copy of the pixels: another dispatch continues these rays.
     Device,
     /// To a picture on the device, at the tile's place; see [`Command::CopyToPicture`].
     Picture { image: vk::Image, fresh: bool },

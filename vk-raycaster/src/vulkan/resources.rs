@@ -1,4 +1,4 @@
-//! Device objects that free themselves.
+//! Device objects that are freed when they are dropped.
 
 use super::gpu::{Gpu, NamedCall};
 use crate::error::{Error, Result};
@@ -112,7 +112,7 @@ impl Buffer {
         self.size
     }
 
-    /// The bytes, if the host can access them.
+    /// Returns the bytes, if the host can access them.
     pub(crate) fn bytes(&self) -> Result<&[u8]> {
         self.allocation
             .as_ref()
@@ -121,7 +121,7 @@ impl Buffer {
             .ok_or_else(|| Error::new("a buffer that the host reads is not mapped; this is a driver fault"))
     }
 
-    /// The bytes, for writing.
+    /// As [`Buffer::bytes`], for writing.
     pub(crate) fn bytes_mut(&mut self) -> Result<&mut [u8]> {
         let size = self.size as usize;
         self.allocation

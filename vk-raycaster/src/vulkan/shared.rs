@@ -71,13 +71,13 @@ impl SharedDevice {
         self.gpu.limits.max_image_dimension2_d
     }
 
-    /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device any more.
+    /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device.
     pub fn is_lost(&self) -> bool {
         self.gpu.is_lost()
     }
 
-    /// The error of a Vulkan call on this device, with the remedy. The device is marked lost if `result` is
-    /// `VK_ERROR_DEVICE_LOST`.
+    /// Returns the error of a Vulkan call on this device, with the remedy. The device is marked lost if
+    /// `result` is `VK_ERROR_DEVICE_LOST`.
     pub fn error(&self, call: &str, result: vk::Result) -> Error {
         if result == vk::Result::ERROR_DEVICE_LOST {
             self.gpu.mark_lost();
@@ -92,8 +92,8 @@ impl SharedDevice {
 }
 
 impl VulkanRaycaster {
-    /// A further raycaster on an open device, with its own volume and transfer function. Raycasters that
-    /// share a device may run at the same time, each on its own thread.
+    /// Makes a further raycaster on an open device, with its own volume and transfer function. Raycasters
+    /// that share a device may run at the same time, each on its own thread.
     ///
     /// # Errors
     /// When the device is lost or its memory is full.

@@ -53,7 +53,7 @@ pub(crate) struct Brick {
 const APRON: usize = 3;
 
 /// Cuts a volume so that no brick has more than `limit` voxels along an axis or `most` voxels in all. Returns
-/// the bricks and their number along each axis; `None` where there would be more than [`MAX_BRICKS`].
+/// the bricks and their number along each axis; `None` if there would be more than [`MAX_BRICKS`].
 pub(crate) fn cut(dims: [usize; 3], limit: usize, most: u64) -> Option<(Vec<Brick>, [usize; 3])> {
     let mut grid = dims.map(|n| if n <= limit { 1 } else { n.div_ceil(limit.saturating_sub(APRON).max(1)) });
     let held = |grid: [usize; 3]| {
@@ -202,7 +202,7 @@ fn for_rows<T: Sync>(
     });
 }
 
-/// The image of a packed volume.
+/// Returns the shape of a packed volume's image.
 pub(crate) fn packed_shape(dims: [usize; 3]) -> Shape {
     let blocks: usize = dims.iter().map(|n| n.div_ceil(PACKED_EDGE)).product();
     let rows = (blocks * PACKED_BLOCK).div_ceil(PACKED_ROW);
@@ -210,8 +210,9 @@ pub(crate) fn packed_shape(dims: [usize; 3]) -> Shape {
     Shape { extent: [PACKED_ROW as u32, rows, 0], format: vk::Format::R32_UINT, storage: true }
 }
 
-/// Whole rows of a packed volume's image. Each word holds a voxel and its neighbors at x + 1, y + 1 and both,
-/// clamped to the edge, lowest byte first; words lie block by block, x fastest in a block and among blocks.
+/// Writes whole rows of a packed volume's image, from row `first_row` on. Each word holds a voxel and its
+/// neighbors at x + 1, y + 1 and both, clamped to the edge, lowest byte first. Words lie block by block, x
+/// fastest in a block and among blocks.
 fn pack_rows(voxels: &[u8], [nx, ny, nz]: [usize; 3], first_row: usize, out: &mut [u8]) {
     let [bx, by, bz] = [nx, ny, nz].map(|n| n.div_ceil(PACKED_EDGE));
     let first = first_row * (PACKED_ROW / PACKED_BLOCK);
@@ -236,7 +237,7 @@ fn pack_rows(voxels: &[u8], [nx, ny, nz]: [usize; 3], first_row: usize, out: &mu
     });
 }
 
-/// The table's image.
+/// Returns the shape of the table's image.
 pub(crate) fn table_shape(fetch: VoxelFetch) -> Shape {
     match fetch {
         VoxelFetch::Packed => {
@@ -250,7 +251,7 @@ pub(crate) fn table_shape(fetch: VoxelFetch) -> Shape {
     }
 }
 
-/// The skip map's image.
+/// Returns the shape of the skip map's image.
 pub(crate) fn skip_map_shape(fetch: VoxelFetch, dims: [usize; 3]) -> Shape {
     let storage = fetch == VoxelFetch::Packed;
     let format = if storage { vk::Format::R32_UINT } else { vk::Format::R8_UINT };
@@ -268,8 +269,8 @@ pub(crate) fn fill_skip_map(fetch: VoxelFetch, bytes: &[u8], out: &mut [u8]) {
     }
 }
 
-/// The table's texels. Unpacked, there is one texel of four floats per entry. Packed, there are
-/// [`COLORS_PER_ENTRY`] texels per entry: each holds the opacities of the entry and the next, and an
+/// Returns the table's texels. Unpacked, there is one texel of four floats per entry. Packed, there are
+/// [`COLORS_PER_ENTRY`] texels per entry: each holds the opacities of the entry and the next entry, and an
 /// interpolated color in 11, 11 and 10 bits.
 pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
     if fetch != VoxelFetch::Packed {
@@ -277,7 +278,7 @@ pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
     }
     let mut texels = vec![[0u32; 4]; PACKED_TEXELS];
     for (j, texel) in texels[..(TABLE_LEN - 1) * COLORS_PER_ENTRY + 1].iter_mut().enumerate() {
-        // The middle of the positions that round down to j.
+        // The middle of the table positions that are rounded down to texel j.
         let at = ((j as f32 + 0.5) / COLORS_PER_ENTRY as f32).min(255.0);
         let low = (at as usize).min(TABLE_LEN - 2);
         let f = at - low as f32;

@@ -21,16 +21,17 @@ const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0736];
 /// Time of drawing a scene twice at every step and distance, as a multiple of its time at full quality.
 const GRID: f64 = 14.0;
 
-/// Number of scenes that must fit in the time: scenes that would take a larger share of it are left out.
+/// Number of scenes that must fit in the remaining time: a scene that would take more than 1 / `SCENES` of
+/// this time is left out.
 const SCENES: f64 = 6.0;
 
 /// Maximum number of scenes of one volume.
 const PER_VOLUME: usize = 2;
 
-/// Shortest image side that is compared: errors of smaller images vary too much.
+/// Shortest side of a compared image, pixels: errors of smaller images vary too much.
 const LEAST_SIDE: u32 = 96;
 
-/// Error measure between a picture and the one at full quality.
+/// Error measure between a picture and the picture at full quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PictureError {
@@ -42,7 +43,7 @@ pub enum PictureError {
 }
 
 impl PictureError {
-    /// The error of a picture; 0 if it equals the picture at full quality.
+    /// Returns the error of a picture; 0 if it equals `full`, the picture at full quality.
     fn of(self, picture: &Image, full: &Image) -> Option<f64> {
         match self {
             Self::Rmse => rmse(&picture.rgba, &full.rgba),
@@ -52,8 +53,8 @@ impl PictureError {
 }
 
 impl Measuring<'_> {
-    /// Draws some of the scenes at full quality, at coarser steps and as smaller images until `deadline`, one
-    /// volume after another. An unfinished scene is dropped.
+    /// Draws scenes at full quality, at coarser steps and as smaller images until `deadline`, and returns the
+    /// compared pictures. An unfinished scene is dropped.
     ///
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
@@ -84,8 +85,9 @@ impl Measuring<'_> {
         self.wall(i) * f64::from(self.pool.candidates[i].scene.step).max(1.0)
     }
 
-    /// Candidates with the largest images among those that take at most `longest` seconds at full quality,
-    /// one of every volume in turn.
+    /// Returns at most [`PER_VOLUME`] candidates of each volume: those with the largest images among the
+    /// candidates that take at most `longest` seconds at full quality. The first candidates of all volumes
+    /// come before the second ones.
     fn scenes(&self, longest: f64) -> Vec<usize> {
         let candidates = &self.pool.candidates;
         let pixels = |c: &Candidate| u64::from(c.scene.width) * u64::from(c.scene.height);
@@ -102,8 +104,8 @@ impl Measuring<'_> {
         (0..PER_VOLUME).flat_map(|rank| volumes.iter().filter_map(move |&v| of(v, rank))).collect()
     }
 
-    /// Draws one scene at every step and distance; `None` if the time ran out or `stop` returned true before
-    /// the end.
+    /// Draws one scene at every step and image sample distance and returns the pictures; `None` if the time
+    /// ran out or `stop` returned true before the end.
     fn compare(&mut self, i: usize) -> Result<Option<Vec<Picture>>> {
         let scene = &self.pool.candidates[i].scene;
         let place = || format!("{}, compared scene {i}", scene.volume);

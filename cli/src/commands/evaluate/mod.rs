@@ -52,7 +52,7 @@ pub(crate) struct Options {
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
     pub(crate) unseen: bool,
-    /// Group that each row of the last table stands for.
+    /// Groups of frames in the last printed table, one per row.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub(crate) by: GroupBy,
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
@@ -62,7 +62,8 @@ pub(crate) struct Options {
     #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
     pub(crate) storage: Vec<Storage>,
     /// Also evaluate each model in a session, which observes every frame after predicting it and so corrects
-    /// itself. The first FRAMES frames are left out of these errors. Opens the volumes.
+    /// its later predictions. The first FRAMES frames are left out of these errors. The volume files are
+    /// needed.
     #[arg(long, value_name = "FRAMES")]
     pub(crate) observed: Option<usize>,
     /// Seed of the choice of frames whose mean time is the constant baseline.
@@ -136,7 +137,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         frames.retain(|(f, _)| !models.iter().any(|m| m.has_seen(f)));
         ensure!(
             !frames.is_empty(),
-            "every frame is of a group that a model was trained on; give other data, or leave out --unseen"
+            "every frame is of a group that a model was trained or validated on; give other data, or leave \
+             out --unseen"
         );
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
@@ -189,7 +191,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         )?);
     }
     let constant = probe_means(&refs, &measured, options.seed);
-    let name = format!("mean of {:.0} % probes per volume", 100.0 * PROBE_SHARE);
+    let name = format!("mean of {:.0} % of each volume's frames", 100.0 * PROBE_SHARE);
     let constant = assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?;
     predictors.push(Predictor { constant: true, ..constant });
 

@@ -22,7 +22,8 @@ pub(super) struct Predictor {
     pub(super) frames_seen: usize,
     /// Share of frames that took no longer than the model's upper bound.
     pub(super) bound_coverage: Option<f64>,
-    /// Further measures of the upper bound: coverage of the slowest tenth, and quantile (pinball) loss.
+    /// Further measures of the upper bound: coverage of the slowest tenth of the frames, and quantile
+    /// (pinball) loss.
     pub(super) bound: Option<BoundMetrics>,
     /// 95 % interval of RMSE/SD by bootstrap over ensemble members; a volume outside any ensemble counts as a
     /// member of its own.
@@ -141,7 +142,8 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     (overall, bias, by_group)
 }
 
-/// Intervals, bounds, and errors by kind of frame, beside the noise floor of repeats.
+/// Returns a table of the predictors' intervals, bounds, and errors by kind of frame; its last row is the
+/// noise floor.
 pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, NoiseFloor)]) -> Table {
     let mut kinds: Vec<&str> = Vec::new();
     for (name, _) in predictors.iter().flat_map(|p| &p.by_kind) {
@@ -199,8 +201,8 @@ fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
     .series(Series::new("", Mark::Points(points)).color(color))
 }
 
-/// Share of frames by predicted / measured, in bins of equal ratio between 1/2 and 2; the outermost bins
-/// include all values beyond.
+/// Returns a chart of the share of frames by predicted / measured, in bins of equal ratio between 1/2 and 2;
+/// the outermost bins include all smaller and larger values.
 fn histogram(predictors: &[Predictor], measured: &[f64]) -> Chart {
     const BINS: usize = 41;
     let span = 2f64.ln();
@@ -288,11 +290,11 @@ pub(super) fn write_report(
         "RMSE over SD is 1 for a predictor that always gives the mean. MdAPE: median absolute percentage \
          error. Latency: median of warm calls in one thread, scene features included.",
     );
-    page.table(more, "Intervals: bootstrap over ensemble members, and over volumes that belong to none.");
+    page.table(more, "Intervals: bootstrap over ensemble members, and over volumes outside ensembles.");
     page.heading("Errors");
     let spread = histogram(predictors, measured);
     write("errors.svg", &spread.to_svg_file())?;
-    page.chart(&spread, "Bins of equal ratio between 1/2 and 2; the outermost include all values beyond.");
+    page.chart(&spread, "Bins of equal ratio between 1/2 and 2; the outer bins include all other values.");
     let by_time = bias_chart(predictors);
     write("bias.svg", &by_time.to_svg_file())?;
     page.chart(
@@ -307,7 +309,7 @@ pub(super) fn write_report(
         page.chart(&chart, "");
     }
     page.heading("By group");
-    page.table(by_group, "SD is that of the group's own frames.");
+    page.table(by_group, "SD is the standard deviation of the measured seconds of the group's frames.");
     page.heading("Where the numbers come from");
     let load = evaluation
         .load_average

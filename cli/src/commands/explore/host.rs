@@ -23,12 +23,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Share of a frame's time that does not depend on the ray step. It is assumed for controllers that need a
-/// response curve, since the window measures none.
+/// response curve, since the window measures no such curve.
 const FIXED_SHARE: f32 = 0.1;
 
 /// The window's host: services of this program.
 pub(super) struct ExplorerHost {
-    /// The given model file, with its name.
+    /// The model of `--model`, with the file's name.
     pub(super) model: Option<(String, Model)>,
     /// Options of reading volumes.
     pub(super) reading: Reading,
@@ -109,7 +109,8 @@ impl Steering for Predicts {
     fn session(&self, name: &str) -> Result<Session> {
         let kind = ControllerKind::from_name(name).with_context(|| format!("no controller {name:?}"))?;
         let predictor = self.model.predictor()?;
-        // The errors that a model states were measured on the machine that it was fitted on.
+        // The error that a model states was measured on the machine that it was fitted to, so it is used only
+        // for a model of this machine.
         let prior = match predictor.log_sd() {
             Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
             _ => Prior::Unknown,
@@ -181,7 +182,8 @@ impl Host for ExplorerHost {
     }
 }
 
-/// A recording as a path file. A keyframe before each change holds the unchanged values.
+/// Returns a recording as a path file. The frame before each change gets a keyframe with the old values, so
+/// that the values are not interpolated over earlier frames.
 fn path_file(recording: &Recording) -> PathFile {
     let frames = &recording.frames;
     let mut keys: Vec<Keyframe> = (0..frames.len() as u32)

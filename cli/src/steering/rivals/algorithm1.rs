@@ -8,14 +8,15 @@ fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decis
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }
 }
 
-/// Algorithm 1: δ = δ_ref · G⁻¹(t_target / t_predict), with t_predict the prediction at the reference step.
+/// Algorithm 1: the ray step is δ = δ_ref · G⁻¹(t_target / t_predict), with the reference step δ_ref, the
+/// response curve G, the target t_target, and the prediction at the reference step t_predict.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Algorithm1 {
     response: StepResponse,
 }
 
 impl Algorithm1 {
-    /// With a measured response curve.
+    /// Returns the controller with a measured response curve.
     pub(crate) fn new(response: StepResponse) -> Self {
         Self { response }
     }
@@ -52,8 +53,9 @@ enum Recent {
 }
 
 /// Reactive rules on recent frame times. Each time is converted to the reference step by G. The predicted
-/// time is the mean of the last three (the paper's OLP), the last one, or the larger of the last two; G gives
-/// the step at which it meets the target. The first frame is drawn at the reference step.
+/// time is the mean of the last three times (the paper's OLP), the last time, or the longer one of the last
+/// two; G gives the step at which the predicted time equals the target. The first frame is drawn at the
+/// reference step.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Olp {
     recent: Recent,
@@ -63,22 +65,23 @@ pub(crate) struct Olp {
 }
 
 impl Olp {
-    /// With a measured response curve.
+    /// Returns the controller with a measured response curve.
     pub(crate) fn new(response: StepResponse) -> Self {
         Self { recent: Recent::MeanOfThree, response, window: [0.0; 3], seen: 0 }
     }
 
-    /// The rule that uses the last frame only.
+    /// Returns the rule that uses the last frame time only.
     pub(crate) fn last(response: StepResponse) -> Self {
         Self { recent: Recent::Last, ..Self::new(response) }
     }
 
-    /// The rule that uses the larger of the last two frames.
+    /// Returns the rule that uses the longer one of the last two frame times.
     pub(crate) fn larger_of_two(response: StepResponse) -> Self {
         Self { recent: Recent::LargerOfTwo, ..Self::new(response) }
     }
 
-    /// The time of an observed frame, converted to the reference step; `frames` is 0 for the last one.
+    /// Returns the time of an observed frame, converted to the reference step; `frames` is 0 for the last
+    /// frame.
     fn ago(&self, frames: usize) -> f32 {
         self.window[(self.seen + 2 - frames) % 3]
     }
@@ -132,10 +135,11 @@ pub(crate) struct Pid {
 }
 
 impl Pid {
-    /// The paper's gains.
+    /// Proportional, integral and differential gain of the paper.
     pub(crate) const PAPER_GAINS: [f32; 3] = [0.3, 0.05, 0.1];
 
-    /// With proportional, integral and differential gain; starts at the reference step.
+    /// Returns a controller with proportional, integral and differential gain, which starts at the reference
+    /// step.
     pub(crate) fn new(gains: [f32; 3]) -> Self {
         Self { gains, step: 1.0, integral: 0.0, last: None }
     }

@@ -1,6 +1,6 @@
 //! The controllers that the hybrid is compared with: a fixed step, the paper's Algorithm 1 with its
 //! baselines, and the reactive rules of other renderers. They implement [`entire_steer::control::Controller`]
-//! and are offered by `entire steer --controllers`; no product steers by them.
+//! and are offered by `entire steer` and `entire explore`. The C library does not contain them.
 
 mod algorithm1;
 mod fixed;

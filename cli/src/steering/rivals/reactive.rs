@@ -1,12 +1,12 @@
 //! Reactive rules of other renderers, with their published constants.
 //!
 //! VTK's rule for GPU ray casting acts on the distance of samples along rays: its decision's step is the ray
-//! step. The others scale image resolution, by a fraction f of each side or an image sample distance d: their
-//! decision's step is s = 1 / f² = d², for an image with 1 / s of the pixels at an unchanged ray step.
-//! [`ActsOn`](crate::steering::play::ActsOn) states the quantity and the range of s. `entire steer`
+//! step. The other rules scale the image resolution, by a fraction f of each side or an image sample distance
+//! d: their decision's step is s = 1 / f² = d², for an image with 1 / s of the pixels at an unchanged ray
+//! step. [`ActsOn`](crate::steering::play::ActsOn) states the quantity and the range of s. `entire steer`
 //! draws such images; `entire-lab replay` uses their recorded times and pictures. Where only the ray step can
 //! be set, s is taken as the ray step, assuming work ∝ 1 / step: in the window (`entire explore`), on stress
-//! scenes, and on traces without smaller images, which the tables then mention.
+//! scenes, and on traces without smaller images; the tables then say so.
 
 use entire_steer::control::Verdict;
 use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason};
@@ -65,8 +65,8 @@ impl Controller for VtkGpu {
 }
 
 /// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), 1…10, from
-/// the last frame alone; full time is the last time multiplied by its squared distance. The first frame is
-/// drawn at half the largest distance. s is the squared distance.
+/// the last frame alone; full time is the last frame's time multiplied by its squared image sample distance.
+/// The first frame is drawn at half the largest distance. s is the squared distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VtkFixedPoint {
     distance: f32,
@@ -116,7 +116,7 @@ pub(crate) struct VtkJs {
 }
 
 impl VtkJs {
-    /// At full resolution.
+    /// The rule before the first frame, at full resolution.
     pub(crate) fn new() -> Self {
         Self { scale: 1.0, elapsed: 0.0, frames: 0.0 }
     }
@@ -152,13 +152,14 @@ impl Controller for VtkJs {
     }
 }
 
-/// Number of past frames that [`Unreal`] and [`Filament`] use.
+/// Maximum number of past frame times that [`Unreal`] uses.
 const WINDOW: usize = 16;
 
-/// The dynamic-resolution heuristic of Unreal Engine. Frame times have weights of 0.9 per frame of age; the
-/// new resolution fraction is f · √(0.95 target / time). It changes by at least 2 % and at most every 8
-/// frames; increases of the work are multiplied by 0.9. After two frames in a row over the target, the rule
-/// reacts to the last frame at once and drops the history. s is 1 / f²; the caller's limits keep f in 0.5…1.
+/// The dynamic-resolution heuristic of Unreal Engine. A frame time that is n frames old has the weight 0.9ⁿ
+/// in the mean time; the new fraction of each image side is f · √(0.95 target / mean time). This fraction
+/// changes by at least 2 % and at most every 8 frames; increases of the work are multiplied by 0.9. After two
+/// frames in a row over the target, the rule reacts to the last frame at once and drops the history. s is 1 /
+/// f²; the caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unreal {
     work: f32,
@@ -171,7 +172,7 @@ pub(crate) struct Unreal {
 }
 
 impl Unreal {
-    /// At full resolution.
+    /// The rule before the first frame, at full resolution.
     pub(crate) fn new() -> Self {
         Self { work: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 }
     }
@@ -247,7 +248,7 @@ pub(crate) struct Filament {
 }
 
 impl Filament {
-    /// At full resolution.
+    /// The rule before the first frame, at full resolution.
     pub(crate) fn new() -> Self {
         Self { work: 1.0, times: [0.0; 15], len: 0, integral: 0.0, clamped: false }
     }

@@ -12,9 +12,9 @@ pub struct StepResponse {
 }
 
 impl StepResponse {
-    /// From measured (step ratio, time ratio) pairs of any number of scenes, in any order: the median time
-    /// ratio at each step ratio, then the nearest curve that never rises (pool adjacent violators). A point
-    /// (1, 1) is added unless step ratio 1 was measured.
+    /// Fits the curve to measured (step ratio, time ratio) pairs of any number of scenes, in any order: it
+    /// takes the median time ratio at each step ratio, then the nearest curve that never rises (pool adjacent
+    /// violators). A point (1, 1) is added unless step ratio 1 was measured.
     ///
     /// # Errors
     /// For values that are not finite and positive, or when there are fewer than two different steps.
@@ -73,9 +73,9 @@ impl StepResponse {
         Ok(Self { points })
     }
 
-    /// The curve of a renderer whose time has a fixed share and a share that falls as 1 / step, sampled at
-    /// steps from 1/4 to 32 times the reference step: a substitute until G is measured. The fixed share is
-    /// clamped to 0…0.99.
+    /// Returns the curve of a renderer whose time has a fixed share and a share that falls as 1 / step,
+    /// sampled at steps from 1/4 to 32 times the reference step. It replaces G where G is not measured. The
+    /// fixed share is clamped to 0…0.99.
     pub fn inverse_step(fixed_share: f32) -> Self {
         let fixed = if fixed_share.is_finite() { f64::from(fixed_share).clamp(0.0, 0.99) } else { 0.0 };
         let points = (-4..=10)
@@ -87,7 +87,7 @@ impl StepResponse {
         Self { points }
     }
 
-    /// G: the time ratio at a step ratio. Beyond the sampled steps the curve stays at its ends.
+    /// Returns G, the time ratio at a step ratio. Beyond the sampled steps, G is constant.
     pub fn time_ratio(&self, step_ratio: f32) -> f32 {
         let x = libm::log(f64::from(step_ratio).max(1.0e-30));
         let upper = self.points.partition_point(|p| p.0 < x);
@@ -101,8 +101,8 @@ impl StepResponse {
         libm::exp(y0 + (y1 - y0) * (x - x0) / (x1 - x0)) as f32
     }
 
-    /// G⁻¹: the finest step ratio whose time ratio is at most the given one; the finest sampled step if all
-    /// sampled steps are faster, the coarsest if none is.
+    /// Returns G⁻¹, the finest step ratio whose time ratio is at most the given one; the finest sampled step
+    /// if all sampled steps are faster, the coarsest if none is.
     pub fn step_ratio(&self, time_ratio: f32) -> f32 {
         let y = libm::log(f64::from(time_ratio).max(1.0e-30));
         let upper = self.points.partition_point(|p| p.1 > y);
@@ -115,12 +115,12 @@ impl StepResponse {
         let ((x0, y0), (x1, y1)) = (self.points[upper - 1], self.points[upper]);
         let exact = libm::exp(x0 + (x1 - x0) * (y - y0) / (y1 - y0));
         let rounded = exact as f32;
-        // Rounded up: between two sampled steps that differ by a millionth, the curve is so steep that a step
-        // that is rounded down would clearly exceed the time.
+        // The step is rounded up: if two sampled steps differ by a millionth only, the curve between them is
+        // so steep that the time at a step rounded down would clearly be too long.
         if f64::from(rounded) < exact { f32::from_bits(rounded.to_bits() + 1) } else { rounded }
     }
 
-    /// The curve's points as (step ratio, time ratio), ascending in step.
+    /// Returns the curve's points as (step ratio, time ratio), ascending in step.
     pub fn points(&self) -> impl Iterator<Item = (f32, f32)> + '_ {
         self.points.iter().map(|p| (libm::exp(p.0) as f32, libm::exp(p.1) as f32))
     }
@@ -159,8 +159,8 @@ mod tests {
         assert!(StepResponse::from_samples(&[(1.0, 1.0)]).is_err());
     }
 
-    /// Between steps that differ in their sixth digit the curve is so steep that rounding the step changes
-    /// the time.
+    /// Checks the inverse on a very steep curve: between steps that differ in their sixth digit, rounding the
+    /// step changes the time noticeably.
     #[test]
     fn the_inverse_fits_on_a_cliff() {
         let cliff = [(1.425_012, 3.0), (1.425_014_5, 0.01), (4.0, 0.01)];

@@ -1,4 +1,4 @@
-//! Closed loops without a renderer: frame times follow a known cost law, under the hybrid and every other
+//! Closed loops without a renderer: frame times follow a known formula, under the hybrid and every other
 //! controller.
 
 use super::*;
@@ -68,9 +68,9 @@ fn every_controller_survives_any_observation() {
 
 /// A machine and a path: the cost of a frame at each step, and its prediction.
 struct Plant {
-    /// Seconds independent of the step, and additional seconds at the reference step, per frame.
+    /// For each frame: seconds that do not depend on the step, and additional seconds at the reference step.
     law: fn(usize) -> (f64, f64),
-    /// Frames at which the transfer function is switched.
+    /// Number of frames between switches of the transfer function.
     switch_every: usize,
     /// Factor on every prediction.
     bias: f64,
@@ -99,11 +99,12 @@ struct Outcome {
     miss: f64,
     /// Share of switch frames longer than their upper bound.
     above_bound: f64,
-    /// Mean |t − target| / target where the target can be met exactly.
+    /// Mean of |frame time − target| / target over the frames in which some allowed step meets the target
+    /// exactly.
     deviation: f64,
-    /// Mean of (oracle's step / chosen step), at most 1.
+    /// Mean of oracle's step / chosen step; each ratio counts as at most 1.
     quality: f64,
-    /// Share of calm frames whose step differs by over 20 % from the one before.
+    /// Share of calm frames whose step differs by over 20 % from the step of the frame before.
     jumps: f64,
     /// Longest run of misses.
     longest: usize,
@@ -143,7 +144,7 @@ fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64
         out.miss += f64::from(u8::from(relative > 1.1));
         run = if relative > 1.1 { run + 1 } else { 0 };
         out.longest = out.longest.max(run);
-        // The oracle: the step whose time without noise is the target.
+        // The oracle's step: the step at which the time without noise equals the target.
         let room = f64::from(target) / speed - fixed;
         let oracle = if room > 0.0 { (work / room).powf(1.0 / EXPONENT) } else { f64::INFINITY };
         let (finest, coarsest) = (f64::from(plant.limits.finest), f64::from(plant.limits.coarsest));
@@ -260,7 +261,7 @@ fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
             let other = mean_of(&plant, 4, 400, &**make);
             let rival = make().name();
             eprintln!("{:12} {rival:16} {other:.3?}", "");
-            // No rule has both fewer misses and more quality.
+            // No other controller has both fewer misses and more quality than the hybrid.
             expect(
                 o.miss <= other.miss + 0.004 || o.quality >= other.quality - 0.02,
                 format!("{rival} has fewer misses and more quality: {other:?}"),
@@ -281,8 +282,8 @@ fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// Prints every controller on every plant:
-/// `cargo test -p entire-cli --lib closed_loop_table -- --ignored --nocapture`.
+/// Prints the results of every controller on every [`Plant`]: `cargo test -p entire-cli --lib
+/// closed_loop_table -- --ignored --nocapture`.
 #[test]
 #[ignore = "prints a table, checks nothing"]
 fn closed_loop_table() {
@@ -308,7 +309,8 @@ fn closed_loop_table() {
 #[test]
 fn what_the_last_frames_say_is_their_mean_the_last_or_the_larger_of_two() {
     let g = StepResponse::inverse_step(0.1);
-    // The step for a target of 10 ms after frames of these milliseconds at the reference step.
+    // Returns the planned step for a target of 10 ms, after frames at the reference step that took `times`
+    // milliseconds.
     let after = |mut controller: Olp, times: &[f32]| {
         let terms = CostTerms::whole(1.0, 0.0, Source::Analytic);
         let limits = StepLimits { finest: 0.1, coarsest: 100.0 };

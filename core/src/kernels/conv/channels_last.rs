@@ -1,4 +1,5 @@
-//! The layers after the first: vectors along output channels, output in channels-last layout.
+//! The convolutions after the first one: their vectors run along output channels, and their output is in
+//! channels-last layout.
 
 use super::layout::{Block, Buffer, Output, Shape, Taps, cut};
 use super::tiles::{self, Cut, MAX_POSITIONS, Tile};
@@ -9,8 +10,8 @@ use crate::memory::room;
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Number of output positions computed for one block of channels before the next block; their inputs stay in
-/// the cache.
+/// Number of output positions that are computed for one block of channels before the next block, so that the
+/// inputs of these positions stay in the cache.
 const CHUNK: usize = 256;
 
 #[derive(Clone, Debug)]
@@ -114,13 +115,13 @@ impl ChannelsLast {
         self.positions().div_ceil(CHUNK) * self.blocks.len() * CHUNK.div_ceil(self.cut.positions)
     }
 
-    /// Runs a range of tasks; the input has its borders on every side.
+    /// Runs a range of tasks. `input` is the whole input, with its borders on every side.
     pub(super) fn whole(&self, input: &[f32], target: Output, tasks: Range<usize>) {
         let tiles = CHUNK.div_ceil(self.cut.positions);
         let taps = Taps { offsets: &self.taps, first: 0 };
         let mut task = tasks.start;
         while task < tasks.end {
-            // Consecutive tiles of one block of channels in one chunk.
+            // One iteration computes consecutive tiles of one block of channels in one chunk.
             let (chunk, block, tile) =
                 (task / tiles / self.blocks.len(), task / tiles % self.blocks.len(), task % tiles);
             let run = (tiles - tile).min(tasks.end - task);
@@ -147,7 +148,7 @@ impl ChannelsLast {
     }
 }
 
-/// Kernel: one block of channels for a range of positions.
+/// Kernel that computes one block of channels for a range of positions.
 struct Tiles<'a> {
     layer: &'a ChannelsLast,
     input: &'a [f32],
@@ -181,7 +182,7 @@ impl Kernel for Tiles<'_> {
             bias: layer.bias.as_slice()[channel..].as_ptr(),
         };
         let Shape { output: edge, stride, .. } = layer.shape;
-        // Sixteen positions of one row are equally spaced.
+        // True if each group of 16 positions lies in one row, where its inputs are equally spaced.
         let rows_of_16 = edge % 16 == 0 && positions.start % 16 == 0;
         let step = if layer.cut.wide && vectors == 1 && rows_of_16 { 16 } else { layer.cut.positions };
         let (mut z, mut y, mut x) =

@@ -21,7 +21,7 @@ struct Line([f32; LINE]);
 
 impl Buffer {
     /// # Errors
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where the allocator has no such room.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the allocation fails.
     pub(super) fn zeroed(len: usize) -> Result<Self> {
         Ok(Self(filled(len.div_ceil(LINE), Line([0.0; LINE]))?))
     }
@@ -102,13 +102,14 @@ impl Shape {
     }
 }
 
-/// Kernel taps of one tile: offsets in the input, and the number of packed taps before the first.
+/// Kernel taps of one tile: their offsets in the input, in floats, and the number of packed taps before the
+/// first of them.
 pub(super) struct Taps<'a> {
     pub(super) offsets: &'a [usize],
     pub(super) first: usize,
 }
 
-/// Pointer to an output that several threads write, each its own positions and channels.
+/// Pointer to an output that several threads write. Each thread writes other positions or channels.
 #[derive(Clone, Copy)]
 pub(super) struct Output(pub(super) *mut f32);
 

@@ -1,4 +1,4 @@
-//! Direct 3-D convolution: memory layouts, packed weights, and the order of the work. No im2col.
+//! Direct 3-D convolution, without im2col: memory layouts, packed weights, and the order of the work.
 //!
 //! # Layouts
 //!
@@ -70,7 +70,7 @@ impl Encoder {
     /// Packs checked blocks and the dense layer.
     ///
     /// # Errors
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed weights.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
     pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Result<Self> {
         let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.padding);
         let first = Planar::new(&blocks[0], padding_of(1), level)?;
@@ -171,7 +171,7 @@ impl Encoder {
     /// where it does not fit.
     ///
     /// # Errors
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the scratch.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the scratch cannot be allocated.
     pub(crate) fn run(
         &self,
         prepare: &Prepare<'_>,
@@ -254,7 +254,7 @@ impl Encoder {
         }
     }
 
-    /// Computes the first two layers, one output plane of the second at a time.
+    /// Computes the first two layers, one output plane of the second layer at a time.
     fn front_planes(
         &self,
         second: &ChannelsLast,

@@ -93,7 +93,7 @@ impl Planar {
         let cut = cut(level);
         let shape = Shape::of(block);
         let (kernel, stride) = (shape.kernel, shape.stride);
-        // Long enough for every voxel and for reads of whole vectors at every tap.
+        // A phase is long enough for every voxel, and for reads of whole vectors at every tap.
         let width = shape.output.next_multiple_of(cut.width);
         let phase = (shape.input + 2 * shape.padding)
             .div_ceil(stride)
@@ -111,7 +111,7 @@ impl Planar {
                 weights.as_mut_slice()[place] = block.weight[c * taps + tap];
             }
         }
-        // The zeros after a row serve as the zeros before the next one.
+        // The zeros after a row are also the border before the next row.
         let out_row = (shape.output + border).next_multiple_of(LINE);
         let out_plane = (shape.output + 2 * border) * padded * out_row;
         Ok(Self {
@@ -136,8 +136,8 @@ impl Planar {
         self.lead + z * self.out_plane + ((y + self.border) * self.padded + channel) * self.out_row
     }
 
-    /// Computes output plane `z` into `out`. First prepares the missing input planes, starting at plane
-    /// `next`.
+    /// Computes output plane `z` into `out`. First prepares the input planes that are missing; `next` is the
+    /// first plane that is not prepared yet.
     #[allow(clippy::too_many_arguments, reason = "one call site per caller; a struct would only rename them")]
     pub(super) fn plane(
         &self,
@@ -176,7 +176,7 @@ impl Planar {
     }
 }
 
-/// Kernel: the rows of one output plane of the first layer.
+/// Kernel that computes the rows of one output plane of the first layer.
 struct Rows<'a> {
     first: &'a Planar,
     input: &'a [f32],

@@ -1,4 +1,5 @@
-//! The inner loops: every accumulator is a variable of its own, so that all of them stay in registers.
+//! The inner loops of the convolutions: every accumulator is a variable of its own, so that all of them stay
+//! in registers.
 
 use crate::kernels::simd::Simd;
 
@@ -9,13 +10,13 @@ pub(super) const MAX_POSITIONS: usize = 16;
 pub(super) struct Tile {
     /// Per position: pointer to the input value of tap 0 and channel 0.
     pub(super) input: [*const f32; MAX_POSITIONS],
-    /// Per position: pointer to the first channel of the block.
+    /// Per position: pointer to the output of the block's first channel.
     pub(super) output: [*mut f32; MAX_POSITIONS],
     /// Number of distinct positions; the entries after them repeat the last one.
     pub(super) distinct: usize,
-    /// True where neighboring positions are two floats apart.
+    /// True if the inputs of neighboring positions are two floats apart.
     pub(super) two_apart: bool,
-    /// True where the taps come in triples, one float apart.
+    /// True if the taps come in triples whose inputs are one float apart.
     pub(super) tap_triples: bool,
     /// `input[0]` of the next tile, for prefetching.
     pub(super) next: *const f32,
@@ -62,13 +63,14 @@ pub(super) struct Cut {
     pub(super) width: usize,
     /// Positions per tile in the channels-last layers.
     pub(super) positions: usize,
-    /// True where the level has tiles of 16 positions and one vector.
+    /// True if the level has tiles of 16 positions and one vector.
     pub(super) wide: bool,
 }
 
 impl Cut {
     pub(super) const fn of<S: Simd>() -> Self {
-        // 32 registers hold 16 sums and their operands, 16 registers hold 12 or 8.
+        // With AVX-512, the 32 registers hold 16 sums and their operands. At the other levels, the 16
+        // registers hold 12 sums (2 × positions) or 8 sums (2 × group).
         let big = S::LANES == 16;
         Self {
             lanes: S::LANES,
@@ -199,8 +201,9 @@ macro_rules! wide {
     };
 }
 
-/// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: the three taps of a
-/// channel are added together, so that an input shared by two neighboring positions is read once.
+/// A tile of 16 positions, whose inputs are two floats apart, and one vector, for kernels with rows of three
+/// taps. The three taps of a channel are added in one pass, so that an input that two neighboring positions
+/// share is read once.
 #[inline(always)]
 unsafe fn sixteen_by_tap_triples<S: Simd>(s: S, tile: &Tile) {
     macro_rules! body {
@@ -255,10 +258,10 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 ///
 /// # Safety
 /// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] is true, `vectors` is 1 and the distance from
-/// position p to p + 8 is the same for every p. Where [`Tile::two_apart`] is true, position p lies 2·p floats from
-/// position 0. Where [`Tile::tap_triples`] is true, taps come in triples of neighbors. Every input pointer
-/// plus any tap plus any channel is readable, weights and biases are packed for the tile, and every output
-/// pointer has room for its vectors, which no other thread accesses.
+/// position p to p + 8 is the same for every p. Where [`Tile::two_apart`] is true, position p lies 2·p floats
+/// from position 0. Where [`Tile::tap_triples`] is true, taps come in triples of neighbors. Every input
+/// pointer plus any tap plus any channel is readable, weights and biases are packed for the tile, and every
+/// output pointer is writable for its vectors, which no other thread accesses.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };
@@ -279,8 +282,8 @@ pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vect
             (_, true) => one_by_eight(s, tile),
             (_, false) => one_by_six(s, tile),
         }
-        // SELU runs in a separate loop: inlined once per sum, it would be most of the code. A repeated
-        // position is processed once.
+        // SELU runs in a separate loop: inlined once per sum, it would be most of the code. Only distinct
+        // positions are processed, so that SELU is applied once to each output.
         for output in &tile.output[..tile.distinct] {
             for v in 0..vectors {
                 let p = output.add(v * S::LANES);
@@ -345,9 +348,8 @@ row_step!(four_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3);
 ///
 /// # Safety
 /// The input pointer plus any tap plus the width, rounded up to whole steps, is readable; weights and biases
-/// are packed for the group; the output has room for `width` floats per channel, rounded up to whole
-/// vectors. The floats after `width` are zero and stay zero (SELU(0) = 0). No other thread accesses the
-/// output.
+/// are packed for the group; the output holds `width` floats per channel, rounded up to whole vectors. The
+/// floats after `width` are zero and stay zero (SELU(0) = 0). No other thread accesses the output.
 #[inline(always)]
 pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     let mut x = 0;

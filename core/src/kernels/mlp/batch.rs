@@ -1,4 +1,4 @@
-//! Batches of rows through the layers: matrix-matrix products in tiles of up to six rows.
+//! Runs batches of rows through the layers, as matrix-matrix products in tiles of up to six rows.
 
 use super::int8::{quantize, tile_int8};
 use super::packing::{Layer, panels};
@@ -6,7 +6,7 @@ use super::weights::{AsBf16, AsF16, widen};
 use super::{Mlp, MlpScratch, Storage};
 use crate::kernels::simd::{Kernel, Simd};
 
-/// Rows of the accumulator tile: their sums fit the register file of every level.
+/// Largest number of rows per tile; the sums of a tile fit into the registers of every level.
 const TILE_ROWS: usize = 6;
 
 pub(super) struct ForwardRows<'a, const INT8: bool> {
@@ -27,8 +27,8 @@ impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
         let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
         let wide: *mut f32 = scratch.panel.as_mut_ptr().cast();
-        // SAFETY: `fits` has checked that the buffers hold `scratch.rows` rows of `stride` floats each
-        // (`quantized` the same in bytes, padded to 32) and the largest panel; the batch has at most
+        // SAFETY: `fits` has checked that the buffers hold the largest panel and `scratch.rows` rows of
+        // `stride` floats each (in `quantized`: rows of `stride` bytes, padded to 32); the batch has at most
         // `scratch.rows` rows.
         unsafe {
             for (r, row) in inputs.chunks_exact(net.inputs).enumerate() {
@@ -50,7 +50,9 @@ impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
     }
 }
 
-/// Buffers of a batch; `stride` is the distance between rows in floats (in `q`: in bytes, padded to 32).
+/// Buffers of a batch of `count` rows: inputs `x`, outputs `y`, quantized inputs `q`, and one panel of
+/// weights as f32 (`wide`). `stride` is the distance between rows, in floats; in `q`, rows are `stride` bytes
+/// apart, padded to 32.
 #[derive(Clone, Copy)]
 struct Rows {
     count: usize,
@@ -112,7 +114,7 @@ impl Mlp {
                     let x = rows.x.add(r * rows.stride);
                     let y = rows.y.add(r * rows.stride + first);
                     let q = rows.q.wrapping_add(r * bytes);
-                    // Six rows, and the remainder in tiles of four, two and one.
+                    // Tiles have six rows; the remaining rows form tiles of four, two and one.
                     let count = match rows.count - r {
                         // Without vectors, bytes are multiplied one by one, and a tile gains nothing.
                         _ if dot4 && S::LANES == 4 => 1,

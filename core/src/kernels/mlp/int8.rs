@@ -11,10 +11,10 @@ pub(super) struct Range {
 }
 
 /// Quantizes `n` floats (a multiple of 16) to unsigned bytes. A value that is not finite makes the scale NaN,
-/// and so every result.
+/// and with it every output of the layer.
 ///
 /// # Safety
-/// `x` must hold `n` floats and `q` have room for `n` bytes.
+/// `x` must hold `n` floats, and `q` must hold `n` bytes.
 #[inline(always)]
 pub(super) unsafe fn quantize<S: Simd>(simd: S, x: *const f32, n: usize, q: *mut u8) -> Range {
     // SAFETY: offsets stay below n, which the caller guarantees.
@@ -43,10 +43,10 @@ pub(super) unsafe fn quantize<S: Simd>(simd: S, x: *const f32, n: usize, q: *mut
     }
 }
 
-/// Multiplies one quantized row by one int8 panel of `N` outputs.
+/// Multiplies one quantized row by one int8 panel of `N` outputs: y = SELU(W·x + b).
 ///
 /// # Safety
-/// As `panel_row` of the module `row`, with `inputs` bytes at `q`, `inputs` a multiple of 32.
+/// As `panel_row` of the module `row`. `q` must hold `inputs` bytes; `inputs` must be a multiple of 32.
 #[inline(always)]
 pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
     simd: S,
@@ -135,8 +135,8 @@ unsafe fn dequantize<S: Simd>(
     }
 }
 
-/// As `tile` of the module `batch`, for an int8 panel: `q` holds the quantized rows, `bytes` apart, and
-/// `ranges` their scales and zero points.
+/// As `tile` of the module `batch`, for an int8 panel. `q` holds the quantized rows, `bytes` bytes apart;
+/// `ranges` holds their scales and zero points.
 ///
 /// # Safety
 /// As `tile` of the module `batch`.

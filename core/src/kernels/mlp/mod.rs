@@ -2,9 +2,9 @@
 //!
 //! A layer's outputs are padded to a multiple of 16 and cut into panels of 64, 32 and 16. A panel is stored
 //! in the order in which it is read: its biases, then for each input the weights of all its outputs. So a
-//! matrix-vector product is one sequential stream with all sums in registers, and the same panel serves a
-//! tile of several rows. The last layer, which has one output, stays a plain row. Padding is zero and remains
-//! so, since SELU(0) = 0.
+//! matrix-vector product reads memory sequentially and keeps all sums in registers; a product with a tile of
+//! several rows reads the same panel. The last layer, which has one output, stays a plain row. Padding is
+//! zero and stays zero, since SELU(0) = 0.
 //!
 //! | module | content |
 //! |---|---|
@@ -14,9 +14,9 @@
 //! | `batch` | batches of rows, in tiles |
 //! | `int8` | integer arithmetic of `row` and `batch` |
 
-/// Expands every row and vector of a tile with literal indices, so that each sum has a register of its own:
-/// in loops the compiler keeps arrays of sums in memory. Rows from `ROWS` on and vectors from `VECTORS` on
-/// compile to nothing.
+/// Calls the macro `$do` with literal indices for every row and vector of a tile, so that each sum has a
+/// register of its own: in loops, the compiler keeps arrays of sums in memory. Calls for rows from `ROWS` on
+/// and vectors from `VECTORS` on compile to nothing.
 #[rustfmt::skip]
 macro_rules! unrolled {
     ($do:ident!) => {
@@ -58,7 +58,7 @@ const SPLIT_LINES: usize = 1024;
 #[derive(Clone, Debug)]
 pub(crate) struct Mlp {
     level: Level,
-    /// True where the layers between the first and the last are [`Storage::Int8`].
+    /// True if the layers between the first and the last are [`Storage::Int8`].
     int8: bool,
     inputs: usize,
     layers: Vec<Layer>,
@@ -75,7 +75,7 @@ pub(crate) struct Mlp {
     panel: usize,
 }
 
-/// Working memory: activations of one or more rows, and room for one panel widened to f32.
+/// Working memory: activations of one or more rows, their quantized bytes, and one panel widened to f32.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MlpScratch {
     rows: usize,
@@ -92,7 +92,7 @@ impl Mlp {
     /// Callers have checked that sizes agree, that the last layer has one output, and that nothing is empty.
     ///
     /// # Errors
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed weights.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
     pub(crate) fn new(
         level: Level,
         storage: Storage,
@@ -153,11 +153,11 @@ impl Mlp {
     /// Allocates working memory for batches of `rows` rows.
     ///
     /// # Errors
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the memory cannot be allocated.
     pub(crate) fn scratch(&self, rows: usize) -> Result<MlpScratch> {
         let rows = rows.clamp(1, BLOCK_ROWS);
         let lines = rows.saturating_mul(self.width) / 16;
-        // Bytes per row, padded to 32 for the int8 layers.
+        // Bytes of all rows; for the int8 layers, each row is padded to a multiple of 32.
         let bytes = rows.saturating_mul(self.width.next_multiple_of(32));
         let int8 = self.int8;
         Ok(MlpScratch {
@@ -170,7 +170,7 @@ impl Mlp {
         })
     }
 
-    /// True where the scratch was made by a network of these sizes.
+    /// True if the scratch is large enough for this network.
     fn fits(&self, scratch: &MlpScratch) -> bool {
         let numbers = scratch.rows * self.width;
         let int8 = self.int8;
@@ -184,8 +184,8 @@ impl Mlp {
                         >= scratch.rows * self.width.next_multiple_of(32)))
     }
 
-    /// The last layer's output for one row of inputs; `None` where the number of inputs is wrong or the
-    /// scratch belongs to another network.
+    /// Returns the last layer's output for one row of inputs, or `None` if the number of inputs is wrong or
+    /// the scratch, made by another network, is too small.
     #[inline]
     pub(crate) fn forward(&self, inputs: &[f32], scratch: &mut MlpScratch) -> Option<f32> {
         if inputs.len() != self.inputs || !self.fits(scratch) {
@@ -244,7 +244,7 @@ impl Mlp {
         Some(self.level.run(LastRow { net: self, x }))
     }
 
-    /// The last layer's output for as many rows as `outputs` has elements; `None` as in
+    /// Writes the last layer's output for each row of `inputs` to `outputs`; returns `None` in the cases of
     /// [`forward`](Self::forward).
     pub(crate) fn forward_rows(
         &self,

@@ -57,11 +57,11 @@ pub(super) fn panels(width: usize) -> impl Iterator<Item = usize> {
 #[derive(Clone, Debug)]
 pub(super) struct Layer {
     pub(super) storage: Storage,
-    /// Inputs padded with zero weights, to a multiple of 8, or of 32 with [`Storage::Int8`].
+    /// Number of inputs, padded with zero weights to a multiple of 8 (with [`Storage::Int8`]: of 32).
     pub(super) inputs: usize,
     /// Number of inputs padded to a multiple of 16: the number of values that the previous layer writes.
     pub(super) filled: usize,
-    /// Outputs padded to a multiple of 16.
+    /// Number of outputs, padded to a multiple of 16.
     pub(super) width: usize,
     /// Index of the first panel's first cache line.
     pub(super) start: usize,
@@ -84,7 +84,7 @@ impl Layer {
     }
 }
 
-/// Row-major weights and biases of one layer, input of the packing.
+/// Row-major weights, and biases, of one layer before packing.
 pub(crate) struct Dense<'a> {
     pub(crate) inputs: usize,
     pub(crate) outputs: usize,
@@ -92,10 +92,10 @@ pub(crate) struct Dense<'a> {
     pub(crate) bias: &'a [f32],
 }
 
-/// Appends the panels of one layer.
+/// Appends the panels of one layer to `data`.
 ///
 /// # Errors
-/// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for them.
+/// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the panels cannot be allocated.
 pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) -> Result<Layer> {
     let pad = if storage == Storage::Int8 { 32 } else { 8 };
     let packed = Layer {

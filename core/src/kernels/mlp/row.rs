@@ -1,4 +1,4 @@
-//! One row of inputs through the layers: matrix-vector products.
+//! Runs one row of inputs through the layers, as matrix-vector products.
 
 use super::int8::{panel_row_int8, quantize};
 use super::packing::Layer;
@@ -9,7 +9,8 @@ use crate::kernels::simd::{Kernel, Simd};
 /// Multiplies one row by one panel of `N` outputs: y = SELU(W·x + b).
 ///
 /// # Safety
-/// `panel` must be the packed panel (biases first), `x` hold `inputs` floats, `y` have room for `N`.
+/// `panel` must be the packed panel (biases first), `x` must hold `inputs` floats, and `y` must hold `N`
+/// floats.
 #[inline(always)]
 unsafe fn panel_row<S: Simd, W: Format, const N: usize>(
     simd: S,
@@ -18,8 +19,8 @@ unsafe fn panel_row<S: Simd, W: Format, const N: usize>(
     x: *const f32,
     y: *mut f32,
 ) {
-    // Eight sums: `vectors` vectors of outputs at a time, even and odd inputs in separate sums, 4 / `vectors`
-    // pairs of inputs at a time.
+    // Eight vectors of sums: `vectors` vectors of outputs × `pairs` pairs of inputs × 2, since the even and
+    // the odd input of a pair have separate sums.
     let vectors = if N / S::LANES < 4 { N / S::LANES } else { 4 };
     let pairs = 4 / vectors;
     let mut from = 0;
@@ -114,7 +115,7 @@ impl Kernel for LoadInputs<'_> {
     }
 }
 
-/// Kernel: outputs `from` to `to` of one layer, written to the start of `y`.
+/// Kernel that computes outputs `from` to `to` of one layer and writes them to the start of `y`.
 pub(super) struct LayerPart<'a> {
     pub(super) net: &'a Mlp,
     pub(super) layer: &'a Layer,
@@ -165,7 +166,7 @@ impl Mlp {
     /// Copies one row of inputs, normalizes it, and zeroes the padding after it.
     ///
     /// # Safety
-    /// `inputs` must have the network's length and `x` room for it, padded to 16.
+    /// `inputs` must have the network's number of inputs; `x` must hold this number of floats, padded to 16.
     #[inline(always)]
     pub(super) unsafe fn load_inputs<S: Simd>(&self, simd: S, inputs: &[f32], x: *mut f32) {
         let padded = self.inputs.next_multiple_of(16);
@@ -189,8 +190,8 @@ impl Mlp {
     /// writes them to the start of `y`.
     ///
     /// # Safety
-    /// `x` must hold the layer's padded inputs, `y` have room for its width, `q` (int8 only) for its padded
-    /// inputs in bytes.
+    /// `x` must hold the layer's padded inputs, `y` must hold `to` − `from` floats, and `q` (int8 only) must
+    /// hold one byte per padded input.
     #[inline(always)]
     #[allow(clippy::too_many_arguments, reason = "one row's buffers")]
     unsafe fn layer_row<S: Simd, const INT8: bool>(

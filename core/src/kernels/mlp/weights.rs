@@ -9,7 +9,7 @@ pub(super) trait Format {
     ///
     /// # Safety
     ///
-    /// The panel must hold them.
+    /// The panel must hold these weights.
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F);
 }
 
@@ -45,7 +45,7 @@ impl Format for AsBf16 {
 /// Widens a panel's weights to f32 and returns a pointer to them.
 ///
 /// # Safety
-/// `weights` must hold `inputs` × `n` weights of the format, `wide` have room for them.
+/// `weights` must hold `inputs` × `n` weights of the format, and `wide` must hold as many floats.
 #[inline(always)]
 pub(super) unsafe fn widen<S: Simd, W: Format>(
     simd: S,
@@ -56,7 +56,7 @@ pub(super) unsafe fn widen<S: Simd, W: Format>(
 ) -> *const f32 {
     for k in (0..inputs).step_by(2) {
         for o in (0..n).step_by(S::LANES) {
-            // SAFETY: the caller guarantees both; `n` is a multiple of LANES and `inputs` is even.
+            // SAFETY: the caller guarantees both buffers; `n` is a multiple of LANES and `inputs` is even.
             unsafe {
                 let (even, odd) = W::pair(simd, weights, n, k, o);
                 simd.store(wide.add(k * n + o), even);

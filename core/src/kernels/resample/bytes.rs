@@ -8,7 +8,7 @@ use crate::memory::chunks;
 /// Largest number of rows of bytes whose sum fits 16 bits.
 const BYTE_ROWS: usize = 65535 / 255;
 
-/// True where every axis is an integer multiple of `n` and the sums of bytes fit their types.
+/// True if the length of every axis is an integer multiple of `n` and the sums of bytes fit their types.
 pub(crate) fn integer_ratio(dims: &[usize; 3], n: usize) -> bool {
     dims.iter().all(|&d| d % n == 0)
         && (dims[1] / n).saturating_mul(dims[2] / n) <= BYTE_ROWS
@@ -90,7 +90,7 @@ impl Kernel for Quads<'_> {
     }
 }
 
-/// The input rows averaged by one output row.
+/// Input rows whose average is one output row.
 struct QuadRows<'a> {
     src: &'a [u8],
     g: &'a Geometry<'a>,
@@ -122,7 +122,7 @@ impl QuadRows<'_> {
             for y in self.y..self.y + self.ry {
                 let at = z * self.g.strides[2] + y * self.g.strides[1] + 4 * x;
                 let row = &self.src[at..at + 32 * S::LANES];
-                // Each plane is a separate stream that ends after these rows: prefetch its next ones.
+                // The reads of each plane end after these rows; the plane's next rows are prefetched.
                 prefetch(self.src, at + self.ry * self.g.strides[1], 32 * S::LANES);
                 macro_rules! add {
                     ($($sum:ident $i:literal),*) => {$(
@@ -174,7 +174,7 @@ fn bytes_body(
             for z in (z0 + dz) * rz..(z0 + dz + 1) * rz {
                 let mut row = y * ry;
                 let end = row + ry;
-                // Each plane is a separate stream that ends after these rows: prefetch its next ones.
+                // The reads of each plane end after these rows; the plane's next rows are prefetched.
                 for next in end..end + ry {
                     prefetch(src, z * g.strides[2] + next * g.strides[1], g.dims[0]);
                 }

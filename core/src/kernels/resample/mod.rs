@@ -1,6 +1,6 @@
-//! Inner loops of resampling: weighted sums over rows, then along the row. One source for every level: the
-//! order of operations is the same and multiplications and additions are never fused, so every level gives
-//! the same bits.
+//! Inner loops of resampling: weighted sums over rows, then along the row. The same source is compiled for
+//! every level. The order of operations is the same, and multiplications and additions are never fused; so
+//! every level gives the same bits.
 
 mod bytes;
 mod planes;
@@ -10,8 +10,9 @@ use bytemuck::Pod;
 pub(crate) use bytes::{bytes, integer_ratio};
 pub(crate) use planes::{Fetch, fetch, planes};
 
-/// The input voxels averaged by one output voxel along one axis: `first … first + count`, with one weight for
-/// the first, one for the last, and one for all between. A single voxel has weight `head`.
+/// Input voxels whose weighted average is one output voxel, along one axis: `count` voxels from `first` on.
+/// The first voxel has weight `head`, the last has weight `tail`, and all others have weight `middle`. A
+/// single voxel has weight `head`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Span {
     pub(crate) first: usize,
@@ -154,7 +155,8 @@ pub(crate) struct Affine {
 }
 
 impl Affine {
-    /// The map of a range; `None` where the reciprocal of the range's width is not a normal number.
+    /// Returns the map of a range to [0, 1], or `None` if the reciprocal of the range's width is not a normal
+    /// number.
     pub(crate) fn of((low, high): (f32, f32)) -> Option<Self> {
         let (width, scale) = (high - low, 1.0 / (high - low));
         (width > 0.0 && width.is_finite() && scale.is_normal()).then_some(Self { low, scale })
@@ -211,7 +213,8 @@ pub(crate) fn scratch_len(row: usize, n: usize) -> usize {
 /// Number of rows added to a sum at once.
 const ROWS: usize = 4;
 
-/// Span of reduced plane `i`: an output plane, or an input plane where z grows.
+/// Returns the span of reduced plane (or row) `i`: an output plane or, if the input has fewer planes than the
+/// output, an input plane.
 #[inline(always)]
 fn reduced_span(i: usize, m: usize, n: usize) -> Span {
     if m < n { Span::single(i) } else { Span::of(i, m, n) }

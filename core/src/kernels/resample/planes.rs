@@ -9,7 +9,7 @@ use crate::memory::chunks;
 /// the accumulated rounding error.
 const DIRECT_ROWS: usize = 64;
 
-/// Writes a row of mapped voxels; arguments: index of the row's first element, output.
+/// Function that writes a row of mapped voxels; arguments: index of the row's first element, output.
 pub(crate) type Fetch<'a> = dyn Fn(usize, &mut [f32]) + Sync + 'a;
 
 /// Copies a row of mapped voxels from `src[at]` on, `stride` elements apart.
@@ -45,7 +45,7 @@ pub(crate) fn fetch<T: Scalar, M: Map<T>>(
 /// Fills reduced planes of any volume, starting at plane `z0`: fetches rows, adds them with their weights,
 /// then averages along x.
 ///
-/// One body for all voxel types and maps; only `fetch` depends on them.
+/// The code is the same for all voxel types and maps; only `fetch` depends on them.
 pub(crate) fn planes(
     g: &Geometry<'_>,
     fetch: &Fetch<'_>,
@@ -82,7 +82,7 @@ fn planes_body(
     let height = g.dims[1].min(n);
     for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
         let zs = reduced_span(z0 + dz, g.dims[2], n);
-        // Where y grows, the input's rows are stored in the last rows of the plane.
+        // If the output has more rows than the input, the input's rows are stored in the plane's last rows.
         for (y, out) in plane[(n - height) * n..].chunks_exact_mut(n).enumerate() {
             let ys = reduced_span(y, g.dims[1], n);
             if ys.count.saturating_mul(zs.count) <= DIRECT_ROWS {
@@ -113,7 +113,7 @@ fn planes_body(
     }
 }
 
-/// Adds the rows of one plane to `sum`. A row's weight is multiplied by the plane's weight. `rows` has room
+/// Adds the rows of one plane to `sum`. A row's weight is multiplied by the plane's weight. `rows` is scratch
 /// for [`ROWS`] rows.
 #[inline(always)]
 fn sum_rows(

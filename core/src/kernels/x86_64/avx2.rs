@@ -11,7 +11,7 @@ pub(crate) struct Avx2(());
 /// Runs a kernel with AVX2, FMA, F16C and POPCNT.
 ///
 /// # Safety
-/// The CPU has them.
+/// The CPU has these instructions.
 #[target_feature(enable = "avx2,fma,f16c,popcnt")]
 pub(crate) unsafe fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx2(()))
@@ -38,7 +38,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
-        // SAFETY: the token proves the instructions, here and below.
+        // SAFETY: a token exists only if the CPU has the instructions. Below, "token" means this reason.
         unsafe { _mm256_set1_ps(x) }
     }
     #[inline(always)]
@@ -158,8 +158,8 @@ impl Simd for Avx2 {
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
         // SAFETY: token.
         unsafe {
-            // Even and odd bytes separately: two products of 255·127 overflow the 16 bits of maddubs, but not
-            // 32.
+            // Even and odd bytes are multiplied separately: the sum of two products of 255·127 would overflow
+            // the 16 bits of maddubs, but fits 32 bits.
             let low = _mm256_set1_epi16(0xff);
             let even = _mm256_madd_epi16(
                 _mm256_and_si256(a, low),
@@ -185,7 +185,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
-        // SAFETY: token; there is room for 16.
+        // SAFETY: token; `to` has 16 elements.
         unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), v) }
     }
     #[inline(always)]
@@ -267,7 +267,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
-        assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "no word, or too many");
+        assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "`from` is empty or too long");
         // SAFETY: token; indices are clamped to the last word.
         unsafe {
             let index = _mm256_min_epu32(index, _mm256_set1_epi32(from.len() as i32 - 1));
@@ -353,7 +353,7 @@ impl Simd for Avx2 {
     }
 }
 
-/// One-hot codes of 32 bytes: value first + i sets bit i, any other value sets none.
+/// Returns the one-hot codes of 32 bytes: value first + i sets bit i (i < 8), any other value sets no bit.
 ///
 /// # Safety
 /// The CPU has AVX2, and `p` is valid for reading 32 bytes.

@@ -11,7 +11,7 @@ pub(crate) struct Avx512<const VNNI: bool>(());
 /// Runs a kernel with AVX-512 F, BW, DQ and VL.
 ///
 /// # Safety
-/// The CPU has them.
+/// The CPU has these instructions.
 #[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(crate) unsafe fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<false>(()))
@@ -20,7 +20,7 @@ pub(crate) unsafe fn enter<K: Kernel>(kernel: K) -> K::Output {
 /// Runs a kernel with AVX-512 F, BW, DQ, VL and VNNI.
 ///
 /// # Safety
-/// The CPU has them.
+/// The CPU has these instructions.
 #[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
 pub(crate) unsafe fn enter_vnni<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<true>(()))
@@ -46,7 +46,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
-        // SAFETY: the token proves the instructions, here and below.
+        // SAFETY: a token exists only if the CPU has the instructions. Below, "token" means this reason.
         unsafe { _mm512_set1_ps(x) }
     }
     #[inline(always)]
@@ -166,13 +166,13 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
-        // SAFETY: token; it proves VNNI where `VNNI` is true.
+        // SAFETY: token; a token with `VNNI` = true exists only if the CPU has VNNI.
         unsafe {
             if VNNI {
                 return _mm512_dpbusd_epi32(sum, a, w);
             }
-            // Even and odd bytes separately: two products of 255·127 overflow the 16 bits of maddubs, but not
-            // 32.
+            // Even and odd bytes are multiplied separately: the sum of two products of 255·127 would overflow
+            // the 16 bits of maddubs, but fits 32 bits.
             let low = _mm512_set1_epi16(0xff);
             let even = _mm512_madd_epi16(
                 _mm512_and_si512(a, low),
@@ -197,7 +197,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
-        // SAFETY: token; there is room for 16.
+        // SAFETY: token; `to` has 16 elements.
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), v) }
     }
     #[inline(always)]
@@ -273,7 +273,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
-        assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "no word, or too many");
+        assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "`from` is empty or too long");
         // SAFETY: token; indices are clamped to the last word.
         unsafe {
             let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
@@ -314,7 +314,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         let mut counts = [0; 8];
         let (blocks, rest) = chunks::<1024, _>(bytes);
         let (halves, rest) = chunks::<512, _>(rest);
-        // SAFETY: token; each block has sixteen vectors, and half of one eight.
+        // SAFETY: token; each block has sixteen vectors, and half a block has eight.
         unsafe {
             let zero = _mm512_setzero_si512();
             let (mut sums, mut eights) = ([zero; 3], zero);
@@ -356,7 +356,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
 }
 
-/// One-hot codes of 64 bytes: value first + i sets bit i, any other value sets none.
+/// Returns the one-hot codes of 64 bytes: value first + i sets bit i (i < 8), any other value sets no bit.
 ///
 /// # Safety
 /// The CPU has AVX-512 F and BW, and `p` is valid for reading 64 bytes.

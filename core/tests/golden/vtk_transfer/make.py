@@ -53,7 +53,7 @@ def main():
         low, high = [(0.0, 1.0), (0.0, 255.0), (-1024.0, 3071.0), (-0.5, 0.25)][i % 4]
         count = 1 if i == 5 else rng.randint(2, 7)
         opacity, color = random_nodes(rng, count, low, high, steps=i % 3 == 2 and count > 2)
-        # Ranges equal to, inside of and beyond what the nodes cover.
+        # Ranges equal to the range of the nodes, inside it, and beyond it.
         width = high - low
         a, b = [(low, high), (low + 0.2 * width, high - 0.3 * width), (low - 0.1 * width, high + 0.4 * width)][i % 3]
         clamp = i % 5 != 4

@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     session.set_volume(VolumeSummary::new(&volume)?, None);
     session.set_limits(StepLimits { finest: 0.5, coarsest: 8.0 })?;
 
-    // The budget: two thirds of what the first view takes at the reference step.
+    // The budget is two thirds of the time of the first view at the reference step.
     renderer.set_transfer(&thin.to_table()?)?;
     renderer.render(&frame_at(0)?)?;
     let target = renderer.render(&frame_at(0)?)?.time.seconds() * 0.66;
@@ -66,13 +66,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A slow orbit, at the reference step until the plan says otherwise.
+/// Returns frame `i` of a slow orbit, at the reference step. The caller sets the step of the plan.
 fn frame_at(i: usize) -> Result<Frame, entire_core::Error> {
     let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 3.0 * i as f32, dz: 2.4 })?;
     Ok(Frame { skipping: Skipping::Blocks, ..Frame::new(camera, 160, 120)? })
 }
 
-/// Shells around the center whose values rise inwards.
+/// Returns the voxels of shells around the center; values rise towards the center.
 fn nested_shells() -> Vec<u8> {
     let [nx, ny, nz] = DIMS;
     let mut voxels = Vec::with_capacity(nx * ny * nz);

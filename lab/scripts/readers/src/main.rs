@@ -1,6 +1,6 @@
-//! `readers`: reads each file that a line of standard input names with the readers of `entire`, and prints a
-//! line of JSON for it: `{"dims", "type", "spacing", "range", "crc32", "notes"}`, `{"refused"}` or `{"panic"}`.
-//! `differential.py` runs it.
+//! `readers`: takes paths of volume files from standard input, one per line. Reads each file with the readers
+//! of `entire`, and prints a line of JSON for it: `{"dims", "type", "spacing", "range", "crc32", "notes"}`,
+//! `{"refused"}` or `{"panic"}`. `differential.py` runs this program.
 
 use anyhow::Result;
 use entire_io::volume;
@@ -9,14 +9,14 @@ use std::io::{BufRead, Write};
 use std::path::Path;
 use volume::VolumeData;
 
-/// Options to read every value as stored, fill values included.
+/// Returns options that read every value as stored, fill values included.
 fn as_stored() -> volume::Reading {
     volume::Reading { fill: volume::Fill::None, ..volume::Reading::default() }
 }
 
-/// Description of a volume, with the values that `cli/tests/suite/independent_readers.rs` compares with its table: the
-/// range of the finite voxels, and the CRC-32 of all voxels in their type in memory, little-endian, with every NaN
-/// replaced by the one without payload.
+/// Returns the line of JSON for a volume file; `cli/tests/suite/independent_readers.rs` compares the same
+/// values with its table. `range` is that of the finite voxels. `crc32` is that of all voxels in their type
+/// in memory, little-endian; every NaN counts as the NaN without payload.
 fn line_of(path: &Path) -> Value {
     let volume = match volume::Volume::open_as(path, &as_stored(), None) {
         Ok(volume) => volume,

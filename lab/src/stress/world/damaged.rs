@@ -68,7 +68,7 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     if refused < 100 {
         broken.push(format!("only {refused} of 203 damaged files were refused, {read} were read"));
     }
-    // Saved states of this method that are cut short, and a state of another format.
+    // Saved states of this method that are cut short must be refused, and so must a state of another format.
     let mut session = contender(
         method,
         2.0,

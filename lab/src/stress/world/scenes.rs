@@ -68,7 +68,8 @@ pub(super) struct Shot {
     pub(super) lobes: Vec<GaussianLobe>,
     pub(super) camera: Arcball,
     pub(super) size: (u32, u32),
-    /// The CPU version draws at this size and its counts are scaled: for images too large to draw.
+    /// Size at which the CPU version draws the frame. Its counts of work are scaled to `size`, which may be
+    /// too large to draw.
     pub(super) drawn: (u32, u32),
     /// Factor on the seconds that no predictor models.
     pub(super) speed: f64,
@@ -98,7 +99,7 @@ pub(super) struct World {
     pub(super) limits: Limits,
 }
 
-/// The script of a scene; `None` for other numbers.
+/// Returns the script of a scene; `None` if the scene is not in this file.
 pub(super) fn scene(number: usize) -> Option<World> {
     let strict = |missed, run| Limits { missed, run, quality: 0.6, inside: 0.9 };
     let loose = |missed| Limits { quality: 0.5, ..Limits::missed(missed) };

@@ -32,7 +32,7 @@
 struct pqEntireSteeringPanel::pqInternals
 {
   QPointer<pqRenderView> View;
-  // One steering per view, kept while the view lives.
+  // One steering per view, kept until the view is removed.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Proxies;
   // Read-outs: ParaView reads the values of Proxies in the client, and the values of Remotes on the server if a server
   // draws.

@@ -9,9 +9,9 @@ from ._core import Session
 
 
 def difference(session: Session) -> str:
-    """Warning that the model predicts times of another clock than the one that times frames; empty if the clocks agree.
+    """Returns a warning if the model predicts seconds of another clock than the clock that times the frames, else "".
 
-    The text is that of vtkEntireSteering.
+    vtkEntireSteering gives the same warning.
     """
     own, model = session.clock, session.model_clock
     if own is None or model is None or own == model:

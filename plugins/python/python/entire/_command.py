@@ -17,6 +17,6 @@ def main() -> int:
     int
         Exit status.
     """
-    # The command handles interrupts itself; Python's handler would wait for it to return.
+    # The command handles interrupts itself; Python's handler would run only after the command has returned.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     return command(["entire", *sys.argv[1:]])

@@ -83,7 +83,7 @@ class History:
 
 
 def _ticks(high: float) -> list[float]:
-    """Two to five round numbers from 0 to `high`."""
+    """Returns 0 and two to five evenly spaced round numbers up to `high`."""
     power = 10.0 ** np.floor(np.log10(high))
     step = next(m * power for m in (0.2, 0.5, 1.0, 2.0) if high / (m * power) <= 5)
     return [float(v) for v in np.arange(0, high * 1.0001, step)]

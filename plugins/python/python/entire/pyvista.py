@@ -19,7 +19,7 @@ from .vtk._mappers import gpu_in_place_of
 
 
 def _gpu_wrapper(smart: Any) -> Any:
-    """PyVista's own GPU mapper in place of its smart one, with the attributes that PyVista sets on a mapper."""
+    """Makes PyVista's own GPU mapper to replace its smart mapper, with the attributes that PyVista sets on a mapper."""
     kind = getattr(pv.plotting.mapper, "OpenGLGPUVolumeRayCastMapper", None)
     if kind is None or not hasattr(smart, "_scalar_range"):
         return gpu_in_place_of(smart)
@@ -100,7 +100,7 @@ class EntireComponent:
                 raise ValueError(f"fps is {rate}; it must be positive")
             seconds = 1.0 / rate
         index = self._plotter.renderers.active_index
-        # The earlier steering ends only after the new one was made, so that a refusal leaves it in place.
+        # The earlier steering ends only after the new one was made, so that it continues if the new one is refused.
         steering = self._new_steering(volume, seconds, **options)
         earlier = self._held.get(index)
         if earlier is not None:

@@ -21,7 +21,7 @@ from ._core import ModelLike, Session, explain
 from ._history import History
 from ._native import Camera, Plan, TransferFunction, Volume
 
-# Accumulated opacity at which a ray stops, by method. Methods that are not listed take every sample.
+# Accumulated opacity at which a ray stops, by vispy's rendering method. Methods that are not listed take every sample.
 _STOPPING = {"translucent": 0.99, "iso": 0.99, "attenuated_mip": 0.99}
 
 

@@ -35,7 +35,8 @@ def _source(scene: Any) -> Any:
 
 
 def _fixed_resolution(source: Any, edge: int) -> Volume:
-    """The field on a regular grid of at most `edge` cells along an axis; its logarithm if yt takes logarithms."""
+    """Reads the source's field on a regular grid of at most `edge` cells along an axis. If yt draws the logarithm of
+    the field, returns a volume of the logarithm."""
     data = source.data_source
     dataset = data.ds
     low, high = (
@@ -63,7 +64,7 @@ def _fixed_resolution(source: Any, edge: int) -> Volume:
 
 
 class Holder:
-    """Renders a scene within a time. Made by :func:`hold`.
+    """Renders pictures of a scene within a target time. Made by :func:`hold`.
 
     Attributes
     ----------
@@ -123,7 +124,7 @@ class Holder:
 
     def _function(self) -> TransferFunction:
         alpha = np.clip(np.asarray(self.source.transfer_function.alpha.y, np.float64), 0, 1)
-        # yt's opacities hold over one unit of length.
+        # yt's opacities apply to one unit of length along a ray.
         return TransferFunction.table(np.clip(alpha, 1e-4, 1), unit_length=1.0)
 
     def render(self) -> Any:

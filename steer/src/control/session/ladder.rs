@@ -1,4 +1,4 @@
-//! A probe that begins coarse and is refined while the plan depends on it.
+//! A probe that begins with few rays and is refined while its error could change the plan.
 
 use super::Session;
 use crate::features::{FrameFeatures, MAX_PROBE_SIDE, Setting};
@@ -11,15 +11,15 @@ use glam::Vec3;
 /// Numbers of rays along each side of the successive probes of a plan, coarsest first.
 const SIDES: [usize; 4] = [4, 7, 11, 16];
 
-/// Bound on the probe's error, in standard errors: 95 % of normal errors are smaller.
+/// Upper bound of the probe's error, in standard errors: 95 % of normal errors are smaller.
 const STANDARD_ERRORS: f32 = 2.0;
 
-/// Largest turn of the eye about the volume, and of the view about the eye, before rays are cast again, in
-/// radians per unit of the tolerance. On the recorded training paths, a turn by an angle changes ln(time) by
-/// less than angle / `TURN`, so the time changes by less than the tolerance.
+/// Largest turn of the eye about the volume, and of the view about the eye, for which rays are not cast
+/// again, in radians per unit of the tolerance. On the recorded training paths, a turn by an angle changes
+/// ln(time) by less than angle / `TURN`, so the time changes by less than the tolerance.
 const TURN: f32 = 0.4;
 
-/// As [`TURN`], for the change of ln of the eye's distance.
+/// As [`TURN`], for the change of ln(distance of the eye from the volume's center).
 const APPROACH: f32 = 0.15;
 
 /// View and settings for which the probe's rays were cast.
@@ -45,7 +45,7 @@ impl Cast {
         }
     }
 
-    /// True where rays cast for this view also serve `other`, within the tolerance.
+    /// True if rays cast for this view may be reused for `other`, within the tolerance.
     fn serves(&self, other: &Self, tolerance: f32) -> bool {
         let least = libm::cosf(TURN * tolerance);
         let near =
@@ -65,23 +65,23 @@ impl Cast {
 pub(super) struct Ladder {
     /// Number of rays along each side of the finest probe.
     finest: usize,
-    /// Largest accepted error of a frame's time, relative to it.
+    /// Largest accepted error of a frame's time, as a share of this time.
     tolerance: f32,
 }
 
 impl Session {
     /// Sets the number of probe rays to `side`²: fewer rays take less time, and their estimates have a larger
-    /// variance (see [`FrameFeatures::with_probe_side`]). For linear cost models
-    /// ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was trained with.
+    /// variance (see [`FrameFeatures::with_probe_side`]). This affects only linear cost models
+    /// ([`crate::Predictor::any_probe_side`]); a network keeps the probe with which it was trained.
     ///
     /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last
-    /// `side`² rays. It stops as soon as the probe's estimated error is at most the tolerance (a share of the
-    /// frame's time; the step changes by about the same share) or cannot change the plan: the finest step
-    /// meets the target, or the coarsest one does not, for every time within the error. While the view has
-    /// hardly turned since rays were cast, plans reuse the rays' results and recompute only the volume's
-    /// place in the image. So `side` bounds the time of a plan, and most plans take less.
-    /// [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the last probe.
-    /// [`Session::predict`] and [`Session::choose`] use the finest probe.
+    /// `side`² rays. The refinement stops as soon as the probe's estimated error is at most the tolerance (a
+    /// share of the frame's time; the step changes by about the same share). It also stops if the error
+    /// cannot change the plan: for every time within the error, the finest step meets the target, or the
+    /// coarsest step does not. While the view has hardly turned since rays were cast, plans reuse the rays'
+    /// results and recompute only the volume's place in the image. So `side` bounds the time of a plan, and
+    /// most plans take less. [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the
+    /// last probe. [`Session::predict`] and [`Session::choose`] use the finest probe.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance
@@ -106,7 +106,7 @@ impl Session {
         Ok(self)
     }
 
-    /// Stores the frame for which rays are cast.
+    /// Stores the view for which rays were cast, if the probe is refined.
     pub(super) fn note_cast(&mut self, frame: &Frame) {
         self.cast_for = self.ladder.map(|_| Cast::of(frame));
     }
@@ -119,7 +119,7 @@ impl Session {
         self.cast(frame)
     }
 
-    /// Measures a frame as finely as its plan needs.
+    /// Measures a frame with as few rays as its plan needs.
     pub(super) fn measure_for(&mut self, frame: &Frame, target: f32) -> Result<()> {
         let Some(ladder) = self.ladder else { return self.cast(frame) };
         let view = Cast::of(frame);
@@ -129,7 +129,7 @@ impl Session {
             Some(volume) if serves => self.features.turn(volume, frame)?,
             _ => false,
         };
-        // The finest probe needs no check.
+        // After the finest probe, no check is needed.
         if turned
             && (self.features.probe_side() >= ladder.finest
                 || self.suffices(frame, target, ladder.tolerance)?)
@@ -146,7 +146,7 @@ impl Session {
         self.measure(frame)
     }
 
-    /// True where the plan would stay the same within the probe's error.
+    /// True if the probe's error is within the tolerance, or cannot change the plan.
     fn suffices(&mut self, frame: &Frame, target: f32, tolerance: f32) -> Result<bool> {
         let error = STANDARD_ERRORS * self.features.probe_error();
         if error <= tolerance {

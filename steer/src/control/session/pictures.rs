@@ -1,4 +1,4 @@
-//! Picture quality: coarser steps and smaller images.
+//! Settings of a session for picture quality: smaller images, and the picture quality law.
 
 use super::Session;
 use crate::calibrate::Picture;
@@ -10,8 +10,8 @@ impl Session {
     /// Allows plans to coarsen the image: neighboring rays are up to `distance` pixels apart along each side
     /// (VTK's ImageSampleDistance). Ray step and image are coarsened together
     /// ([`Plan::image_sample_distance`](super::Plan::image_sample_distance)), from `step_alone` times the
-    /// finest step on; 1 couples them from the start. A `distance` of 1, the initial value, keeps the full
-    /// image size. Meant for predictors that depend on the image size.
+    /// finest step on; 1 couples step and image from the start. A `distance` of 1, the initial value, keeps
+    /// the full image size. The predictor should depend on the image size.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
@@ -27,10 +27,10 @@ impl Session {
         Ok(())
     }
 
-    /// Sets the picture quality law of this renderer, so that plans coarsen where the error is smaller. With
-    /// `None`, the initial value, the model's law is used, if the model was calibrated with pictures of the
-    /// renderer that [`Session::set_timing_source`] named, or if no renderer was named. A law replaces
-    /// `step_alone` of [`Session::set_max_image_sample_distance`].
+    /// Sets the picture quality law of this renderer, so that plans coarsen the step or the image, whichever
+    /// adds less error. With `None`, the initial value, the law in the model file is used, if the model was
+    /// calibrated with the renderer that [`Session::set_timing_source`] named, or if no renderer was named.
+    /// With a law, `step_alone` of [`Session::set_max_image_sample_distance`] has no effect.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
@@ -44,14 +44,14 @@ impl Session {
         Ok(())
     }
 
-    /// The picture quality law of plans: set by [`Session::set_quality`], otherwise the model's; `None` where
-    /// neither is known.
+    /// The picture quality law that plans use: that of [`Session::set_quality`] if one was set, otherwise the
+    /// model's; `None` if there is neither.
     #[must_use]
     pub fn quality(&self) -> Option<Quality> {
         self.quality.or_else(|| self.predictor.quality(&self.timing[0]))
     }
 
-    /// Recomputes the path of coarsening from the present picture quality law.
+    /// Recomputes the image sizes that plans choose from the present picture quality law.
     pub(super) fn weigh_pictures(&mut self) {
         self.coarsening.set_quality(self.quality());
     }
@@ -67,7 +67,7 @@ impl Session {
         let Some(recording) = &mut self.recording else {
             bail!(
                 NotReady,
-                "nothing is recorded; call record before the pictures that are to be learned from"
+                "nothing is recorded; call record before the pictures from which the law is to be fitted"
             );
         };
         recording.add_picture(picture)

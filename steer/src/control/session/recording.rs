@@ -51,8 +51,8 @@ impl Recording {
         self.shown.transfer = table.fingerprint();
     }
 
-    /// Records the work of a planned frame at the inputs' setting. A frame that lacks an input of the prior
-    /// is not recorded.
+    /// Stores the work of a planned frame at the inputs' setting. Frames that lack an input of the prior, and
+    /// the first frames of the session and of a volume, are not stored.
     fn plan(&mut self, id: u64, inputs: &Inputs<'_>) {
         let prior = self.calibration.prior();
         let (at, width) = (Self::place(id), prior.width());
@@ -67,7 +67,7 @@ impl Recording {
         }
     }
 
-    /// Records the time of a planned frame.
+    /// Adds a planned frame with its time to the calibration.
     pub(super) fn observe(&mut self, id: u64, seconds: f32) {
         let (at, width) = (Self::place(id), self.calibration.prior().width());
         let Planned { id: kept, work, shown } = self.planned[at];
@@ -85,13 +85,13 @@ impl Session {
     /// sample). Frames recorded before are dropped.
     ///
     /// `prior` is the model to start from, fitted on another machine or renderer: an analytic model, or an
-    /// analytic model times a learned factor that was fitted with the session's probe. Without one, the fit
-    /// starts from unit costs of a software renderer. Not recorded are frames whose observation is unusual or
-    /// cancelled, the first frame of the session and of each volume, and frames that lack an input of the
-    /// prior. Planning and observing still do not allocate.
+    /// analytic model times a learned factor that was fitted with the session's probe. Without a prior, the
+    /// fit starts from unit costs of a software renderer. Frames are not recorded if their observation is
+    /// unusual or cancelled, if they are the first of the session or of a volume, or if they lack an input of
+    /// the prior. Planning and observing still do not allocate.
     ///
-    /// Frames timed earlier can be recorded in the same way: with steering off ([`Session::set_enabled`]),
-    /// plan each frame as it was drawn, and observe its time.
+    /// Frames that were timed earlier can be recorded too: with steering off ([`Session::set_enabled`]), plan
+    /// each frame as it was drawn, and observe its time.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range or a prior with another
@@ -104,8 +104,8 @@ impl Session {
         if ![0, side].contains(&wanted) {
             bail!(
                 InvalidArgument,
-                "the model to start from was fitted with a probe of {wanted} rays along each side, the session's has \
-                 {side}; make the session with that model, or with its probe"
+                "the model to start from was fitted with a probe of {wanted} rays along each side, the session's \
+                 probe has {side}; make the session with that model, or with its probe"
             );
         }
         let width = calibration.prior().width();
@@ -137,7 +137,7 @@ impl Session {
         let Some(recording) = &self.recording else {
             bail!(
                 NotReady,
-                "no frames were recorded; call record before the frames that are to be learned from"
+                "no frames were recorded; call record before the frames to which a model is to be fitted"
             );
         };
         let [renderer, clock] = &self.timing;
@@ -145,11 +145,11 @@ impl Session {
     }
 
     /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
-    /// limits and recorded frames stay. VolumeNet's output stays too; a predictor with another encoder needs
-    /// a new one ([`Session::set_volume`]).
+    /// limits and recorded frames stay. VolumeNet's output stays too; for a predictor with another encoder,
+    /// set the volume again with the output of that encoder ([`Session::set_volume`]).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] while frames are recorded for a model whose probe is not this
+    /// [`crate::ErrorKind::InvalidArgument`] if frames are being recorded with another probe than the
     /// predictor's.
     pub fn set_predictor(
         &mut self,
@@ -165,8 +165,8 @@ impl Session {
         if let Some(recorded) = recorded.filter(|recorded| ![0, side].contains(recorded)) {
             bail!(
                 InvalidArgument,
-                "frames are being recorded with a probe of {recorded} rays along each side, the new model's has {side}; take \
-                 one with the same probe"
+                "frames are being recorded with a probe of {recorded} rays along each side, the new model's probe has \
+                 {side}; take a model with the same probe"
             );
         }
         if side != self.features.probe_side() {
@@ -266,7 +266,7 @@ mod tests {
         assert!(made.median_error < 0.05, "{}", made.median_error);
         let model = made.file.to_model().unwrap();
         session.set_predictor(load(&model).unwrap(), HybridOptions::default()).unwrap();
-        // Accurate from the first frame on, for a volume that was never shown.
+        // Predictions are accurate from the first frame on, for a volume that was not recorded.
         session.set_volume(summary(48), None);
         session.set_transfer(&table(0.4), None).unwrap();
         let mut errors = play(&mut session, 100..120);
@@ -281,7 +281,8 @@ mod tests {
         session.set_transfer(&table(0.3), None).unwrap();
         session.record(None, 100).unwrap();
         let flags = |unusual, cancelled| ObserveFlags { unusual, cancelled };
-        // The very first frame, an ordinary one, a stall, a cancelled one, and one that is never observed.
+        // Five frames: the first of the session, an ordinary one, an unusual one, a cancelled one, and one
+        // that is never observed. Only the second must be recorded.
         for (i, flags) in [flags(false, false), flags(false, false), flags(true, false), flags(false, true)]
             .into_iter()
             .enumerate()
@@ -291,7 +292,7 @@ mod tests {
         }
         session.plan(&frame(9), 1.0).unwrap();
         assert_eq!(session.recorded(), Some(1));
-        // A plan from before the recording began does not count.
+        // A frame that was planned before the recording began is not recorded.
         let plan = session.plan(&frame(10), 1.0).unwrap();
         session.record(None, 100).unwrap();
         session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();

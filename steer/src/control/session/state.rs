@@ -15,14 +15,14 @@ const TAG: [u8; 4] = *b"ENS2";
 const MAX_NAME: usize = 256;
 
 impl Session {
-    /// Names the renderer whose frames are observed and the clock of their times. Learned state is valid for
-    /// one renderer and clock only: it is forgotten where a name that was not empty changes, saved states
-    /// carry both names, and [`Session::load_state`] refuses states with other names. Both are empty
-    /// initially.
+    /// Names the renderer whose frames are observed and the clock of their times. Both names are empty
+    /// initially. Learned state is valid for one renderer and clock only, so it is forgotten if a name that
+    /// was not empty changes. Saved states contain both names, and [`Session::load_state`] refuses states
+    /// with other names.
     ///
-    /// A clock named `cpu`, `wall` or `device` is compared with the model's ([`Session::model_clock`]). Where
-    /// they differ, the session keeps the model's ratios between scenes and learns the common factor from the
-    /// first frames; state learned before is forgotten.
+    /// A clock named `cpu`, `wall` or `device` is compared with the model's clock ([`Session::model_clock`]).
+    /// If they differ, the session keeps the model's ratios between scenes and learns a common factor from
+    /// the first frames; state learned before is forgotten.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a name of more than 256 bytes.
@@ -59,8 +59,8 @@ impl Session {
         self.predictor.clock()
     }
 
-    /// Tells the controller whether both clocks are known and differ; returns true where this has changed, in
-    /// which case the caller resets the session.
+    /// Tells the controller if both clocks are known and differ. Returns true if this has changed; the caller
+    /// then resets the session.
     pub(super) fn reconcile_clocks(&mut self) -> bool {
         let converted =
             matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
@@ -101,8 +101,8 @@ impl Session {
         if found != own {
             bail!(
                 Unsupported,
-                "the saved state was learned with another model (its checksum is {found:08x}, this one's \
-                 {own:08x}); load it into a session with that model, or start without it"
+                "the saved state was learned with another model (its checksum is {found:08x}, this \
+                 model's {own:08x}); load it into a session with that model, or start without it"
             );
         }
         for (what, own) in ["renderer", "clock"].into_iter().zip(&self.timing) {

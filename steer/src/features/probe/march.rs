@@ -1,4 +1,4 @@
-//! Marches single rays through the grid of cells; state shared with packets of rays.
+//! Marches single rays through the grid of cells. Defines the state that is shared with packets of rays.
 
 use super::{BINS, Chords, SHADOW_DIRECTION, SHADOW_OPACITY};
 use crate::features::{TransferSummary, VolumeSummary};
@@ -8,7 +8,8 @@ use entire_core::scene::Shape;
 use entire_core::scene::{Frame, Shading};
 use glam::Vec3;
 
-/// Fields of a ray, each stored in an array of its own. U, V: image coordinates.
+/// Indices of a ray's fields; each field of all rays is stored in one array. `U` and `V` are image
+/// coordinates in [−1, 1].
 pub(super) const U: usize = 0;
 pub(super) const V: usize = 1;
 /// Random number in [0, 1) that selects the visible point from which the shadow ray starts.
@@ -25,12 +26,13 @@ pub(super) const RUNS: usize = 7;
 pub(super) const DEPTH: usize = 8;
 /// 1 where the ray ended early, otherwise 0.
 pub(super) const TERMINATED: usize = 9;
-/// Length of the shadow ray in occupied blocks, its number of empty blocks, and its whole length, each times
-/// the visible length of the primary ray.
+/// Length of the shadow ray in occupied blocks, the number of empty cells that it meets, and its whole
+/// length, each times the visible length of the primary ray.
 pub(super) const SHADOW: usize = 10;
 pub(super) const SHADOW_SKIPS: usize = 11;
 pub(super) const SHADOW_ALL: usize = 12;
-/// Number of lookups in the skip map: by the ray, and by its shadow ray times the ray's visible length.
+/// Number of lookups in the skip map by the primary ray; and by its shadow ray, times the visible length of
+/// the primary ray.
 pub(super) const SEGMENTS: usize = 13;
 pub(super) const SHADOW_SEGMENTS: usize = 14;
 /// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; only with shadow
@@ -74,7 +76,7 @@ impl ChordCounts {
         half_octave.saturating_sub(FIRST_BIN_EXPONENT << 1).min(BINS as u32 - 1)
     }
 
-    /// Converts a length to units of [`Self::UNIT`].
+    /// Converts a length in reference steps to integer units, [`Self::UNIT`] per reference step.
     #[inline(always)]
     fn units(length: f32) -> u32 {
         let length = if length < Self::LONGEST { length } else { Self::LONGEST };
@@ -89,10 +91,10 @@ impl ChordCounts {
         self.length[bin] += u64::from(Self::units(length));
     }
 
-    /// Adds the first `count` chords; `units` holds their lengths in units of [`Self::UNIT`].
+    /// Adds the first `count` chords; `units` holds their lengths in the integer units of [`Self::UNIT`].
     #[inline(always)]
     pub(super) fn add_all(&mut self, lengths: &[f32; KEPT], units: &[u32; KEPT], count: usize) {
-        /// One chord in a packed sum: the count is above bit 40, the length below.
+        /// One chord in a packed sum, which holds the count in bits 40 to 63 and the length in bits 0 to 39.
         const ONE: u64 = 1 << 40;
         let bins = lengths.map(Self::bin);
         // Four tables in turn: in a single table, equal neighboring bins would serialize the additions.
@@ -144,7 +146,7 @@ pub(super) struct March<'a> {
     pub(super) half_extent: Vec3,
     /// Number of cells per scene unit along each axis.
     pub(super) scale: Vec3,
-    /// Half a voxel in cells, since cells begin at voxel centers.
+    /// Half a voxel, in units of cells; cells begin at voxel centers.
     pub(super) shift: Vec3,
     pub(super) scatters: bool,
     /// Reference steps per scene unit.
@@ -227,7 +229,7 @@ impl<'a> March<'a> {
         }
     }
 
-    /// True where jumps of the distance map are counted separately.
+    /// True where the transfer function has a distance map, whose jumps are counted separately.
     pub(super) fn maps_distance(&self) -> bool {
         self.transfer.distance().is_some()
     }
@@ -330,15 +332,15 @@ impl<'a> March<'a> {
                 let shown = used * here.visible;
                 out.visible += shown;
                 if self.scatters && shown > 0.0 {
-                    // Probability that at least one of the lanes hits a visible value, if the lanes sample
-                    // the cell independently.
+                    // After the loop, `miss` is the probability that none of the 2^LANES_LOG2 lanes hits a
+                    // visible value, if the lanes sample the cell independently.
                     let mut miss = 1.0 - here.visible;
                     for _ in 0..LANES_LOG2 {
                         miss *= miss;
                     }
                     out.busy += used * (1.0 - miss);
-                    // Reservoir sampling: keeps one visible point with probability proportional to length,
-                    // reusing the draw.
+                    // Reservoir sampling keeps one visible point, each with a probability proportional to the
+                    // visible length around it. `draw` is scaled to [0, 1) again for the next cell.
                     let keep = shown / out.visible;
                     if draw < keep {
                         draw /= keep;
@@ -401,7 +403,7 @@ impl<'a> March<'a> {
     }
 
     /// Marches a shadow ray from a point in the box. Returns the length in occupied blocks, the whole length,
-    /// the number of empty blocks, and the number of lookups in the skip map.
+    /// the number of empty cells, and the number of lookups in the skip map.
     fn shadow(&mut self, from: Vec3) -> [f32; 4] {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
@@ -461,7 +463,7 @@ struct Walk {
     next: [f32; 3],
     /// Increment of t between faces.
     delta: [f32; 3],
-    /// t of the last face along each axis; no face is crossed after it.
+    /// t half a cell beyond the last face along each axis; no face is crossed after it.
     last: [f32; 3],
     stride: [i32; 3],
     index: i32,
@@ -511,7 +513,7 @@ impl Walk {
     }
 }
 
-/// A jump of the distance map, in cells.
+/// A jump by the distance map: its first cell, its reach in cells, and its length so far in reference steps.
 #[derive(Clone, Copy)]
 struct Jump {
     from: [i32; 3],

@@ -35,8 +35,8 @@ const MAX_RAYS: usize = MAX_PROBE_SIDE * MAX_PROBE_SIDE;
 /// Number of bins of chord lengths through empty cells: half octaves from 2⁻⁴ to 2¹⁰ reference steps.
 const BINS: usize = 28;
 
-/// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`]
-/// converts it to counts at a step.
+/// Mean work of the rays that meet the box, as lengths in reference steps; [`super::FrameFeatures::work`]
+/// converts the lengths to counts at a given step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Probe {
     pub(super) footprint: Footprint,
@@ -50,7 +50,7 @@ pub(crate) struct Probe {
     /// Length over which samples have opacity.
     pub(super) visible: f32,
     /// Length over which at least one of eight adjacent rays has a sample with opacity, if the rays sample a
-    /// cell independently; 0 unless the frame scatters.
+    /// cell independently; 0 without single scattering.
     pub(super) busy: f32,
     /// Runs of samples between jumps: number of times a ray enters an occupied block from an empty one or
     /// from outside.
@@ -63,19 +63,20 @@ pub(crate) struct Probe {
     pub(super) spread: f32,
     /// Share of rays that terminate early.
     pub(super) terminated: f32,
-    /// As `occupied` and as `occupied + empty`, but for each ray the maximum of the ray and its neighbors in
-    /// the probe.
+    /// As `occupied`, with the maximum of each ray and its neighbors in the probe in place of the ray's
+    /// value.
     pub(super) occupied_max: f32,
+    /// As `occupied_max`, for the sum of the lengths in occupied and in empty blocks.
     pub(super) all_max: f32,
     /// Distance between neighboring probe rays in the image, in units of the image's height.
     pub(super) spacing: f32,
-    /// Visible length times the length of a shadow ray in occupied blocks; 0 unless the frame scatters.
+    /// Visible length times the length of a shadow ray in occupied blocks; 0 without single scattering.
     pub(super) shadow: f32,
-    /// Visible length times the number of empty blocks that a shadow ray skips.
+    /// Visible length times the number of empty cells that a shadow ray skips.
     pub(super) shadow_skips: f32,
     /// Visible length times the length of a shadow ray without skipping.
     pub(super) shadow_all: f32,
-    /// Visible length times a shadow ray's lookups in the skip map.
+    /// Visible length times the number of lookups in the skip map by a shadow ray.
     pub(super) shadow_segments: f32,
     /// Relative standard error of the sampled length.
     pub(super) error: f32,
@@ -120,13 +121,13 @@ impl Probe {
         Self::on(Level::detect(), volume, transfer, frame, side)
     }
 
-    /// Marches the probe's rays through a volume, with the instructions of a level. Results are bit-identical
-    /// on every level. The image's aspect ratio matters, its number of pixels does not.
+    /// Marches the probe's rays through a volume, with the instructions of a SIMD level. Results are
+    /// bit-identical on every level. The image's aspect ratio matters, its number of pixels does not.
     ///
-    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `transfer` must be made from
-    /// `volume`; a summary of another grid gives [`Probe::NOTHING`]. `side` is the number of rays along each
-    /// side of the footprint's bounding rectangle, at most [`MAX_PROBE_SIDE`]; with 0 only the footprint is
-    /// computed.
+    /// A ray ends where its opacity reaches the frame's `termination`. `transfer` must be made from `volume`.
+    /// `side` is the number of rays along each side of the footprint's bounding rectangle, reduced to
+    /// [`MAX_PROBE_SIDE`] if larger. If `side` is 0 or `transfer` has another grid than `volume`, no ray is
+    /// cast and only the footprint is computed.
     pub(super) fn on(
         level: Level,
         volume: &VolumeSummary,
@@ -162,7 +163,7 @@ impl Probe {
         }
     }
 
-    /// As [`Probe::measured`], with room for side² ≤ `ROOM` rays and a given footprint.
+    /// As [`Probe::measured`], with a given footprint and with buffers for `ROOM` rays, at least `side`².
     fn cast<const ROOM: usize>(
         level: Option<Level>,
         volume: &VolumeSummary,
@@ -190,7 +191,8 @@ impl Probe {
         march.all(level, &mut rays, count);
         let mut hits = rays[CHORD][..count].iter().filter(|&&c| c > 0.0).count();
         if hits == 0 {
-            // The footprint is a sliver between the rays: its center represents it.
+            // The footprint is so narrow that every ray misses the box: one ray through its center replaces
+            // them.
             [rays[U][0], rays[V][0]] = footprint.center;
             rays[DRAW][0] = 0.5;
             march.all(level, &mut rays, 1);
@@ -204,8 +206,8 @@ impl Probe {
         let inv = 1.0 / hits as f32;
         let total = |field: usize| sum(&rays[field][..count]);
         let occupied = total(OCCUPIED);
-        // Depth along the view axis, weighted by the sampled length; the center's depth where nothing is
-        // sampled.
+        // Mean depth of the samples along the view axis, or the depth of the volume's center if there are no
+        // samples.
         let depth = if occupied > 0.0 { total(DEPTH) / occupied } else { frame.camera.to_arcball().dz };
         let aspect = frame.width as f32 / frame.height as f32;
         let mut all = [0.0f32; ROOM];
@@ -283,7 +285,8 @@ impl Probe {
     }
 }
 
-/// Histogram of chords through empty space by length: mean number per ray, and their total length.
+/// Histogram of chords through empty space by length. Each bin holds the mean per ray of the number of
+/// chords, and the mean per ray of their total length in reference steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Chords {
     count: [f32; BINS],
@@ -293,14 +296,15 @@ struct Chords {
 impl Chords {
     const NOTHING: Self = Self { count: [0.0; BINS], length: [0.0; BINS] };
 
-    /// Expected number of chords that contain a sample position: Σ min(1, length / step).
+    /// Expected number of chords per ray that contain a sample position: Σ min(1, length / step).
     fn visited(&self, step: f32) -> f32 {
         let inv = 1.0 / step;
         self.count.iter().zip(&self.length).map(|(&n, &l)| n.min(l * inv)).sum()
     }
 }
 
-/// Sum of the values. The order of additions is the same for vectors of any width, so the result is too.
+/// Sum of the values. The order of additions does not depend on the width of the CPU's vectors, so neither
+/// does the result.
 fn sum(values: &[f32]) -> f32 {
     let mut lanes = [0.0f32; 16];
     let (chunks, rest) = chunks::<16, _>(values);
@@ -358,9 +362,9 @@ fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f
     }
 }
 
-/// Offset of each ray in its stratum: the additive recurrence of the plastic number, a low-discrepancy
-/// sequence. The third value is the draw of the shadow ray: the recurrence of the golden ratio, independent
-/// of the first two.
+/// Three numbers in [0, 1) for each ray. The first two are the offset of the ray in its stratum, from the
+/// additive recurrence of the plastic number, a low-discrepancy sequence. The third selects the start of the
+/// shadow ray ([`DRAW`]); it comes from the recurrence of the golden ratio, independent of the first two.
 static OFFSETS: [[f32; 3]; MAX_RAYS] = {
     let mut out = [[0.0; 3]; MAX_RAYS];
     let mut i = 0;

@@ -1,6 +1,6 @@
-//! Marches packets of rays through the grid of cells, one ray per vector lane, each bit-identical to
-//! [`March::ray`]. A lane whose ray has ended idles until its packet is done, so rays that cross similar
-//! numbers of cells are put into the same packet.
+//! Marches packets of rays through the grid of cells, one ray per vector lane. The results are bit-identical
+//! to those of [`March::ray`]. A lane whose ray has ended idles until its packet is done, so rays that cross
+//! similar numbers of cells are put into the same packet.
 
 use super::march::{
     BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, LANES_LOG2, March, OCCUPIED, RUNS, SEGMENTS,
@@ -11,7 +11,7 @@ use crate::features::transfer::packed;
 use entire_core::kernels::{Kernel, Level, Simd};
 use entire_core::memory::chunks_mut;
 
-/// Marches the first `count` rays. `rays` must have room for a multiple of 16.
+/// Marches the first `count` rays. The length of each array of `rays` must be a multiple of 16.
 pub(super) fn march(level: Level, march: &mut March<'_>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
     level.run(Packets { march, rays, count });
 }
@@ -48,8 +48,8 @@ impl Kernel for Packets<'_, '_, '_> {
     }
 }
 
-/// Rays that start a shadow ray; its origin is stored in their fields [`SHADOW`], [`SHADOW_ALL`] and
-/// [`SHADOW_SKIPS`].
+/// Primary rays from which a shadow ray starts. The x, y and z of its origin are stored in the primary ray's
+/// fields [`SHADOW`], [`SHADOW_ALL`] and [`SHADOW_SKIPS`].
 struct Lit {
     rays: [i32; MAX_RAYS + 16],
     count: usize,
@@ -61,7 +61,8 @@ struct Order {
     len: usize,
     /// Group of each ray to be sorted; rays of group 0 are left out.
     groups: [u8; MAX_RAYS + 16],
-    /// Counting sort: number of rays in each group, shifted by one place, then the end of each group.
+    /// Working memory of the counting sort. Before the sort, element g + 1 is the number of rays in group g;
+    /// after the sort, element g is the end of group g in `rays`.
     ends: [u16; LENGTHS + 1],
 }
 
@@ -79,7 +80,7 @@ impl Order {
         }
     }
 
-    /// Sorts the first `count` rays by group; `ray` maps their index to the ray.
+    /// Sorts the first `count` rays by their recorded groups; `ray` returns the ray of an index in `groups`.
     #[inline(always)]
     fn sort(&mut self, count: usize, ray: impl Fn(usize) -> i32) {
         let ends = &mut self.ends;
@@ -101,7 +102,7 @@ impl Order {
 struct Chords<S: Simd> {
     origin: Three<S>,
     direction: Three<S>,
-    /// `direction`, with components that are too near to zero replaced by [`TINY`].
+    /// `direction`, with components closer to zero than [`TINY`] replaced by ±[`TINY`].
     safe: Three<S>,
     t_enter: S::F,
     t_exit: S::F,
@@ -171,8 +172,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         self.simd.min(self.simd.min(walk.next[0], walk.next[1]), walk.next[2])
     }
 
-    /// Steps to the next cell. For a ray that has left the box, and so is not alive, the result is
-    /// unspecified.
+    /// Steps each ray to its next cell. For a ray that has left the box, the result is unspecified.
     ///
     /// Nothing here depends on the optics of the present cell, so the next cells can be fetched while these
     /// optics are loaded.
@@ -190,8 +190,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Packed words of the cells, without the edit's number, and the lanes whose cell is not empty. Computes
-    /// the optics of cells that were not met before in the present edit.
+    /// Returns the packed words of the cells, with the edit's bits cleared, and the lanes whose cell is not
+    /// empty. Computes the optics of cells that no ray has met since the last edit.
     #[inline(always)]
     fn look(&mut self, index: S::I, lanes: S::M) -> (S::I, S::M) {
         let simd = self.simd;
@@ -208,7 +208,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         (found, simd.and_m(simd.nonzero(found), lanes))
     }
 
-    /// Extinction, visible share, and lookups per cell from the words that [`Self::look`] returns.
+    /// Extinction, visible share, and lookups in the skip map per crossed cell border, from the words that
+    /// [`Self::look`] returns.
     #[inline(always)]
     fn optics(&self, found: S::I) -> Three<S> {
         let simd = self.simd;
@@ -226,7 +227,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         self.simd.max(v, self.simd.sub(self.simd.splat(0.0), v))
     }
 
-    /// Gathers a field of the rays `own`.
+    /// Returns the values of a field for the rays with the indices `own`.
     #[inline(always)]
     fn of_rays(&self, field: &[f32], own: S::I) -> S::F {
         self.simd.as_f(self.simd.gather(bytemuck::cast_slice(field), own))
@@ -249,7 +250,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Component `k` of the ray basis at image coordinates (u, v).
+    /// Component `k` of the rays' origins or directions, from their basis, at image coordinates (u, v).
     #[inline(always)]
     fn along(&self, [middle, right, up]: &[glam::Vec3; 3], k: usize, u: S::F, v: S::F) -> S::F {
         let simd = self.simd;
@@ -257,7 +258,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         simd.add(along, simd.mul(v, simd.splat(up[k])))
     }
 
-    /// Entry and exit in the box of rays through image coordinates (u, v).
+    /// Returns the origins and directions of the rays through image coordinates (u, v), and the t at which
+    /// they enter and leave the box.
     #[inline(always)]
     fn chords(&self, u: S::F, v: S::F) -> Chords<S> {
         let simd = self.simd;
@@ -284,7 +286,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         Chords { origin: origins, direction, safe, t_enter, t_exit }
     }
 
-    /// Groups by the number of crossed cells; rays outside `met` get group 0.
+    /// Returns the group of each ray: 0 for rays outside `met`, otherwise 1 to `LENGTHS` − 1 by the number of
+    /// crossed cells.
     #[inline(always)]
     fn group(&self, crossed: S::F, met: S::M) -> S::I {
         let simd = self.simd;
@@ -405,7 +408,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         let split = m.block;
         let mut block_chord = None;
         if let Some(b) = split {
-            // In the order of the products in `March::ray`: |d|·b·c is not |d|·(b·c).
+            // The factors are multiplied in the same order as in `March::ray`, because |d|·b·c and |d|·(b·c)
+            // are rounded differently.
             let [x, y, z] = [self.magnitude(x), self.magnitude(y), self.magnitude(z)];
             let x = simd.mul(simd.mul(x, simd.splat(b.y)), simd.splat(b.z));
             let y = simd.mul(simd.mul(y, simd.splat(b.x)), simd.splat(b.z));
@@ -424,7 +428,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let mut lit = simd.splat(-1.0);
         let mut was_occupied = simd.lt(zero, zero);
         let mut kept_count = self.kept_count;
-        // A ray crosses each face of the grid at most once.
+        // Upper bound of the number of steps: a ray crosses each plane between cells at most once.
         let mut left = self.march.grid.iter().sum::<i32>() + 3;
         while simd.any(alive) && left > 0 {
             left -= 1;
@@ -559,7 +563,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Start of shadow rays from points in the box, in cells, and t at which they leave the box.
+    /// For shadow rays from points in the box, returns the start in units of cells and the t at which they
+    /// leave the box.
     #[inline(always)]
     fn shadow_ends(&self, from: Three<S>) -> (Three<S>, S::F) {
         let simd = self.simd;
@@ -576,8 +581,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         (start, t_exit)
     }
 
-    /// Marches shadow rays from points in the box. Returns the length in occupied blocks, the whole length,
-    /// the number of empty blocks, and the number of lookups in the skip map.
+    /// Marches shadow rays from points in the box, in the lanes `lights`. Returns the length in occupied
+    /// blocks, the whole length, the number of empty cells, and the number of lookups in the skip map.
     #[inline(always)]
     fn shadow(&mut self, from: Three<S>, lights: S::M) -> [S::F; 4] {
         let simd = self.simd;

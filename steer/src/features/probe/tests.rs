@@ -1,4 +1,5 @@
-//! Compares packets of rays with single rays, and lazy classification with the classification of all cells.
+//! Compares packets of rays with single rays, edited summaries with new ones, and parallel rays with closed
+//! forms and with a distant perspective camera.
 
 use crate::features::frame::CACHED_VOXELS;
 use crate::features::tests::{noise, summary, table};
@@ -8,8 +9,8 @@ use entire_core::scene::*;
 
 #[test]
 fn packets_of_rays_find_what_single_rays_find_on_every_level() {
-    // Cells of one block and of several; cameras outside, inside and looking past the volume; thin and opaque
-    // tables.
+    // Cases: cells of one block and of several; cameras outside and inside the volume; tables with few, many
+    // and only visible entries.
     let data = noise(64 * 48 * 40, 7);
     for (cells, dims) in [(48, [64, 48, 40]), (3, [64, 48, 40]), (48, [1, 48, 40])] {
         let s = summary(&data[..dims[0] * dims[1] * dims[2]], dims, cells);
@@ -79,13 +80,15 @@ fn an_edit_forgets_what_cells_were() {
     }
 }
 
-/// Bound on the relative difference between a probe of 24² rays and the closed form over all rays.
+/// Largest allowed relative difference between the samples estimated by a probe of 24² rays and the closed
+/// form, which holds for the mean over all rays.
 const CLOSED_FORM_TOLERANCE: f64 = 0.02;
 
 #[test]
 fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
-    // The projection of a box along a direction d has the area Σ |d_k| · face_k, and the chords together fill
-    // its volume: every ray takes volume / area / step samples on average, for any direction.
+    // The projection of a box along a unit vector d has the area Σ |d_k| · face_k, with the area face_k of
+    // the face normal to axis k. The chords of all rays fill the box, so their mean length is volume / area,
+    // and the mean number of samples per ray is volume / area / step.
     let data = std::vec![200u8; 48 * 32 * 40];
     for spacing in [[1.0, 1.0, 1.0], [0.5, 2.0, 1.0]] {
         let options = VolumeOptions { spacing, ..VolumeOptions::default() };
@@ -139,7 +142,8 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
     }
 }
 
-/// Bound on the relative difference between parallel rays and a perspective camera 1000 radii away.
+/// Largest allowed relative difference between a quantity of parallel rays and the same quantity of a
+/// perspective camera 1000 radii away.
 const LIMIT_TOLERANCE: f64 = 0.01;
 
 /// As [`LIMIT_TOLERANCE`], for quantities that count samples along shadow rays. A ray's shadow ray starts at
@@ -199,8 +203,8 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     }
 }
 
-/// Of eight rays far apart, all wait while any of them shades; adjacent rays shade together and do not wait.
-/// Where all eight shade, none waits.
+/// Checks the samples for which rays wait in groups of eight. Rays far apart wait while any of them shades.
+/// Adjacent rays shade at the same time and do not wait. No ray waits where all eight shade.
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];
@@ -217,7 +221,8 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
             let p = features.probe();
             (p.visible / p.occupied, p.busy / p.occupied)
         };
-        // Every cell holds thousands of samples of the same noise.
+        // Every cell holds thousands of voxels of the same noise, so all cells have nearly the same visible
+        // share.
         let expected = 1.0 - (1.0 - shown).powi(8);
         assert!((busy - expected).abs() < 0.01, "{least}: {shown}, {busy} of {expected}");
         let ratio = |size: u32| {

@@ -1,4 +1,4 @@
-//! Parts of a summary that depend on the scan of all voxels.
+//! Computes the parts of a summary that depend on the scan of all voxels.
 
 use super::entries::{Map, Voxel};
 use super::scan::{Bounds, Found, Grid, nothing};
@@ -101,8 +101,8 @@ pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
     Ok(())
 }
 
-/// Computes a cell's bounds from the bounds of its blocks; stores the latter too if a cell holds several
-/// blocks.
+/// Computes a cell's bounds from the bounds of its blocks. If cells hold several blocks, stores the bounds of
+/// the blocks too.
 #[inline(always)]
 pub(super) fn gather<T: Voxel>(
     summary: &mut VolumeSummary,

@@ -16,8 +16,9 @@ pub(super) type Mask = u128;
 /// probability of about 2⁻¹²⁸.
 type Sums = [u64; 2];
 
-/// Bounds of all planes of a block, and bounds of its first plane alone, to which samples of the preceding
-/// block along z reach. Both include the first voxels of the next blocks along x and y.
+/// Bounds of the voxels in all planes of a block, and bounds of those in its first plane. The first plane
+/// also belongs to the preceding block along z, whose samples reach to it. Both bounds include the first
+/// voxels of the next blocks along x and y.
 pub(super) type Halves<T> = [Bounds<T>; 2];
 
 /// State kept for the cells between time steps, independent of the voxels' type.
@@ -29,7 +30,7 @@ pub(super) struct Cells {
     tallies: Vec<Vec<u8>>,
     /// Cells that must be scanned, by rows.
     pub(super) changed: Vec<Mask>,
-    /// Cells that were scanned and whose bounds are not gathered yet.
+    /// Cells that were scanned and whose bounds are not yet in the summary, one mask per row of cells.
     pub(super) fresh: Vec<Mask>,
     /// Number of voxels with each entry (for bytes: with each stored value).
     pub(super) counts: [u64; 256],
@@ -79,9 +80,9 @@ fn runs(bits: Mask) -> impl Iterator<Item = Range<usize>> {
     })
 }
 
-/// Scans the cells of consecutive layers that are marked as changed. With `search`, first compares the
-/// checksum of every cell and marks those that changed. `quantiles` and `blocks` are those of the whole
-/// volume.
+/// In a range of layers, scans the cells that are marked as changed. With `search`, first computes the
+/// checksum of every cell in these layers, and marks the cells whose checksum changed. `quantiles` and
+/// `blocks` are those of the whole volume.
 ///
 /// # Errors
 /// [`crate::ErrorKind::OutOfMemory`]; cells that were not scanned stay marked.
@@ -205,7 +206,8 @@ impl<T: Voxel> Part<'_, T> {
             if !self.search && self.changed[first..first + ny].iter().all(|&row| row == 0) {
                 continue;
             }
-            // Blocks overlap the next row of cells, so that row's changes are found first.
+            // The bounds of a row's last blocks include voxels of the next row, so changes of the next row
+            // are found before the bounds are computed.
             self.compare(simd, cz, 0);
             for cy in 0..ny {
                 if cy + 1 < ny {
@@ -221,7 +223,8 @@ impl<T: Voxel> Part<'_, T> {
         Ok(())
     }
 
-    /// Computes the checksums of the cells of a row that must be scanned, and marks those that changed.
+    /// Computes checksums in a row of cells: of all cells with `search`, otherwise of the marked cells. Marks
+    /// the cells whose checksum changed.
     #[inline(always)]
     fn compare<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let (grid, source) = (*self.grid, self.source);
@@ -272,7 +275,7 @@ impl<T: Voxel> Part<'_, T> {
             for by in bys.clone() {
                 let changed = self.changed[row] | if by + 1 == bys.end { next } else { 0 };
                 for run in runs(changed) {
-                    // The block before the run overlaps it.
+                    // The bounds of the block before the run include the run's first voxels.
                     let bxs = (run.start * per_cell).saturating_sub(1)..(run.end * per_cell).min(across);
                     let xs = bxs.start * block[0]..(bxs.end * block[0] + 1).min(grid.dims[0]);
                     own.clear(xs.len());
@@ -356,7 +359,8 @@ impl<T: Voxel> Part<'_, T> {
             });
             write_tally(&mut self.row, bounds, &own, infinite)?;
         }
-        // Only an allocation can fail from here on, and it precedes every change of state.
+        // From here on, only the allocation below can fail. It precedes every change of the tallies and
+        // totals.
         let kept = &mut self.tallies[row];
         if kept.capacity() < self.row.len() {
             *kept = copied(&self.row)?;
@@ -371,8 +375,9 @@ impl<T: Voxel> Part<'_, T> {
     }
 }
 
-/// Adds words to partial checksums: for each word the product of its two halves, keyed by the row, so that
-/// the position matters.
+/// Adds a row of voxels to partial checksums, one per 8-byte word of the row. Each word is XORed with the
+/// row's key, so that the checksum depends on the row, and the product of the two halves of the result is
+/// added.
 #[inline(always)]
 fn absorb(bytes: &[u8], keys: Sums, first: &mut [u64], second: &mut [u64]) {
     let (whole, rest) = chunks::<8, _>(bytes);
@@ -398,10 +403,10 @@ const LENGTH: usize = 2;
 /// Marker before a count that does not fit in one byte.
 const LARGE: u8 = u8::MAX;
 
-/// Appends a cell's tally: its length in bytes, the bounds of its entries, the number of voxels that are not
-/// finite, and the number of voxels with each entry from the lower bound to the upper. A number takes one
-/// byte, or nine from 255 on. A cell of 8³ voxels takes 14 bytes if all voxels have the same entry, otherwise
-/// usually 5 bytes plus one byte per entry from the lower bound to the upper.
+/// Appends a cell's tally: the tally's length in bytes, the bounds of the cell's entries, the number of
+/// voxels that are not finite, and the number of voxels with each entry from the lower bound to the upper. A
+/// number below 255 takes one byte, any other nine bytes. A cell of 8³ voxels takes 14 bytes if all voxels
+/// have the same entry, otherwise usually 5 bytes plus one byte per entry from the lower bound to the upper.
 fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_finite: u64) -> Result<()> {
     let counts = &counts[usize::from(low)..=usize::from(high)];
     let at = to.len();
@@ -422,7 +427,7 @@ fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_
     Ok(())
 }
 
-/// Splits off the first tally; `tallies` keeps the rest. Empty where there is none.
+/// Removes the first tally from `tallies` and returns it, or an empty slice where there is none.
 fn split_tally<'a>(tallies: &mut &'a [u8]) -> &'a [u8] {
     let Some(&len) = tallies.first_chunk::<LENGTH>() else { return &[] };
     let (first, rest) = tallies.split_at(usize::from(u16::from_le_bytes(len)).min(tallies.len()));
@@ -495,7 +500,8 @@ mod tests {
         }
     }
 
-    /// Every word and every position changes the sums, equally on every level.
+    /// Checks that a change of any bit changes both sums of its word and of no other word, and that every
+    /// level gives the same sums.
     #[test]
     fn sums_tell_words_and_places_apart() {
         struct Absorb<'a>(&'a [u8], &'a mut [u64], &'a mut [u64]);

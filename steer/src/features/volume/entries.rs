@@ -8,10 +8,10 @@ pub(super) struct Map {
     range: (f32, f32),
     /// Table entries per unit of the stored values; `None` where this ratio is not a normal number.
     scale: Option<f32>,
-    /// Table entry of each counted byte: for bytes the entry nearest to the stored value, for other types the
-    /// byte itself.
+    /// Table entry of each byte that is counted: for volumes of bytes, the entry nearest to the stored value;
+    /// for other types, the byte itself, because it is an entry already.
     pub(super) near: [u8; 256],
-    /// [`Map::below`] and [`Map::above`] of each byte; used for bytes only.
+    /// [`Map::below`] and [`Map::above`] of each byte; used for volumes of bytes only.
     ends: [[u8; 2]; 256],
 }
 
@@ -88,7 +88,7 @@ pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
     fn number(self) -> f32;
     fn lesser(self, other: Self) -> Self;
     fn greater(self, other: Self) -> Self;
-    /// The value; the lowest value in place of NaN.
+    /// Returns the value, or negative infinity in place of NaN.
     #[inline(always)]
     fn known(self) -> Self {
         self
@@ -113,7 +113,8 @@ pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
     fn entry_of(value: Self, map: &Map) -> u8 {
         near(map.position(value.number()))
     }
-    /// Writes the bytes counted for a row; returns the number of values that are not finite.
+    /// Writes the bytes that are counted for a row of values, unless [`Voxel::IS_ENTRY`] is true. Returns the
+    /// number of values that are NaN or infinite.
     #[inline(always)]
     fn entries(row: &[Self], map: &Map, out: &mut [u8]) -> u32 {
         let low = map.range.0;

@@ -22,8 +22,8 @@ use scan::Grid;
 /// Edge of the blocks that renderers skip, in voxels.
 pub(crate) const BLOCK_EDGE: usize = 8;
 
-/// Largest number of cells along each axis. The edge of a cell is that of a block, doubled along an axis
-/// until this limit holds.
+/// Largest number of cells along each axis. A cell has the edge of a block, doubled along an axis until the
+/// number of cells is within this limit.
 const CELLS_PER_AXIS: usize = 48;
 
 /// Number of quantile intervals per cell; their `QUANTILES + 1` bounds split the cell's voxels into equal
@@ -38,11 +38,10 @@ const BLOCKS_PER_CELL_AXIS: usize = 8;
 
 /// Summary of a volume: about 12 bytes per cell of 8³ voxels, without the voxels.
 ///
-/// Cell (i, j, k) with edge e covers the samples between the centers of voxels e·i and e·(i + 1) along each
-/// axis; so the bounds of a cell include one voxel beyond its far side. The edge is 8 voxels along each axis,
-/// or larger by powers of two where an axis would have more than 48 cells; then the value bounds of the
-/// blocks inside each cell are kept too, so that emptiness is still decided by the blocks that a renderer
-/// skips.
+/// Along each axis, cell i with edge e covers the samples between the centers of voxels e·i and e·(i + 1). So
+/// the bounds of a cell include one voxel beyond its far side. The edge is 8 voxels, or a larger power of two
+/// along an axis that would otherwise have more than 48 cells. Cells with larger edges also keep the value
+/// bounds of the blocks inside them, because a renderer skips single blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
     scalar_type: ScalarType,
@@ -64,7 +63,7 @@ pub struct VolumeSummary {
     block_low: Vec<u8>,
     block_high: Vec<u8>,
     first_block: Vec<u32>,
-    /// Number of blocks of a cell that the volume's border does not cut.
+    /// Number of blocks in a whole cell, one that the volume's border does not cut.
     most_blocks: usize,
     /// True where every cell has `most_blocks` blocks.
     uniform: bool,
@@ -77,13 +76,13 @@ impl VolumeSummary {
     /// Scans a volume once, on the calling thread.
     ///
     /// # Errors
-    /// [`ErrorKind::OutOfMemory`] where there is no room for the summary.
+    /// [`ErrorKind::OutOfMemory`] if memory does not suffice for the summary.
     pub fn new(volume: &VolumeView<'_>) -> Result<Self> {
         Self::new_on(volume, Executor::Serial)
     }
 
-    /// As [`VolumeSummary::new`], on the executor's threads; same bits. Allocates working memory of a few
-    /// rows of cells for each thread.
+    /// As [`VolumeSummary::new`], on the executor's threads; the summary has the same bits. Allocates working
+    /// memory of a few rows of cells for each thread.
     ///
     /// # Errors
     /// As [`VolumeSummary::new`].
@@ -111,15 +110,15 @@ impl VolumeSummary {
     }
 
     /// Makes a summary from bounds that the renderer already has: one (low, high) pair of normalized scalars
-    /// per brick of `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, including the border
-    /// voxels used by interpolation. Values inside a brick are assumed to be uniformly distributed between
-    /// its bounds. NaN bounds count as 0.
+    /// per brick of `brick_edge` voxels, x fastest. Each axis has ⌈dims / `brick_edge`⌉ bricks. The bounds
+    /// must include the neighboring voxels that interpolation inside the brick uses. Values inside a brick
+    /// are assumed to be uniformly distributed between its bounds. NaN bounds count as 0.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with`] refuses,
     /// [`ErrorKind::SizeMismatch`] for a size over [`entire_core::scene::MAX_VOLUME_EDGE`] or a number of
-    /// bricks that does not agree with sizes and edge, [`ErrorKind::OutOfMemory`] where there is no room for
-    /// the summary.
+    /// bricks that does not agree with sizes and edge, [`ErrorKind::OutOfMemory`] if memory does not suffice
+    /// for the summary.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],
@@ -139,8 +138,8 @@ impl VolumeSummary {
         if expected != bounds.len() {
             bail!(
                 SizeMismatch,
-                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds \
-                 were given; pass one (low, high) pair per brick, x fastest",
+                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, but {} \
+                 bounds were given; pass one (low, high) pair per brick, x fastest",
                 bounds.len()
             );
         }
@@ -163,10 +162,10 @@ impl VolumeSummary {
         Ok(summary)
     }
 
-    /// Clones the summary; fails where memory is short.
+    /// Returns a copy of the summary.
     ///
     /// # Errors
-    /// [`ErrorKind::OutOfMemory`] where there is no room for the copy.
+    /// [`ErrorKind::OutOfMemory`] if memory does not suffice for the copy.
     pub fn try_clone(&self) -> Result<Self> {
         Ok(Self {
             low: copied(&self.low)?,
@@ -228,9 +227,9 @@ impl VolumeSummary {
         self.non_finite_share
     }
 
-    /// True where a renderer that looks stored values up in a table must shift or scale them: unless they are
+    /// True where a renderer that looks stored values up in a table must shift or scale them first. False for
     /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. For a summary made from
-    /// bricks, the bricks' bounds decide: a bound of 0 of an integer type is taken as a stored 0.
+    /// bricks, false for an integer type with a lowest bound of 0, which is taken as a stored 0.
     pub(crate) fn remapped(&self) -> bool {
         self.remapped
     }

@@ -12,18 +12,18 @@ use entire_core::scene::VolumeView;
 /// Sizes of a volume, its cells and its blocks, each along x, y, z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grid {
-    /// Voxels of the volume.
+    /// Number of voxels of the volume.
     pub(super) dims: [usize; 3],
-    /// Cells of the volume.
+    /// Number of cells of the volume.
     pub(super) cells: [usize; 3],
-    /// Voxels of a cell.
+    /// Edges of a cell, in voxels.
     pub(super) edge: [usize; 3],
-    /// Voxels of a block; cells hold whole blocks.
+    /// Edges of a block, in voxels; they divide the edges of a cell.
     pub(super) block: [usize; 3],
 }
 
 impl Grid {
-    /// Number of blocks.
+    /// Number of blocks of the volume along x, y and z.
     pub(super) fn blocks(&self) -> [usize; 3] {
         core::array::from_fn(|a| self.dims[a].div_ceil(self.block[a]))
     }
@@ -101,7 +101,7 @@ impl<T: Voxel> Found<T> {
         }
         let level = Level::detect();
         all(&mut tasks, level, executor);
-        // A layer's first plane belongs to the bounds of the preceding blocks as well.
+        // The bounds of a task's last blocks also include the first plane of voxels of the next task.
         let mut previous: Option<&mut [Bounds<T>]> = None;
         for task in tasks {
             if let Some(blocks) = previous {
@@ -138,7 +138,7 @@ where
     }
 }
 
-/// Location of the voxels.
+/// Voxels of a volume, and the view that gives their locations.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a, T> {
     pub(super) volume: &'a VolumeView<'a>,
@@ -185,7 +185,8 @@ struct Layers<'a, T> {
     quantiles: &'a mut [[u8; QUANTILES + 1]],
     /// Bounds of the blocks of these layers.
     bounds: &'a mut [Bounds<T>],
-    /// Bounds of the first plane's voxels, which belong to the preceding blocks.
+    /// Bounds of the voxels in the first plane of these layers, one pair per block of a plane. The blocks
+    /// before these layers are widened by them.
     back: Vec<Bounds<T>>,
     counts: [u64; 256],
     non_finite: u64,
@@ -370,15 +371,17 @@ impl<S: Simd> Tally<'_, S> {
         out
     }
 
-    /// Where few distinct entries can occur, counts eight of them at a time over all bytes; otherwise counts
-    /// bytes in four tables in turn: in a single table, equal neighbors would serialize the additions.
+    /// Counts the bytes. If few distinct values can occur, counts eight values at a time, each over all
+    /// bytes. Otherwise adds the bytes to four tables in turn: in a single table, each of several equal bytes
+    /// in a row would wait for the addition before it.
     #[inline(always)]
     fn batch(&self, bytes: &[u8], counts: &mut Counts) {
         let [low, high] = self.bounds;
         let [a, b, c, d] = counts;
         if usize::from(high - low) < S::COUNTED {
             for first in (low..=high).step_by(8) {
-                // The last group of eight may overlap the one before: the same counts are stored again.
+                // The last group of eight values may overlap the preceding group; their common counts are
+                // then stored twice.
                 let first = usize::from(first.min(u8::MAX - 7));
                 a[first..first + 8].copy_from_slice(&self.simd.count_eight(bytes, first as u8));
             }
@@ -460,8 +463,8 @@ impl<T: Voxel> Joined<T> {
         }
     }
 
-    /// Widens the bounds of a row of blocks, once for all rows: a block's values include the first value of
-    /// the next block. `block` is a power of two.
+    /// Widens the bounds of a row of blocks by the combined rows. A block's values include the first value of
+    /// the next block. `block`, the number of voxels of a block along x, must be a power of two.
     #[inline(always)]
     pub(super) fn reduce<'a>(&mut self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
     where
@@ -475,7 +478,7 @@ impl<T: Voxel> Joined<T> {
             reach *= 2;
         }
         for (bx, bound) in bounds.enumerate() {
-            // The second range extends one value further.
+            // Two ranges of `block` values: the second begins and ends one value later.
             for place in [bx * block, (bx * block + 1).min(self.low.len() - 1)] {
                 *bound = [bound[0].lesser(self.low[place]), bound[1].greater(self.high[place])];
             }
@@ -495,8 +498,8 @@ fn slide<T: Voxel>(values: &mut [T], other: &mut [T], reach: usize, join: impl F
     values.copy_from_slice(to);
 }
 
-/// Copies a row's entries to its cells: `edge` entries each, as row number `place` of the cell. Each cell has
-/// room for `per_cell` entries.
+/// Copies the entries of a row of voxels to the cells that the row crosses: `edge` entries to each cell, as
+/// row number `place` of the cell. In `cells`, each cell takes `per_cell` bytes.
 #[inline(always)]
 pub(super) fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, cells: &mut [u8]) {
     #[inline(always)]
@@ -529,7 +532,7 @@ mod tests {
     use super::*;
     use alloc::vec;
 
-    /// Kernel: eight counts of bytes.
+    /// Kernel that counts the bytes with each of eight values, the given one and the next seven.
     struct CountEight<'a>(&'a [u8], u8);
 
     impl Kernel for CountEight<'_> {

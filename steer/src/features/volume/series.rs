@@ -20,11 +20,16 @@ use entire_core::scene::{Scalars, VolumeView};
 /// Otherwise all voxels are read to find the cells that changed, which is much faster than making a summary.
 /// Either way the summary is bit-identical to that of [`VolumeSummary::new`].
 ///
-/// In addition to the summary, each cell has a checksum of 16 bytes, which misses a change with a probability
-/// of about 2⁻¹²⁸ (unless voxels are chosen to collide); the number of voxels with each entry of a 256-entry
-/// table, which takes 5 bytes plus usually one byte for each entry from the cell's lowest to its highest; and
-/// four stored values per block. For volumes of bytes whose cells are one block each, this state takes about
-/// 25 bytes per cell plus one byte per entry, in addition to the summary's 11 bytes per cell.
+/// In addition to the summary, a series keeps for each cell:
+///
+/// * a checksum of 16 bytes, which misses a change with a probability of about 2⁻¹²⁸ (unless voxels are
+///   chosen to collide),
+/// * the number of voxels with each entry of a 256-entry table: 5 bytes, plus usually one byte for each entry
+///   from the cell's lowest to its highest,
+/// * four stored values for each of its blocks.
+///
+/// For volumes of bytes whose cells are one block each, this state takes about 25 bytes per cell plus one
+/// byte per entry, in addition to the summary's 11 bytes per cell.
 ///
 /// ```
 /// use entire_steer::features::{SummarySeries, VolumeSummary};
@@ -85,16 +90,16 @@ impl SummarySeries {
         Ok(Self { summary, grid, map, cells, blocks, search: false })
     }
 
-    /// Updates the summary to the next time step and returns it. Only voxels in the box `changed` differ from
-    /// the preceding time step: along x, y and z from each range's start up to, but not including, its end.
+    /// Updates the summary to the next time step and returns it. If `changed` is given, its ranges of voxels
+    /// along x, y and z form a box, and only voxels in this box may differ from the preceding time step.
     /// Without a box any voxel may differ. The first time step is always read completely. Allocates working
     /// memory of a few rows of cells for each thread, and memory for cells with more entries than before.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume, and for a volume of
-    /// another type or range, [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; nothing has
-    /// changed in these cases. [`crate::ErrorKind::OutOfMemory`], after which there is no summary until
-    /// another update succeeds.
+    /// another type or range, [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; in these cases
+    /// nothing has changed. [`crate::ErrorKind::OutOfMemory`] if memory does not suffice; there is then no
+    /// summary until another update succeeds.
     pub fn update(
         &mut self,
         volume: &VolumeView<'_>,
@@ -105,8 +110,8 @@ impl SummarySeries {
             let ([x, y, z], [nx, ny, nz]) = (volume.dims(), self.grid.dims);
             bail!(
                 SizeMismatch,
-                "a time step has {x} x {y} x {z} voxels, its series {nx} x {ny} x {nz}; begin another series \
-                 with it"
+                "a time step has {x} x {y} x {z} voxels, but its series has {nx} x {ny} x {nz}; make a new \
+                 series for this size"
             );
         }
         self.check(volume)?;
@@ -127,7 +132,7 @@ impl SummarySeries {
             bail!(
                 InvalidArgument,
                 "voxels {:?} along x, {:?} along y and {:?} along z were announced as changed in a volume \
-                 of {} x {} x {} voxels; ranges begin at 0 and end with the volume",
+                 of {} x {} x {} voxels; ranges must not end before they start, nor beyond the volume",
                 changed[0],
                 changed[1],
                 changed[2],
@@ -159,13 +164,13 @@ impl SummarySeries {
         Some(first / ny..last / ny + 1)
     }
 
-    /// The summary of the time step.
+    /// The summary of the last time step.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before the first update, and after one that failed for lack of memory.
     pub fn summary(&self) -> Result<&VolumeSummary> {
         if self.awaited().is_some() {
-            bail!(NotReady, "no time step is complete; update the series with one");
+            bail!(NotReady, "the series has no complete time step; update it with a time step");
         }
         Ok(&self.summary)
     }
@@ -175,8 +180,8 @@ impl SummarySeries {
         if volume.range() != self.map.range() {
             bail!(
                 InvalidArgument,
-                "a time step has the range {:?}, its series {:?}; give every time step the range of the \
-                 series",
+                "a time step has the range {:?}, but its series has {:?}; give every time step the range of \
+                 the series",
                 volume.range(),
                 self.map.range()
             );
@@ -185,7 +190,7 @@ impl SummarySeries {
         if found != own {
             bail!(
                 InvalidArgument,
-                "a time step of {} was added to a series of {}; time steps have the series' type",
+                "a time step of {} was given to a series of {}; give every time step the type of the series",
                 found.name(),
                 own.name()
             );
@@ -193,7 +198,7 @@ impl SummarySeries {
         Ok(())
     }
 
-    /// Scans layers of cells, which include every cell that must be scanned.
+    /// Scans a range of layers of cells, which must include every cell that must be scanned.
     fn look(&mut self, volume: &VolumeView<'_>, layers: Range<usize>, executor: Executor<'_>) -> Result<()> {
         let Self { summary, grid, map, cells, blocks, search } = self;
         macro_rules! look {
@@ -217,8 +222,8 @@ impl SummarySeries {
     }
 }
 
-/// Updates the parts of the summary that depend on all voxels: bounds of the cells that changed or overlap
-/// changed ones, histogram, `remapped`.
+/// Updates the bounds of the cells that changed or overlap changed cells, and the parts of the summary that
+/// depend on all voxels: the histogram, the share of NaN and infinite voxels, and `remapped`.
 fn finish<T: Voxel>(
     summary: &mut VolumeSummary,
     grid: &Grid,

@@ -10,7 +10,7 @@ use std::vec::Vec;
 
 const DIMS: [usize; 3] = [37, 21, 43];
 
-/// The planes of a volume; every type has values at both ends of its range.
+/// The voxels of a volume, stored in each of the four types.
 struct Volume {
     bytes: Vec<u8>,
     words: Vec<u16>,
@@ -105,7 +105,7 @@ fn pools_change_no_bit() {
     }
 }
 
-/// A random box of voxels, and new values for all, some or none of its voxels.
+/// Writes new values to all, some or none of the voxels in a random box. Returns the box.
 fn change(bytes: &mut [u8], random: &mut Random) -> [core::ops::Range<usize>; 3] {
     let most = [3, 12, 64][random.below(3)];
     let within = core::array::from_fn(|a| {

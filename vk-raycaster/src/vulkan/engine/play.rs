@@ -118,7 +118,8 @@ impl Engine {
                 }
                 Command::Timestamp(index) => {
                     if let Some(queries) = &slot.queries {
-                        // At the bottom of the pipe: once all work recorded before is done.
+                        // At the bottom of the pipeline, a timestamp is written once all earlier work is
+                        // done.
                         let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
                         device.cmd_write_timestamp(commands, stage, queries.get(), *index);
                     }
@@ -246,14 +247,14 @@ impl Engine {
         }
     }
 
-    /// Seconds between the two timestamps of the last submission.
+    /// Returns the seconds between the two timestamps of the slot's last submission, or `None` without
+    /// timestamps.
     pub(super) fn read_seconds(&self, slot: usize) -> Result<Option<f64>> {
         let (Some(queries), Some(clock)) = (&self.slots[slot].queries, &self.gpu.timestamps) else {
             return Ok(None);
         };
         let mut ticks = [0u64; 2];
-        // SAFETY: the submission that wrote both queries was waited for, so that both are there without
-        // waiting.
+        // SAFETY: the submission that wrote both queries was waited for, so both results are available.
         unsafe {
             self.gpu.device.get_query_pool_results(
                 queries.get(),
@@ -275,7 +276,7 @@ const COLOR_LAYER: vk::ImageSubresourceLayers = vk::ImageSubresourceLayers {
     layer_count: 1,
 };
 
-/// Slices, or rows of a 2-D image, from `first` on.
+/// Returns the region of `count` slices (of a 2-D image: rows) from `first` on.
 fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
     let [width, height, _] = shape.extent;
     let (y, z, height, depth) =

@@ -76,8 +76,8 @@ impl Engine {
 impl Drop for Engine {
     fn drop(&mut self) {
         for slot in 0..self.slots.len() {
-            // Nothing runs on a lost device. Submissions on a hanging one may still use resources that would
-            // be freed.
+            // Nothing runs on a lost device. Submissions on a hanging device may still use resources, which
+            // therefore are not freed.
             if !self.gpu.is_lost()
                 && self.slots[slot].pending
                 && self.wait_for_fence(slot, "its last pass").is_err()

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! burn as a server (see `common`).
+//! The inference library burn as a server; the crate `common` has the protocol.
 
 use burn::module::Param;
 use burn::nn::conv::{Conv3d, Conv3dConfig};

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! candle as a server (see `common`).
+//! The inference library candle as a server; the crate `common` has the protocol.
 
 use candle_core::{DType, Device, Tensor};
 use candle_nn::{Linear, Module};
 use common::*;
 
 fn main() {
-    // A name may end in a dtype: pred_12c256:f16. Weights are those of NAME_elu, which contain the scale of SELU.
+    // A network's name may end in a data type, as in pred_12c256:f16. The weights are read from NAME_elu,
+    // since they contain the scale of SELU.
     serve(|dir, name, batch| {
         if name.starts_with("vol") {
             return Err("no conv3d in candle".into());

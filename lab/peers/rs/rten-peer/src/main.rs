@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! RTen as a server (see `common`).
+//! The inference library RTen as a server; the crate `common` has the protocol.
 
 use common::*;
 use rten::{Model, ModelOptions, ValueView};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! tract as a server (see `common`).
+//! The inference library tract as a server; the crate `common` has the protocol.
 
 use common::*;
 use tract_onnx::prelude::*;

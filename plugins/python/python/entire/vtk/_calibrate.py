@@ -114,7 +114,7 @@ class _Calibrator:
         self.window = renderer.GetRenderWindow()
         self.began = self.seconds = math.nan
 
-    # Frames are timed in the same way as steered frames.
+    # The frames of a calibration are timed in the same way as steered frames.
     def start(self, _mapper: Any, _event: str) -> None:
         if self.gpu:
             self.window.WaitForCompletion()

@@ -320,8 +320,8 @@ class Leaf:
             # The session observes this time with the next frame's plan, or when `session` is accessed.
             self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
         if steered and steering._shared.drawing:
-            # The time of a volume that is not steered counts as time outside of the passes, which reduces the others'
-            # shares.
+            # The time of a volume that is not steered counts as time outside of the passes, which reduces the shares of
+            # the steered volumes.
             steering._shared.budget.drew(self._pass, seconds, seconds * self._coarsening)
         steering._measured_now += seconds
         steering._predicted_now += self.predicted
@@ -346,7 +346,8 @@ class Leaf:
         self._mapper_time = mapper.GetMTime()
 
     def _restore_whole(self) -> list[Callable[[], None]]:
-        """Restores the mapper's settings, also while it draws; returns the calls to repeat when the frame ends."""
+        """Restores the mapper's settings, also while it draws. Returns calls that restore them again, to be made when
+        the frame ends."""
         mapper = self._mapper()
         if mapper is None or not self._steered:
             return []
@@ -357,8 +358,8 @@ class Leaf:
         return [] if self._gpu else [lambda: own.restore(mapper, *wrote)]
 
     def _after_frame(self, calls: list[Callable[[], None]]) -> None:
-        """Makes the calls when the renderer's frame ends, or at once outside of frames: a mapper that is drawing would
-        undo the settings, and must not be exchanged."""
+        """Makes the calls when the renderer's frame ends, or at once outside of frames. A mapper that is drawing would
+        overwrite the restored settings, and must not be exchanged."""
         renderer = self._steering._renderer()
         if calls and self._steering._rendering and renderer is not None:
             at_end(renderer, calls)
@@ -367,7 +368,8 @@ class Leaf:
                 call()
 
     def _several(self, together: Any) -> int:
-        """A number that grows with every change of a vtkMultiVolume or its first volume; -1 if the latter is gone."""
+        """Returns a number that grows with every change of a vtkMultiVolume or its first volume; -1 if that volume was
+        deleted."""
         shown = None if self._shown is None else self._shown()
         return -1 if shown is None else int(together.GetMTime() + shown.GetMTime())
 

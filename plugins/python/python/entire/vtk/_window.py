@@ -34,7 +34,7 @@ class WindowFrame:
     __slots__ = ("__weakref__", "budget", "drawing", "start", "steerings", "usual", "window")
 
     def __init__(self, window: Any) -> None:
-        # Compared in frame_of(), since a new window may have the address of a deleted one.
+        # frame_of() compares this window with the given one, since a new window may have the address of a deleted one.
         self.window = vtkWeakReference()
         self.window.Set(window)
         self.budget = FrameBudget()
@@ -65,7 +65,7 @@ def is_picking(window: Any) -> bool:
 
 
 def frame_of(window: Any, clock: str) -> WindowFrame:
-    """The frame of a window and a clock; a new one without a window."""
+    """Returns the frame of a window and a clock; a new frame if `window` is None."""
     if window is None:
         return WindowFrame(None)
     key = (window.__this__, clock)
