@@ -129,15 +129,15 @@ case $for in
         packages+=(cmake make ninja-build clang g++ pkg-config valgrind strace vulkan-validationlayers)
         ;;&
     change | nightly)
-        # VTK and its Python, ParaView, a display, and simulated user input for the window.
-        packages+=(libvtk9-dev python3-vtk9 python3-numpy python3-venv xvfb xauth xdotool)
+        # VTK and its Python, ParaView, a display, simulated user input for the window, and folders of other Debian releases.
+        packages+=(libvtk9-dev python3-vtk9 python3-numpy python3-venv xvfb xauth xdotool mmdebstrap)
         packages+=(paraview paraview-dev openmpi-bin qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev
             libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev
             libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
         ;;&
     nightly)
-        # Slurm, folders of other Debian releases, and the library that Qt needs to open windows.
-        packages+=(slurm-wlm munge mmdebstrap libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
+        # Slurm, and the libraries that Qt needs to open windows.
+        packages+=(slurm-wlm munge libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
             libxcb-xinerama0 libxkbcommon-x11-0 libegl1 libdbus-1-3)
         ;;
 esac

@@ -153,6 +153,7 @@ if [[ $gate != test ]]; then
     step "render farms" env FARM_BIN="$target/debug/entire" scripts/test-farm.sh $full
     step "fuzz targets" scripts/fuzz.sh smoke "${FUZZ_SECONDS:-60}"
 fi
+if [[ $gate == change ]]; then step "another version of VTK" scripts/matrix.sh short; fi
 if [[ $gate == nightly ]]; then
     if have cargo-deny; then
         step "licenses and sources of crates" "$cargo" deny --log-level error check bans licenses sources

@@ -413,6 +413,13 @@ void KeepsState(Kind kind)
   steering->Reset();
   scene.Draw();
   const double untaught = steering->GetPredictedTime();
+  // A changed option discards the learned state.
+  scene.Draw();
+  CHECK(steering->GetPredictedTime() != untaught);
+  steering->IgnoreLoadOn();
+  scene.Draw();
+  CHECK(steering->GetPredictedTime() == untaught);
+  steering->IgnoreLoadOff();
   double learned[2];
   for (double& prediction : learned)
   {
@@ -421,11 +428,6 @@ void KeepsState(Kind kind)
     prediction = steering->GetPredictedTime();
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
-  // Another option discards the learned state.
-  steering->IgnoreLoadOn();
-  scene.Draw();
-  CHECK(steering->GetPredictedTime() == untaught);
-  steering->IgnoreLoadOff();
   // A state of another clock, or of another mapper, is not loaded.
   const int clock = steering->GetClock();
   steering->SetClock(clock == vtkEntireSteering::WALL ? vtkEntireSteering::PROCESS_CPU : vtkEntireSteering::WALL);

@@ -244,7 +244,7 @@ void KnowsItsPictures(Kind kind)
   set(false, -1);
   CHECK(Empty(scene.Steering->GetStatus()));
   set(true, -1);
-  CHECK(Is(scene.Steering->GetReason(), "fallback") && Says(scene.Steering->GetStatus(), "image weight is -1"));
+  CHECK(Is(scene.Steering->GetReason(), "fallback") && Says(scene.Steering->GetStatus(), "image weight of the picture quality law is -1"));
   for (const double weight : { 0.0, 3.0 })
   {
     set(true, weight);
