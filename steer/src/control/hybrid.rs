@@ -263,22 +263,28 @@ impl Hybrid {
     }
 
     /// Returns the finest step within the limits whose `excess` is not positive, to about half a percent;
-    /// `None` if there is no such step. The excess, ln(time / target), is nearly linear in ln(step), so a
-    /// bracketed secant search (Illinois) needs four or five evaluations. The search assumes that a coarser
-    /// step has a lower excess. If a network violates this, the returned step may not be the finest, but its
-    /// excess is not positive.
-    fn finest(limits: StepLimits, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
-        let mut f_high = excess(limits.coarsest);
+    /// `None` if the excess is positive at the coarsest step and at the last drawn step. The excess,
+    /// ln(time / target), is nearly linear in ln(step), so a bracketed secant search (Illinois) needs four or
+    /// five evaluations. The search assumes that a coarser step has a lower excess. If a network violates
+    /// this, the returned step may not be the finest, but its excess is not positive.
+    fn finest(limits: StepLimits, last: Option<f32>, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
+        let mut coarsest = limits.coarsest;
+        let mut f_high = excess(coarsest);
         if f_high > 0.0 {
-            return None;
+            // If the time hardly depends on the step, a bound that widens with the distance from the last step
+            // may fit there and not at the coarsest step.
+            coarsest = last.filter(|step| limits.clamp(*step) == *step)?;
+            f_high = excess(coarsest);
+            if f_high > 0.0 {
+                return None;
+            }
         }
         let mut f_low = excess(limits.finest);
         if f_low <= 0.0 {
             return Some(limits.finest);
         }
-        let (mut low, mut high) =
-            (libm::log(f64::from(limits.finest)), libm::log(f64::from(limits.coarsest)));
-        let mut best = limits.coarsest;
+        let (mut low, mut high) = (libm::log(f64::from(limits.finest)), libm::log(f64::from(coarsest)));
+        let mut best = coarsest;
         let mut side = 0;
         for _ in 0..EVALUATIONS {
             let width = high - low;
@@ -353,11 +359,12 @@ impl Controller for Hybrid {
             if f.is_nan() { 1.0 } else { f.clamp(-50.0, 50.0) }
         };
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
-        let mut step = match Self::finest(limits, excess) {
+        let last = self.last.map(|last| last.step);
+        let mut step = match Self::finest(limits, last, excess) {
             Some(step) => step,
             // No step has a bound that fits. If some steps are expected to fit, the geometric mean of the
             // finest of these steps and the coarsest step is chosen.
-            None => match Self::finest(limits, |step| libm::log(judge(step).choice / target)) {
+            None => match Self::finest(limits, last, |step| libm::log(judge(step).choice / target)) {
                 Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
                 None => {
                     reason = Reason::TargetUnreachable;

@@ -107,3 +107,22 @@ fn a_prediction_that_knows_nothing_of_the_step_is_not_taken_for_a_load() {
         hybrid.observe(&Observed { seconds, step, target: 0.03, changes, terms, scene, unusual: false });
     }
 }
+
+#[test]
+fn where_the_time_hardly_depends_on_the_step_the_finest_step_that_fits_is_found_and_kept() {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
+    // Takes 20 ms at step 2, 22 ms at step 1, and 18.2 ms at step 16.
+    let mut cost = |step: f32| CostTerms::whole(0.018 + 0.004 / step, 0.0, Source::Analytic);
+    let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
+    let mut steps = Vec::new();
+    for i in 0..60 {
+        let changes = Changes { first: i == 0, ..Changes::default() };
+        let decision = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let (step, terms, scene) = (decision.step, cost(decision.step), hybrid.scene());
+        let seconds = terms.seconds();
+        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
+        steps.push(step);
+    }
+    assert!(steps[30..].iter().all(|s| (1.9..2.3).contains(s)), "{steps:?}");
+}
